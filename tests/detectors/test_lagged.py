@@ -74,16 +74,6 @@ def test_a_window_too_short_for_evidence_names_one_at_random(kind):
         assert len(named) > len(leader) / 2  # ties don't favour low indices
 
 
-@pytest.mark.parametrize("kind", BOTH)
-def test_known_number_of_heads(kind):
-    velocity, leader = flight(np.random.default_rng(12))
-    for clusters in (1, 2, 3, 7, len(leader)):
-        detection = answer(kind(clusters=clusters), window_of(velocity))
-        assert detection.candidates.sum() == clusters
-        # some heads may have been hit by round 2: no more than there seem to be
-        assert answer(kind(clusters=clusters), window_of(velocity, round=2)).candidates.sum() == min(clusters, 3)
-
-
 @pytest.mark.parametrize(
     ("kind", "name", "value"),
     [

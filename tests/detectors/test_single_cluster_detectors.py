@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from single_cluster_windows import changed, cluster, named, without
+from single_cluster_windows import changed, cluster, without
 
 from detectors.gassl import Gassl
 from detectors.neural_granger import NeuralGranger
@@ -49,26 +49,6 @@ def test_destroyed_uavs_are_left_out(detector):
     assert (got.leader[gone] == -1).all()
     assert not np.isin(got.leader, gone).any()
     np.testing.assert_allclose(np.delete(got.attention, gone, axis=0).sum(axis=1), 1.0, atol=1e-5)
-
-
-def test_a_living_uav_that_was_never_seen(kind, detector):
-    window, head = cluster(followers=5)
-    hidden = (head + 1) % 6
-    seen = window.seen.copy()
-    seen[:, hidden] = False
-    there = seen[1:] & seen[:-1]
-    unseen = changed(
-        window,
-        position=np.where(seen[..., None], window.position, 0),
-        velocity=np.where(there[..., None], window.velocity, 0),
-        seen=seen,
-    )
-    got = detector(steps=60 if kind is NeuralGranger else 5).detect(unseen)
-    assert got.candidates.sum() == 1
-    assert np.isfinite(got.attention).all()
-    assert np.isfinite(got.scores).all()
-    if kind is NeuralGranger:
-        assert named([got]) == [head]
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ from swarm_windows import swarm_window, without
 from detectors.clustering import CLUSTERERS, Clusterer, KMeans, factorise_affinity, make_clusterer, register_clusterer
 from detectors.clustering.features import (
     FEATURES,
-    compute_lag_affinity,
     compute_raw_features,
     compute_rbf_affinity,
     compute_scaled_features,
@@ -20,7 +19,6 @@ from usnet_env import ArgumentError, Window
 from usnet_env.objectives import head_in_cluster, purity
 
 NAMES = ["agglomerative", "hdbscan", "kmeans", "lead-votes", "snmf", "spectral"]
-COUNTING = [name for name in NAMES if name != "hdbscan"]
 
 
 def cluster(name, window, seed=0, **arguments):
@@ -151,15 +149,6 @@ def test_lag_correlation_is_the_best_over_lags_in_both_directions(max_lag):
     for surrogate, shift in ((False, 0), (True, 6)):
         found = correlate_both_ways(series, max_lag, surrogate=surrogate)
         np.testing.assert_allclose(found, slow_lag_correlation(series, max_lag, shift), atol=1e-12)
-
-
-def test_lag_affinity_finds_a_repeated_series_and_subtracts_chance():
-    series = np.random.default_rng(1).standard_normal((40, 100, 3))
-    series[1, 3:] = series[0, :-3]
-    affinity = compute_lag_affinity(series, 4)
-    assert affinity[0, 1] == affinity[1, 0] > 0.9
-    assert np.mean(affinity[2:, 2:][~np.eye(38, dtype=bool)] > 0) < 0.05
-    assert compute_lag_affinity(series, 2)[0, 1] < 0.2  # out of reach
 
 
 def test_rbf_is_its_formula():

@@ -20,9 +20,7 @@ from detectors.follow_mixture.train import (
     train_calibration,
 )
 from detectors.policy import Policy, choose
-from detectors.random_swarms import draw_calibration_swarm
 from usnet_env.config import ArgumentError
-from usnet_env.swarm.random_follow import RandomFollowStrategy
 
 SHIPPED = files("detectors.follow_mixture") / "data" / "calibration.json"
 TINY = CalibrationTraining(swarms=4, most_uavs=24, most_clusters=3)
@@ -51,17 +49,6 @@ def test_what_ships_was_made_by_the_defaults():
     draws = {name: made["training"][name] for name in CalibrationTraining.model_fields}
     assert CalibrationTraining(**draws) == CalibrationTraining()
     assert made["metrics"]["log loss"] <= made["metrics"]["log loss, before calibration"]
-
-
-def test_swarms_are_of_every_kind_and_follow_no_strategy_of_the_paper():
-    drawn = [draw_calibration_swarm(150, 12, np.random.default_rng([0, swarm])) for swarm in range(300)]
-    assert all(config.follow == "none" or isinstance(config.follow, RandomFollowStrategy) for config in drawn)
-    assert 10 < sum(config.follow == "none" for config in drawn) < 60
-    assert {config.mobility for config in drawn} >= {"iid", "gauss_markov", "straight", "waypoint"}
-    assert min(config.uavs for config in drawn) >= 20
-    assert max(config.uavs for config in drawn) <= 150
-    for name in ("decoys", "miss_rate", "position_noise", "head_jitter"):
-        assert 0 < sum(bool(getattr(config, name)) for config in drawn) < 300
 
 
 def rows_of(slope, offset, doubt, swarms=300, uavs=60):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from mixture_windows import swarm_window
 
-from detectors.follow_mixture.groups import _Bands, _merge_best, _spectral_bands
+from detectors.follow_mixture.groups import _spectral_bands
 from detectors.follow_mixture.motion import fit_spectra, read_motion, smoothed_pasts
 
 
@@ -48,53 +48,3 @@ def test_fourier_coordinates_keep_lengths_and_angles(steps):
     assert count.tolist() == [len(some) for some in columns]
     assert (np.diff(wave) >= 0).all()
     assert wave.max() <= 4.0
-
-
-def merge_slowly(gram, models, price):
-    """The partition of the highest log density less prices on the path of greedy mergers, and its model."""
-    uavs = gram.shape[1]
-
-    def worth(model, members):
-        return float(model.worth(gram[:, members][:, :, members].sum(axis=(1, 2)), np.float64(len(members))))
-
-    path = [[[i] for i in range(uavs)]]
-    while True:
-        groups = path[-1]
-        now = [worth(models[-1], some) for some in groups]
-        rises = {
-            (a, b): worth(models[-1], groups[a] + groups[b]) - now[a] - now[b]
-            for a in range(len(groups))
-            for b in range(a)
-        }
-        a, b = max(rises, key=rises.__getitem__, default=(0, 0))
-        if not rises.get((a, b), 0.0) > price:
-            break
-        path.append([*(some for k, some in enumerate(groups) if k not in (a, b)), groups[a] + groups[b]])
-    energy = np.einsum("fii->f", gram)
-    found = []
-    for model in models:
-        alone = -0.5 * (energy / model.noise + uavs * model.count * np.log(model.noise)).sum()
-        for mergers, groups in enumerate(path):
-            found.append((alone + sum(worth(model, some) for some in groups) - mergers * price, groups, model))
-    return max(found, key=lambda one: one[0])[1:]
-
-
-@pytest.mark.parametrize("price", [0.0, np.log(13), 10.0])
-@pytest.mark.parametrize("seed", range(5))
-def test_groups_are_merged_as_by_definition(seed, price):
-    rng = np.random.default_rng(seed)
-    label = rng.integers(0, 4, 13)
-    shared = rng.normal(size=(3, 4, 6))[:, label]
-    x = shared + rng.choice([0.2, 0.7]) * rng.normal(size=(3, 13, 6))
-    x[:, rng.choice(13, 3, replace=False)] = rng.normal(size=(3, 3, 6))
-    gram = x @ x.swapaxes(1, 2)
-    count = np.full(3, 6.0)
-    models = [
-        _Bands(share * np.array([1.0, 1.2, 1.5]), (1.0 - share) / share * np.array([1.0, 0.8, 0.5]), count)
-        for share in (0.03, 0.1, 0.3, 0.5)
-    ]
-    found, model = _merge_best(gram, models, price)
-    groups, expected = merge_slowly(gram, models, price)
-    assert model is expected
-    wanted = {frozenset(some) for some in groups}
-    assert {frozenset(np.flatnonzero(found == name).tolist()) for name in np.unique(found)} == wanted

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -10,7 +9,6 @@ from detectors.checks.windows import draw_gaps, draw_window, hover, pick_uavs
 from detectors.learned import Learned
 from detectors.learned.detector import MOST_UAVS
 from detectors.learned.features import PAIR_FEATURES, make_inputs, pair_features
-from detectors.learned.network import NetworkSizes, draw_network
 from usnet_env import ArgumentError, Window
 from usnet_env.swarm import SwarmConfig, advance, start
 from usnet_env.swarm.random_follow import random_follow_strategy
@@ -142,20 +140,6 @@ def test_it_says_what_it_does_not_take(tmp_path):
     crowd = Window(np.zeros((2, many, 3)), np.zeros((1, many, 3)), ones, ones[0])
     with pytest.raises(ArgumentError, match=f"window must hold at most {MOST_UAVS} living UAVs"):
         answer(crowd)
-
-
-def test_a_network_reads_its_inputs_whatever_the_size():
-    network = draw_network(NetworkSizes(width=8, attn_heads=2, blocks=1), 0)
-    for uavs in (3, 30):
-        inputs = make_inputs(draw_window(None, uavs, 1), np.arange(uavs))
-        head, leader = network(*inputs)
-        assert head.shape == (uavs,)
-        assert leader.shape == (uavs, uavs)
-    with pytest.raises(ArgumentError, match=r"attn_heads must divide width \(8\), got 3"):
-        draw_network(NetworkSizes(width=8, attn_heads=3), 0)
-    before = torch.random.get_rng_state()
-    draw_network(NetworkSizes(), 1)
-    assert torch.equal(before, torch.random.get_rng_state())
 
 
 def test_the_network_is_told_the_size_of_the_window_and_the_share_of_missing_samples():

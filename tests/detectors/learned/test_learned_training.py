@@ -39,7 +39,7 @@ def test_interrupted_training_goes_on_to_the_identical_result(tmp_path):
             train_heads(tmp_path / "parts", training, stop_at(5), checkpoint_every=4)
         assert not (tmp_path / "parts" / "learned.safetensors").exists()
         calls = []
-        train_heads(tmp_path / "parts", training, lambda *call: calls.append(call), checkpoint_every=4, workers=2)
+        train_heads(tmp_path / "parts", training, lambda *call: calls.append(call), checkpoint_every=4)
     assert calls == [(5, 6), (6, 6)]
     same_files(tmp_path / "whole", tmp_path / "parts")
     with pytest.raises(ArgumentError, match="out must hold no checkpoint of another training"):

@@ -64,19 +64,6 @@ def test_bad_arguments_are_refused(arguments, sentence):
         McGassl(**arguments).reset(0)
 
 
-def test_a_window_in_which_all_is_masked_teaches_nothing():
-    _, window = game()
-    unseen = usnet_env.Window(window.position, window.velocity, np.zeros_like(window.seen), window.alive, 1)
-    detector, undisturbed = McGassl(**SMALL), McGassl(**SMALL)
-    detector.reset(0)
-    undisturbed.reset(0)
-    answer = detector.detect(unseen)
-    assert answer.candidates.sum() == 1
-    assert not answer.scores.any()
-    undisturbed.rng.permutation(window.uavs)  # the draw of the candidate
-    np.testing.assert_array_equal(detector.detect(window).scores, undisturbed.detect(window).scores)
-
-
 @pytest.mark.parametrize("clusterer", ["kmeans", "spectral", "hdbscan"])
 @settings(max_examples=3)
 @given(features=st.sampled_from(["gru", "raw"]), **ANY_GAME)

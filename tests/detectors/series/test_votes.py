@@ -7,11 +7,6 @@ from detectors.series.evidence import Evidence
 from detectors.series.votes import choose_heads, compute_votes, count_votes, cover_voters
 
 
-def draw_attention(uavs=6, seed=0):
-    attention = np.random.default_rng(seed).random((uavs, uavs))
-    return attention / attention.sum(axis=1, keepdims=True)
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_votes_are_equation_20(seed):
     chosen = np.random.default_rng(seed).integers(0, 7, 7)
