@@ -19,7 +19,7 @@ from usnet_env.arrays import Floats
 from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection
 from usnet_env.labels import parse_label
-from usnet_env.plugins import detector_label
+from usnet_env.plugins import DETECTORS, detector_label, make_detector
 from usnet_env.window import Window
 
 _SEED = 5  # for the detectors' generators
@@ -213,10 +213,10 @@ def check_label_and_pickle(detector: Any) -> None:
     _require_same(here, same, "a detector that is pickled within an episode must continue it, got other")
     names = _list_arguments(detector)
     try:
-        _, arguments = parse_label(label := detector_label(detector), {})
+        name, arguments = parse_label(label := detector_label(detector), {})
     except ArgumentError:
         return  # an argument is no literal, such as a policy
-    made = type(detector)(**arguments)
+    made: Any = make_detector(label) if name in DETECTORS else type(detector)(**arguments)
     different = [name for name in names if repr(getattr(made, name)) != repr(getattr(detector, name))]
     _require(not different, f"the label {label} must make an equal detector, got other {', '.join(different)}.")
 

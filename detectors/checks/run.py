@@ -110,7 +110,7 @@ def _describe(failure: BaseException) -> str:
         return str(failure)
     frames = traceback.extract_tb(failure.__traceback__)
     frame = [frame for frame in frames if "site-packages" not in frame.filename][-1]
-    return f"{type(failure).__name__}: {quote(str(failure))[1:-1]} ({frame.filename}, line {frame.lineno})"
+    return f"{type(failure).__name__}: {' '.join(str(failure).split())[:200]} ({frame.filename}, line {frame.lineno})"
 
 
 def parametrize_with_checks(

@@ -94,7 +94,7 @@ def test_the_probability_to_lead_is_that_of_all_sets_of_leaders(ratio):
         weight = np.exp(np.dot(leads, ratio)) / math.comb(count, sum(leads))
         total += weight
         found += weight * np.array(leads)
-    np.testing.assert_allclose(lead_probabilities(np.array(ratio)), found / total, rtol=1e-6)
+    np.testing.assert_allclose(lead_probabilities(np.array(ratio)), found / total, rtol=1e-6, atol=1e-12)
 
 
 def test_other_heads_that_lead_make_a_doubtful_head_a_leader():
