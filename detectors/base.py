@@ -18,12 +18,12 @@ from usnet_env.window import Window
 
 def _refuse_observations(detect: Callable[..., Detection]) -> Callable[..., Detection]:
     @wraps(detect)
-    def checked(self: Any, window: Any, *more: Any, **named: Any) -> Detection:
+    def checked(self: Any, window: Any, *others: Any, **named: Any) -> Detection:
         if isinstance(window, Mapping):
             raise ArgumentError(
                 "window must be a usnet_env.Window, got a mapping; Window.from_observation(observation) makes one."
             )
-        return detect(self, window, *more, **named)
+        return detect(self, window, *others, **named)
 
     return checked
 
@@ -33,19 +33,16 @@ class Detector(Parameters):
 
     A subclass defines :meth:`detect`, and declares the arguments of its constructor as in
     :class:`detectors.parameters.Parameters`. A class without this base works as well if it has the methods ``reset``
-    and ``detect``. The constructor stores its keyword arguments and does nothing else (scikit-learn's rule); so
-    ``get_params``, ``set_params`` and ``sklearn.base.clone`` work. State that is kept between the rounds of an episode
-    is a ``cached_property``: :meth:`reset` clears it, and its first use makes it, also without a :meth:`reset`.
+    and ``detect``. The constructor stores its keyword arguments and does nothing else (scikit-learn's rule). State that
+    is kept between the rounds of an episode is a ``cached_property``: :meth:`reset` clears it, and its first use makes
+    it, also without a :meth:`reset`.
 
     Attributes:
         tags: what the detector needs and uses; :func:`usnet_env.plugins.list_detectors` shows it and
             :func:`detectors.checks.check_detector` chooses its windows by it.
-        side_by_side: whether :meth:`detect_batch` trains on all windows together, so that an answer depends on the
-            windows that it is given with. A table of results records the batch of such a detector.
     """
 
     tags: ClassVar[Tags] = Tags()
-    side_by_side: ClassVar[bool] = False
     _made_by_reset: ClassVar[str | None] = None  # the name of a cached property whose draws are the first of an episode
 
     def __init_subclass__(cls, **values: Any) -> None:
@@ -69,10 +66,9 @@ class Detector(Parameters):
             ArgumentError: an argument of the constructor is refused, or the seed is not a whole number from 0.
         """
         self.check_arguments()
-        for kind in type(self).__mro__:
-            for name, value in vars(kind).items():
-                if isinstance(value, cached_property):
-                    vars(self).pop(name, None)
+        for name in list(vars(self)):
+            if isinstance(getattr(type(self), name, None), cached_property):
+                del vars(self)[name]
         self.rng = np.random.default_rng(optional_seed("seed", seed))
         if self._made_by_reset is not None:
             getattr(self, self._made_by_reset)
@@ -117,16 +113,10 @@ class DetectorPolicy:
         episode_start: Mask | None = None,
         deterministic: bool = False,
     ) -> tuple[NDArray[np.int8], tuple[NDArray[Any], ...] | None]:
-        """Return the candidates for one observation as an action.
+        """Return the candidates for one observation, a mapping, as an action ``(N,)`` int8, and ``state`` unchanged.
 
-        Args:
-            observation: one observation of a USNET environment (a mapping).
-            state: returned unchanged; a detector keeps its state itself.
-            episode_start: true at the first step of an episode. The first call always starts an episode.
-            deterministic: ignored; a detector draws from its own generator.
-
-        Returns:
-            The action ``(N,)`` int8 and ``state``.
+        The first call and a true ``episode_start`` start an episode. ``deterministic`` is ignored: a detector draws
+        from its own generator.
         """
         if not self._begun or (episode_start is not None and bool(np.any(episode_start))):
             self.detector.reset(int(self._seeds.integers(2**31)))

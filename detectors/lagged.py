@@ -26,13 +26,12 @@ class EvidenceDetector(Detector):
     A subclass declares its further arguments and defines :meth:`evidence`.
 
     Args:
-        clusters: M, the number of heads at the start of the episode. Round 1 names exactly M UAVs. Later rounds, in
-            which heads may be missing, name at most M by the rule for unknown M. ``None``: M is unknown, and
-            :func:`detectors.series.votes.cover_voters` estimates the number of heads in every round.
+        clusters: M, the number of heads at the start of the episode. Round 1 names exactly M UAVs, later rounds at most
+            M. ``None``: the number is estimated in every round (:func:`detectors.series.votes.cover_voters`).
 
     Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is refused, ``clusters`` exceeds the window's
-            N, or N is above 10,000.
+        ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is refused, or the window has more than 10,000
+            UAVs or fewer than ``clusters``.
     """
 
     tags = Tags(most_uavs=10_000, uses_positions=False, takes_clusters=True)
@@ -48,9 +47,8 @@ class EvidenceDetector(Detector):
 
         Returns:
             Candidates (at least one if a UAV is alive), scores (sums of weighted votes), clusters, leader, attention
-            (the evidence, clipped at 0) and in ``extras``: ``vote`` and ``weight`` ``(N,)``, the vote of each UAV and
-            its weight; ``threshold``, above which a vote is significant; ``heads_found``, the number of heads that the
-            rule for unknown M found (0: no UAV seems to follow another one).
+            (the evidence, clipped at 0) and in ``extras``: ``vote`` and ``weight`` ``(N,)``; ``threshold``, above which
+            a vote is significant; ``heads_found``, the number of heads by the rule for unknown M.
         """
         self.check_arguments()
         check_pairs(window.uavs)
@@ -68,20 +66,17 @@ class LaggedCorrelation(EvidenceDetector):
 
     The lagged correlation is C_ij(τ) = mean_t v_i(t + τ) · v_j(t), with centred and normalised velocities. The net lead
     of UAV j over UAV i is max_τ C_ij(τ) - max_τ C_ji(τ) over τ = 1, ..., ``max_lag``. Each UAV votes for the UAV with
-    the highest net lead over it. The score of a UAV is the sum of its net leads over its voters, each less the value
-    expected by chance.
-
-    The method suits f1, f2, f3 and f6. It can't work on f4 and f5: a follower's velocity is an even function of its
-    head's velocity there, so the two are uncorrelated. It isn't expected to work on f7.
+    the highest net lead over it. The method suits f1, f2, f3 and f6. In f4 and f5 a follower's velocity is an even
+    function of its head's, so the two are uncorrelated.
 
     Args:
-        max_lag: the largest lag in samples, at least 1; smaller in windows of fewer than ``max_lag`` + 6 velocities.
+        max_lag: the largest lag in samples, at least 1; smaller in short windows.
     """
 
     max_lag: Lags = 4
 
     def evidence(self, velocity: NDArray[np.floating], seen: Mask) -> Evidence | None:
-        """Compute the net lead of every pair, see :func:`detectors.series.evidence.correlation_evidence`."""
+        """See :func:`detectors.series.evidence.correlation_evidence`."""
         return correlation_evidence(velocity, seen, self.max_lag)
 
 
@@ -90,12 +85,8 @@ class LaggedRegression(EvidenceDetector):
 
     For every ordered pair (i, j), v_i(t+1) is regressed on v_j(t), ..., v_j(t - lags + 1), their axis-wise squares and
     an intercept. Each UAV votes for the j with the highest adjusted R²; :mod:`detectors.series.votes` defines the
-    weight of a vote and the number of heads. Up to the normalisation norm(·), f1 to f6 are linear in these features,
-    and f7 nearly is.
-
-    In short windows fewer lags are used, and then no squares, so that there are at least 1.5 samples per feature. With
-    fewer than 7 velocities no regression is fitted and one UAV is named at random.
-    A missing sample of a feature is replaced by its mean; a missing target is left out.
+    weight of a vote and the number of heads. Up to the normalisation norm(·), f1 to f6 are linear in these features.
+    Short windows have fewer lags and then no squares; with fewer than 7 velocities one UAV is named at random.
 
     Args:
         lags: the number of past velocities of j among the features, at least 1.
@@ -110,7 +101,7 @@ class LaggedRegression(EvidenceDetector):
     ridge: Annotated[float, Field(ge=0)] = 1e-3
 
     def evidence(self, velocity: NDArray[np.floating], seen: Mask) -> Evidence | None:
-        """Compute the adjusted R² of every pair, see :func:`detectors.series.evidence.regression_evidence`."""
+        """See :func:`detectors.series.evidence.regression_evidence`."""
         return regression_evidence(velocity, seen, self.lags, self.squares, self.ridge)
 
 
@@ -130,7 +121,7 @@ class Granger(EvidenceDetector):
     own_lags: Annotated[int, Field(ge=0, le=1000)] = 2
 
     def evidence(self, velocity: NDArray[np.floating], seen: Mask) -> Evidence | None:
-        """Compute the Granger causality of every pair, see :func:`detectors.series.evidence.granger_evidence`."""
+        """See :func:`detectors.series.evidence.granger_evidence`."""
         return granger_evidence(velocity, seen, self.lags, self.own_lags)
 
 

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
 from detectors.base import Detector
 from usnet_env.arrays import Floats, Mask, Observation
@@ -27,10 +26,7 @@ _SCORES = ("logits", "probs", "probability", "loc", "scores")  # keys under whic
 def observation_of(window: Window) -> Observation:
     """Convert a window to the observation of an environment, the inverse of ``Window.from_observation``.
 
-    Returns:
-        ``position`` ``(T_ob + 1, N, 3)`` and ``velocity`` ``(T_ob, N, 3)`` float32, ``seen`` ``(T_ob + 1, N)`` and
-        ``alive`` ``(N,)`` int8, ``round`` ``(1,)`` float32, and for recorded tracks ``step`` ``(1,)`` float32, seconds.
-        All arrays are writable copies.
+    The arrays are writable copies; recorded tracks also have ``step`` ``(1,)``, seconds.
     """
     step = {} if window.step is None else {"step": np.array([window.step], np.float32)}
     return {
@@ -49,16 +45,14 @@ class PolicyDetector(Detector):
     The attributes of the policy decide which of three interfaces is used:
 
     * ``predict(observation, state, episode_start, deterministic)`` (Stable-Baselines3, and ``as_policy``): a binary
-      action ``(N,)`` marks the candidates; an integer action (``Discrete(N)``) is the index of the only candidate.
-      Scores are the probabilities of the policy's distribution if it has ``get_distribution``, and the action
-      otherwise. A policy whose ``predict`` has the argument ``action_masks`` receives the mask of living UAVs. The
-      state that ``predict`` returns is passed to the next call of the episode.
+      action ``(N,)`` marks the candidates, an integer (``Discrete(N)``) is the index of the only one. Scores are the
+      probabilities of ``get_distribution``, if there is one, or the action. ``action_masks`` are passed if it takes
+      them, and the state that it returns is passed to the next call of the episode.
     * ``in_keys`` and ``out_keys`` (TorchRL): the policy is called with a ``TensorDict`` of the observation. The entry
       ``"action"`` is read as above; scores come from ``"logits"``, ``"probs"``, ``"probability"``, ``"loc"`` or
       ``"scores"``.
     * any other callable, such as a ``torch.nn.Module``: it is called with the observation as tensors with a leading
-      axis of length 1 and returns one score per UAV, ``(N,)`` or ``(1, N)``. UAVs with a score above ``threshold`` are
-      candidates.
+      axis of length 1 and returns N scores; UAVs with a score above ``threshold`` are candidates.
 
     The policy always acts deterministically. Destroyed UAVs are never candidates.
 
@@ -67,8 +61,7 @@ class PolicyDetector(Detector):
             model.
         observe: function that converts a window to the observation of the policy, for policies that were trained in a
             wrapped environment; ``None``: :func:`observation_of`, but without ``step`` if the policy has an
-            ``observation_space`` that lacks it. It must be defined at the top level of a module for the detector to be
-            picklable.
+            ``observation_space`` that lacks it. For a picklable detector, a function at the top level of a module.
         threshold: threshold on the scores for the third interface: 0 for logits, 0.5 for probabilities.
 
     Raises:
@@ -86,9 +79,20 @@ class PolicyDetector(Detector):
         return None
 
     @cached_property
-    def _start(self) -> bool:
+    def _is_first(self) -> bool:
         """Whether the next window is the first of an episode."""
         return True
+
+    def check_arguments(self) -> Any:
+        """Check the policy and the other arguments."""
+        policy = self.policy
+        if isinstance(policy, type) or not (callable(policy) or callable(getattr(policy, "predict", None))):
+            raise ArgumentError(
+                f"policy must have predict(observation, ...) or be a TorchRL or PyTorch module, got {quote(policy)}."
+            )
+        if any(getattr(policy, name, None) is not None for name in ("env", "_vec_normalize_env")):
+            raise ArgumentError("policy must hold no environment: pass model.policy, not a Stable-Baselines3 model.")
+        return super().check_arguments()
 
     def detect(self, window: Window) -> Detection:
         """Return the policy's deterministic action on the window as a detection."""
@@ -111,40 +115,30 @@ class PolicyDetector(Detector):
         return observation
 
     def _act_by_predict(self, observation: Any, window: Window) -> tuple[Mask, Floats]:
-        predict = self.policy.predict
-        more: dict[str, Any] = {}
+        predict, masks = self.policy.predict, {}
         if "action_masks" in inspect.signature(predict).parameters:
-            more["action_masks"] = np.stack([np.ones(window.uavs, bool), window.alive], axis=1).ravel()
+            masks = {"action_masks": np.stack([np.ones(window.uavs, bool), window.alive], axis=1).ravel()}
         action, self._state = predict(
-            observation, state=self._state, episode_start=np.array([self._start]), deterministic=True, **more
+            observation, state=self._state, episode_start=np.array([self._is_first]), deterministic=True, **masks
         )
-        self._start = False
+        self._is_first = False
         candidates = _to_candidates(action, window.uavs)
-        if (scores := self._read_probabilities(observation, window.uavs)) is None:
-            scores = candidates.astype(np.float64)
-        return candidates, scores
+        scores = self._read_probabilities(observation, window.uavs)
+        return candidates, candidates.astype(np.float64) if scores is None else scores
 
     def _read_probabilities(self, observation: Any, uavs: int) -> Floats | None:
         """Probability per UAV from Stable-Baselines3's action distribution; ``None`` if the policy offers none."""
-        policy = self.policy
-        ask = getattr(policy, "get_distribution", None)
-        if not callable(ask) or not hasattr(policy, "obs_to_tensor"):
-            return None
-        if "lstm_states" in inspect.signature(ask).parameters:  # a recurrent policy needs more than one observation
-            return None
-        import torch
-
+        policy, ask = self.policy, getattr(self.policy, "get_distribution", None)
+        if ask is None or not hasattr(policy, "obs_to_tensor") or "lstm_states" in inspect.signature(ask).parameters:
+            return None  # a recurrent policy needs more than one observation
+        torch = import_module("torch")
         with torch.no_grad():
             distribution = ask(policy.obs_to_tensor(observation)[0])
         inner = getattr(distribution, "distribution", None) or getattr(distribution, "distributions", None)
         if isinstance(inner, list) and all(part.probs.shape == (1, 2) for part in inner):
-            # MultiDiscrete([2] * N), and masked bits
-            probabilities: Any = torch.cat([part.probs[:, 1] for part in inner])
-        else:
-            probabilities = getattr(inner, "probs", None)
-        if probabilities is None or probabilities.numel() != uavs:  # another kind of action space
-            return None
-        return _to_scores(probabilities, uavs)
+            return _to_scores(torch.cat([part.probs[:, 1] for part in inner]), uavs)  # MultiDiscrete([2] * N), masked
+        probabilities = getattr(inner, "probs", None)
+        return None if probabilities is None or probabilities.numel() != uavs else _to_scores(probabilities, uavs)
 
     def _act_by_tensordict(self, observation: Any, window: Window) -> tuple[Mask, Floats]:
         tensordict = import_module("tensordict")  # installed wherever such a policy exists
@@ -152,67 +146,40 @@ class PolicyDetector(Detector):
         with import_module("tensordict.nn").set_interaction_type("deterministic"):
             given = self._call_policy(asked)
         candidates = _to_candidates(given.get("action"), window.uavs)
-        for key in _SCORES:
-            if (found := given.get(key, None)) is not None and found.numel() == window.uavs:
-                return candidates, _to_scores(found, window.uavs)
-        return candidates, candidates.astype(np.float64)
+        found = (given.get(key, None) for key in _SCORES)
+        scores = next((value for value in found if value is not None and value.numel() == window.uavs), candidates)
+        return candidates, _to_scores(scores, window.uavs)
 
     def _call_policy(self, given: Any) -> Any:
         """Call the policy without gradients and in evaluation mode; restore the training mode at the end."""
-        import torch
-
         policy = self.policy
         training = [module for module in policy.modules() if module.training] if hasattr(policy, "modules") else []
         if training:
             policy.eval()
         try:
-            with torch.no_grad():
+            with import_module("torch").no_grad():
                 return policy(given)
         finally:
             for module in training:
                 module.training = True
 
-    def check_arguments(self) -> None:
-        """Check the policy and the other arguments."""
-        policy = self.policy
-        if isinstance(policy, type) or not (callable(policy) or callable(getattr(policy, "predict", None))):
-            raise ArgumentError(
-                f"policy must have predict(observation, ...) or be a TorchRL or PyTorch module, got {quote(policy)}."
-            )
-        for name in ("env", "_vec_normalize_env"):
-            if getattr(policy, name, None) is not None:
-                raise ArgumentError(
-                    f"policy must hold no environment (pass model.policy, not a Stable-Baselines3 model), got one "
-                    f"with {name}."
-                )
-        if self.observe is not None and not callable(self.observe):
-            raise ArgumentError(f"observe must be a function of a window or None, got {quote(self.observe)}.")
-        if isinstance(self.threshold, bool) or not isinstance(self.threshold, int | float):
-            raise ArgumentError(f"threshold must be a number, got {quote(self.threshold)}.")
-
-
-def _to_array(value: Any) -> NDArray[Any]:
-    """Convert a tensor or array-like to a NumPy array."""
-    return np.asarray(value.detach().cpu() if hasattr(value, "detach") else value)
-
 
 def _to_tensors(observation: Any, policy: Any) -> Any:
-    """Convert an observation (a mapping of arrays, or one array) to tensors with a leading axis of length 1.
+    """Convert an observation, a mapping of arrays or one array, to tensors with a leading axis of length 1.
 
     They are on the device of the policy's parameters, or on the CPU if it has none.
     """
-    import torch
-
     weight = next(iter(policy.parameters()), None) if hasattr(policy, "parameters") else None
     device = "cpu" if weight is None else weight.device
+    convert = import_module("torch").as_tensor
     if isinstance(observation, dict):
-        return {name: torch.as_tensor(np.asarray(value), device=device)[None] for name, value in observation.items()}
-    return torch.as_tensor(np.asarray(observation), device=device)[None]
+        return {name: convert(np.asarray(value), device=device)[None] for name, value in observation.items()}
+    return convert(np.asarray(observation), device=device)[None]
 
 
 def _to_scores(value: Any, uavs: int) -> Floats:
     """Convert N numbers, possibly with axes of length 1, to an array ``(N,)``."""
-    values = _to_array(value)
+    values = np.asarray(value.detach().cpu() if hasattr(value, "detach") else value)
     if values.size != uavs or values.dtype.kind not in "biuf":
         raise ArgumentError(f"policy must give one number for each of {uavs} UAVs, got shape {values.shape}.")
     return values.reshape(uavs).astype(np.float64)
@@ -220,13 +187,10 @@ def _to_scores(value: Any, uavs: int) -> Floats:
 
 def _to_candidates(action: Any, uavs: int) -> Mask:
     """Convert an action to candidates ``(N,)``: N zeros and ones, or the index of one UAV."""
-    values = _to_array(action)
-    if values.size == 1 and uavs > 1 and values.dtype.kind in "iu":
-        index = int(values.reshape(()))
-        if not 0 <= index < uavs:
-            raise ArgumentError(f"policy must name a UAV from 0 to {uavs - 1}, got {index}.")
-        return np.arange(uavs) == index
+    values = np.asarray(action.detach().cpu() if hasattr(action, "detach") else action)
+    if values.size == 1 and uavs > 1 and values.dtype.kind in "iu" and 0 <= values.item() < uavs:
+        return np.arange(uavs) == values.item()
     bits = _to_scores(values, uavs)
-    if not ((bits == 0) | (bits == 1)).all():
+    if not np.isin(bits, (0, 1)).all():
         raise ArgumentError(f"policy must give an action of 0 and 1, got {quote(values)}.")
     return bits.astype(bool)

@@ -103,12 +103,9 @@ class NetworkDetector(Detector):
 
     @abstractmethod
     def pairs(self, flight: Flight, lags: int, needed: Mask | None = None) -> Pairs:
-        """Score ordered pairs.
+        """Score ordered pairs of n UAVs, at least 2, with delays up to ``lags`` steps.
 
-        Args:
-            flight: n UAVs, at least 2.
-            lags: the largest delay in steps, at least 1.
-            needed: ``(n, n)`` bool, symmetric: the pairs whose scores are read; others may get any. ``None``: all.
+        Only the pairs ``needed`` ``(n, n)``, symmetric, are read; ``None``: all.
         """
 
     def detect(self, window: Window) -> Detection:
@@ -116,11 +113,10 @@ class NetworkDetector(Detector):
 
         Returns:
             Candidates (the heads); scores: of a head or a single UAV the sum of its followers' leads above the
-            threshold, relayed ones included, plus its mean lead over others; of a UAV that follows, minus its own lead;
-            clusters (trees; -1: in none); leader (the direct one; a head has its own index; -1: none); attention (the
-            lead, clipped at 0); and in ``extras``: ``root`` ``(N,)``, the head of each UAV's tree (-1: none), ``relay``
-            ``(N,)`` bool, ``delay`` ``(N,)`` steps after which each follows its leader (-1: unknown), ``threshold``,
-            ``heads``, and ``reasons``, a sentence for each of them.
+            threshold plus its mean lead over others; of a UAV that follows, minus its own lead; clusters (trees; -1: in
+            none); leader (the direct one; a head has its own index; -1: none); attention (the lead, clipped at 0); and
+            in ``extras``: ``root`` ``(N,)``, the head of each UAV's tree (-1: none), ``relay`` ``(N,)`` bool, ``delay``
+            ``(N,)`` steps (-1: unknown), ``threshold``, ``heads``, and ``reasons``, a sentence for each of them.
         """
         self.check_arguments()
         check_pairs(window.uavs)
@@ -150,8 +146,7 @@ class NetworkDetector(Detector):
     def _relate(self, flight: Flight, pairs: Pairs, lags: int, count: int) -> Mask:
         """Pairs ``(n, n)`` that are closer than in ``count`` / 2 surrogates with half of the UAVs shifted in time.
 
-        The shift is circular. The half is every second UAV in the order of their changes of velocity. So the order of
-        the UAVs in the window does not matter, nor do the directions of the axes and the unit of length.
+        The half is every second UAV in the order of their changes of velocity, which does not depend on indices.
         """
         changes = (np.diff(flight.velocity, axis=0) ** 2).sum(axis=(0, 2))
         half = np.zeros(len(changes), bool)
@@ -185,8 +180,7 @@ def _read_flight(window: Window, living: Indices) -> Flight:
 def reverse_blocks(flight: Flight, lags: int, count: int) -> Iterator[Flight]:
     """Yield up to ``count`` surrogates in which time is reversed in half of an even number of blocks.
 
-    Without a lead, a flight and its reversal in time look alike; so the lead of a pair by chance is distributed as in
-    the surrogates. Each chooses other blocks; the number of choices limits ``count``.
+    Without a lead, a flight and its reversal look alike; so the lead of a pair by chance is distributed as here.
     """
     steps = len(flight.velocity)
     blocks = 2 * max(1, min(_MOST_BLOCKS // 2, steps // (4 * (lags + 1))))
@@ -199,11 +193,9 @@ def reverse_blocks(flight: Flight, lags: int, count: int) -> Iterator[Flight]:
 
 
 def _find_threshold(values: Floats, maxima: list[Floats], level: float) -> float:
-    """The threshold above which at most the share ``level`` of the values are expected to be by chance.
+    """The threshold above which at most the share ``level`` of the values are expected to be by chance; or infinity.
 
-    It is that of Benjamini and Hochberg (Journal of the Royal Statistical Society B 57, 1995); infinite if there is
-    none. If all values are by chance, any of them exceeds it with probability ``level``. By chance they have the Gumbel
-    distribution with the mean and variance of ``maxima``, those of surrogates.
+    By chance they have the Gumbel distribution with the mean and variance of ``maxima``, those of surrogates.
     """
     by_chance = np.concatenate(maxima)
     scale = math.sqrt(6) / math.pi * float(by_chance.std())
@@ -215,10 +207,9 @@ def _find_threshold(values: Floats, maxima: list[Floats], level: float) -> float
 
 
 def correlate_flights(series: Floats, seen: Mask, lags: int) -> tuple[Floats, Indices]:
-    """Correlate each UAV's ``series`` ``(T, n, d)``, where it was ``seen`` ``(T, n)``, with each other's past.
+    """The largest correlation ``(n, n)`` of each UAV with each other's past over the lags 1 to ``lags``, and its lag.
 
-    Returns:
-        ``(n, n)`` largest correlation of i with the past of j over the lags 1 to ``lags``, and the lag ``(n, n)``.
+    ``series`` ``(T, n, d)`` counts where it was ``seen`` ``(T, n)``.
     """
     unit = scale_to_unit(centre_columns(series, seen))
     curves = np.stack([correlate_at_lag(unit, unit, lag) for lag in range(1, lags + 1)])

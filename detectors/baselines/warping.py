@@ -76,11 +76,8 @@ class Flica(Mflica):
 def warp_pairs(values: Floats, seen: Mask, band: int) -> tuple[Floats, Floats, Indices]:
     """Warp each pair of the series ``values`` ``(n, T, d)`` onto each other, with times at most ``band`` steps apart.
 
-    A time at which one of both is not ``seen`` ``(n, T)`` costs nothing.
-
-    Returns:
-        ``(n, n)`` each: the mean sign of (time in i - time in j) along the path, the mean cost of its steps, and the
-        median of that difference, int64.
+    A time at which one of both is not ``seen`` ``(n, T)`` costs nothing. Returns ``(n, n)`` each: the mean sign of
+    (time in i - time in j) along the path, the mean cost of its steps, and the median of that difference.
     """
     uavs = len(values)
     lead, cost = np.zeros((uavs, uavs)), np.zeros((uavs, uavs))

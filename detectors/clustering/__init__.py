@@ -1,19 +1,25 @@
 """Clustering of the UAVs of a window, and estimation of the number of clusters."""
 
-from detectors.clustering.base import Clusterer, Clustering, Living
-from detectors.clustering.counts import GapStatistic, compute_gap_statistic, estimate_count_by_eigengap
-from detectors.clustering.partitions import (
+from detectors.clustering.clusterers import (
+    CLUSTERERS,
     Agglomerative,
+    Clusterer,
+    Clustering,
     Hdbscan,
     KMeans,
     LeadVotes,
+    Living,
     Spectral,
     SymmetricNMF,
-    factorise_affinity,
+    check_clusterer,
+    make_clusterer,
+    register_clusterer,
 )
-from detectors.clustering.registry import check_clusterer, clusterers, make_clusterer, register_clusterer
+from detectors.clustering.counts import GapStatistic, compute_gap_statistic, estimate_count_by_eigengap
+from detectors.clustering.factorisation import factorise_affinity
 
 __all__ = [
+    "CLUSTERERS",
     "Agglomerative",
     "Clusterer",
     "Clustering",
@@ -25,7 +31,6 @@ __all__ = [
     "Spectral",
     "SymmetricNMF",
     "check_clusterer",
-    "clusterers",
     "compute_gap_statistic",
     "estimate_count_by_eigengap",
     "factorise_affinity",

@@ -23,9 +23,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse.linalg import eigsh
 
-from detectors.clustering.affinity import normalise_affinity
+from detectors.clustering.features import normalise_affinity
 from usnet_env.arrays import Floats, Singles
 
 REFERENCES = 15  # B
@@ -36,8 +35,6 @@ CHAINS = 3  # independent sequences of K-Means for each data set; the lowest W_k
 _TRIALS = 2  # points that are tried as an additional centre
 _MAX_STEPS = 100  # of K-Means with one number of clusters
 _TOLERANCE = 3e-4  # K-Means has converged when no W_k falls by more than this share in a step: far below s_k
-_FIRST_EIGENVALUES = 16  # computed at first; more are computed only if the largest gap may be among later ones
-_DENSE = 200  # up to this size all eigenvalues take less time than a few of them by Lanczos iterations
 
 
 def compute_max_count(uavs: int) -> int:
@@ -49,10 +46,7 @@ def compute_max_count(uavs: int) -> int:
 class GapStatistic:
     """The estimated number of clusters and the values that it was chosen by.
 
-    Args:
-        count: M̂.
-        gap: ``(K,)``, Gap(k) for k = 1, ..., K. K is the last k that the rule had to look at.
-        deviation: ``(K,)``, s_k.
+    ``count`` is M̂; ``gap`` and ``deviation`` ``(K,)`` are Gap(k) and s_k for k = 1 to the last that the rule looked at.
     """
 
     count: int
@@ -77,13 +71,12 @@ def compute_gap_statistic(
     Args:
         features: ``(n, d)``, n of at least 1.
         rng: generator of the reference sets and of the starts of K-Means.
-        max_count: K_max, the largest M̂; ``None``: :func:`compute_max_count`. It is lowered to the number of
-            distinct rows.
+        max_count: K_max, the largest M̂; ``None``: :func:`compute_max_count`.
         references: B, the number of reference sets.
         margin: how much higher a later gap must be, in units of its s.
 
     Returns:
-        M̂, Gap(k) and s_k. M̂ is K_max if no k satisfies the rule, and 1 if all rows are equal.
+        M̂, K_max if no k satisfies the rule, and 1 if all rows are equal; Gap(k) and s_k.
     """
     distinct = len(np.unique(features, axis=0))
     max_count = min(compute_max_count(len(features)) if max_count is None else max_count, distinct)
@@ -110,7 +103,7 @@ def compute_gap_statistic(
 
 
 def _last_compared(k: int, margin: float) -> int:
-    """Return the number of gaps that must be known before k can be chosen."""
+    """The number of gaps that must be known before k can be chosen."""
     return k + 1 if np.isinf(margin) else 2 * k + 8
 
 
@@ -138,10 +131,9 @@ def compute_dispersions(sets: Floats, rng: np.random.Generator) -> Iterator[Floa
     """Yield the within-cluster dispersions W_k ``(S,)`` of S data sets for k = 1, ..., n clusters.
 
     K-Means with k + 1 clusters starts from the centres that it found with k and one new centre (Likas, Vlassis and
-    Verbeek, Pattern Recognit. 36, 2003). The new centre is the best of a few points that are drawn in proportion to
-    their squared distance to the nearest centre (greedy K-Means++, Arthur and Vassilvitskii, SODA 2007). Each data set
-    has ``CHAINS`` such sequences, which start at random points. The ``sets`` are ``(S, n, d)``; centred values lose the
-    least by the single precision that is used inside.
+    Verbeek, Pattern Recognit. 36, 2003): the best of a few points that are drawn in proportion to their squared
+    distance to the nearest centre. Each data set ``(n, d)`` of the ``sets`` ``(S, n, d)`` has ``CHAINS`` such
+    sequences. All sets are clustered at once, which scikit-learn can't do.
     """
     yield ((sets - sets.mean(axis=1, keepdims=True)) ** 2).sum(axis=(1, 2))
     chains: Singles = np.repeat(sets.astype(np.float32), CHAINS, axis=0)  # log W_k needs no more digits
@@ -181,39 +173,14 @@ def _draw_centre(sets: Singles, squared_norm: Singles, distance: Singles, rng: n
     return np.take_along_axis(trials, best[:, None, None], axis=1)
 
 
-def estimate_count_by_eigengap(affinity: Floats, rng: np.random.Generator, max_count: int | None = None) -> int:
+def estimate_count_by_eigengap(affinity: Floats, max_count: int | None = None) -> int:
     """Estimate the number of clusters by the largest gap between neighbouring eigenvalues.
 
-    Let λ_1 ≥ λ_2 ≥ ... be the eigenvalues of the affinity after
-    :func:`detectors.clustering.affinity.normalise_affinity`, with negative ones replaced by 0. Then M̂ is the k of 1 to
-    K_max with the largest λ_k - λ_{k+1}; the smallest such k if there are several. These are the gaps between the
-    lowest eigenvalues 1 - λ_k of the normalised graph Laplacian.
-
-    Args:
-        affinity: ``(n, n)`` symmetric, from 0 to 1.
-        rng: generator of the start vector of the Lanczos iterations (large matrices only).
-        max_count: K_max; ``None``: :func:`compute_max_count`.
-
-    Returns:
-        M̂. It is 1 if all affinities between different UAVs are equal.
+    Let λ_1 ≥ λ_2 ≥ ... be the eigenvalues of the ``affinity`` ``(n, n)`` after
+    :func:`detectors.clustering.features.normalise_affinity`, with negative ones replaced by 0. Then M̂ is the smallest k
+    of 1 to K_max with the largest λ_k - λ_{k+1}. These are the gaps between the lowest eigenvalues 1 - λ_k of the
+    normalised graph Laplacian.
     """
-    max_count = min(compute_max_count(len(affinity)) if max_count is None else max_count, len(affinity))
-    matrix = normalise_affinity(affinity)
-    known = min(_FIRST_EIGENVALUES, max_count + 1)
-    while True:
-        values = np.maximum(compute_largest_eigenvalues(matrix, known, rng), 0.0)
-        if len(values) <= max_count:
-            values = np.append(values, 0.0 if known >= len(matrix) else values[-1])
-        gaps = (values[:-1] - values[1:])[:max_count]
-        # No later gap can be larger than the last eigenvalue.
-        if known > max_count or gaps.max() > values[-1]:
-            return int(gaps.argmax()) + 1
-        known = min(2 * known, max_count + 1)
-
-
-def compute_largest_eigenvalues(matrix: Floats, count: int, rng: np.random.Generator) -> Floats:
-    """Return the ``count`` largest eigenvalues, at most n, of a symmetric matrix ``(n, n)`` in descending order."""
-    if len(matrix) <= _DENSE or count >= len(matrix) - 1:
-        return np.asarray(np.linalg.eigvalsh(matrix)[::-1][:count], np.float64)
-    found = eigsh(matrix, count, which="LA", v0=rng.standard_normal(len(matrix)), return_eigenvectors=False, tol=1e-4)
-    return np.sort(np.asarray(found, np.float64))[::-1]
+    values = np.maximum(np.linalg.eigvalsh(normalise_affinity(affinity))[::-1], 0.0)
+    gaps = values - np.append(values[1:], 0.0)
+    return int(gaps[: compute_max_count(len(affinity)) if max_count is None else max_count].argmax()) + 1

@@ -1,8 +1,6 @@
-"""Features of every UAV, computed from a window: the input of the clusterers.
+"""Features of every UAV, computed from a window, and the affinity of every two UAVs, computed from their features.
 
-``"raw"`` and ``"scaled"`` are the paper's window of T_0 samples as one row per UAV, in metres or standardised.
-``"velocities"`` is the time series of the whole window. Missing samples are filled in by
-:func:`detectors.series.gaps.fill_gaps`.
+Missing samples are filled in by :func:`detectors.series.gaps.fill_gaps`.
 """
 
 from __future__ import annotations
@@ -12,13 +10,20 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
+from detectors.series.designs import centre_columns, scale_to_unit
 from detectors.series.gaps import fill_gaps
+from detectors.series.regressions import correlate_at_lag, correlate_over_lags
+from detectors.series.surrogates import compute_chance, shift_in_time
 from usnet_env.arrays import Floats
-from usnet_env.config import ArgumentError, quote
-from usnet_env.window import Window, frozen_array
+from usnet_env.config import ArgumentError
+from usnet_env.window import Window
 
 #: A function from a window to features ``(N, d)`` or a time series ``(N, T, d)``; rows of destroyed UAVs are ignored.
 Features = Callable[[Window], ArrayLike]
+#: A function from features ``(n, d)`` or ``(n, T, d)`` to an affinity ``(n, n)``, symmetric, from 0 to 1.
+Affinity = Callable[[Floats], ArrayLike]
+_NEIGHBOURS = 7
+_REGULARISATION = 0.25  # sum of the weights that regularisation adds to each UAV
 
 
 def compute_raw_features(window: Window, memory: int) -> Floats:
@@ -48,7 +53,7 @@ def collect_velocity_series(window: Window, memory: int) -> Floats:
     return fill_gaps(window).velocity.swapaxes(0, 1).astype(np.float64)
 
 
-#: The built-in features by name.
+#: The built-in features by name: functions of a window and T_0.
 FEATURES: dict[str, Callable[[Window, int], Floats]] = {
     "raw": compute_raw_features,
     "scaled": compute_scaled_features,
@@ -56,34 +61,78 @@ FEATURES: dict[str, Callable[[Window, int], Floats]] = {
 }
 
 
-def compute_features(features: str | Features, window: Window, memory: int) -> Floats:
-    """Compute the features of all N UAVs by a name or a callable.
+def correlate_both_ways(series: Floats, max_lag: int, surrogate: bool = False) -> Floats:
+    """Compute the highest correlation of every two series ``(n, T, d)`` over the lags -L to L, ``(n, n)``.
 
-    Args:
-        features: a name of :data:`FEATURES`, or a callable from a window to features.
-        window: the observer's window.
-        memory: T_0 of ``"raw"`` and ``"scaled"``, in samples.
-
-    Returns:
-        ``(N, d)``, or a time series ``(N, T, d)``; 0 for destroyed UAVs.
-
-    Raises:
-        ArgumentError: a callable does not take a window, or returned another shape, or values that are not finite.
+    Each coordinate is centred; the sums run over time and coordinates. That with a constant series is 0. With
+    ``surrogate``, the second series is shifted circularly by T/2, which leaves only correlation by chance.
     """
-    if isinstance(features, str):
-        values = FEATURES[features](window, memory)
-    else:
-        try:
-            given = np.array(features(window), copy=True)
-        except (TypeError, ValueError) as error:
-            raise ArgumentError(
-                f"features must return an array of a window, got {quote(features)}, which raised "
-                f"{type(error).__name__}: {quote(str(error))}."
-            ) from error
-        if given.ndim not in (2, 3):
-            raise ArgumentError(f"features must return an array of shape (N, d) or (N, T, d), got shape {given.shape}.")
-        given[~window.alive[: len(given)]] = 0
-        shape = (window.uavs, *[None] * (given.ndim - 1))
-        values = frozen_array("features", given, np.float64, shape).copy()
-    values[~window.alive] = 0.0
-    return values
+    flight = scale_to_unit(centre_columns(series.swapaxes(0, 1), np.ones(series.shape[1::-1], bool)))
+    other = shift_in_time(flight) if surrogate else flight
+    best = correlate_at_lag(flight, other, 0)
+    lags = min(max_lag, len(flight) - 1)
+    np.maximum(best, correlate_over_lags(flight, other, lags), out=best)
+    np.maximum(best, correlate_over_lags(other, flight, lags).T, out=best)
+    best = np.maximum(best, best.T)
+    if not surrogate:
+        np.fill_diagonal(best, 1.0)
+    return np.clip(best, -1.0, 1.0)
+
+
+def compute_lag_affinity(features: Floats, max_lag: int) -> Floats:
+    """Compute max(0, (ρ - c) / (1 - c)), ``(n, n)``, where ρ is the result of :func:`correlate_both_ways`.
+
+    c is the level of chance: the median over the UAVs of the highest correlation of a UAV with another one that is
+    shifted in time. Without it the sum of many small correlations by chance would connect the clusters of a large
+    swarm. ``features`` are ``(n, T, d)``, and ``max_lag`` is L, in samples.
+    """
+    if features.ndim != 3:
+        raise ArgumentError("affinity must be 'rbf' or None for features without a time axis, got 'lag'.")
+    by_chance = correlate_both_ways(features, max_lag, surrogate=True)
+    np.fill_diagonal(by_chance, -1.0)
+    chance = float(np.clip(compute_chance(by_chance), 0.0, 0.99))
+    return np.clip((correlate_both_ways(features, max_lag) - chance) / (1.0 - chance), 0.0, 1.0)
+
+
+def compute_rbf_affinity(features: Floats, max_lag: int) -> Floats:
+    """Compute exp(-|x_i - x_j|² / (σ_i σ_j)), ``(n, n)``, where σ_i is the distance of i to its 7th neighbour.
+
+    This is the local scaling of Zelnik-Manor and Perona (NIPS 2004). A fixed width does not fit all windows, and a
+    width from all distances is dominated by the distances between clusters. ``max_lag`` is not used.
+    """
+    flat = features.reshape(len(features), -1)
+    flat = flat - flat.mean(axis=0)
+    length = (flat**2).sum(axis=1)
+    squared = np.maximum(length[:, None] + length - 2.0 * flat @ flat.T, 0.0)
+    np.fill_diagonal(squared, 0.0)
+    seventh = min(_NEIGHBOURS, len(flat) - 1)
+    width = np.sqrt(np.partition(squared, seventh, axis=1)[:, seventh])
+    return np.asarray(np.exp(-squared / np.maximum(width * width[:, None], 1e-12)))
+
+
+#: The built-in affinities by name: functions of features and L.
+AFFINITIES: dict[str, Callable[[Floats, int], Floats]] = {
+    "lag": compute_lag_affinity,
+    "rbf": compute_rbf_affinity,
+}
+
+
+def regularise_affinity(affinity: Floats) -> Floats:
+    """Set the diagonal of an affinity to 0 and add the same small weight, 0.25 / n, to all entries, ``(n, n)``.
+
+    The added weight connects the graph and keeps a UAV that is similar to no other UAV from being a cluster of its own
+    (Amini, Chen, Bickel and Levina, Ann. Stat. 41, 2013).
+    """
+    weight = affinity + _REGULARISATION / len(affinity)
+    np.fill_diagonal(weight, _REGULARISATION / len(affinity))
+    return weight
+
+
+def normalise_affinity(affinity: Floats) -> Floats:
+    """Compute D^-1/2 A D^-1/2, ``(n, n)``, of the regularised affinity A with its diagonal matrix of row sums D.
+
+    This is the identity minus the symmetric normalised graph Laplacian.
+    """
+    weight = regularise_affinity(affinity)
+    root = np.sqrt(weight.sum(axis=1))
+    return np.asarray(weight / root / root[:, None])

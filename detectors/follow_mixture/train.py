@@ -6,17 +6,18 @@ resumed gives exactly the result of an uninterrupted one, and a larger one begin
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import math
 import os
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from hashlib import sha256
-from importlib.resources import files
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
+import pandas as pd
 from pydantic import Field
 from scipy.optimize import minimize
 from scipy.special import expit
@@ -26,16 +27,16 @@ from detectors.follow_mixture.fit import fit_motion
 from detectors.follow_mixture.motion import read_motion
 from detectors.random_swarms import draw_calibration_swarm, draw_calibration_window
 from usnet_env.arrays import Floats
-from usnet_env.config import Config
-from usnet_env.evaluation.store import write_text
-from usnet_env.evaluation.suite import Game, Place, Suite, list_games
-from usnet_env.provenance import versions
+from usnet_env.config import ArgumentError, Config, quote
+from usnet_env.evaluation.run import map_tasks
+from usnet_env.files import reserve_folder, write_text
 
 _BIN = 0.25  # width of a bin of log-odds
 _BINS = int(2 * MOST_ODDS / _BIN) + 1
 _ODDS = np.linspace(-MOST_ODDS, MOST_ODDS, _BINS)
 _DEFAULTS = 4, 12  # memory and max_lag of the detector
 _SCORES = ((0, "brier"), (1, "log loss"))
+_COLUMNS = ("seed", "most_uavs", "most_clusters", "swarm", "follows", "living", "heads", "exact", "log_odds")
 #: Prior of a calibration: mean and standard deviation of the log slope, the offset and the log-odds of the doubt.
 _PRIOR = np.array([[0.0, 1.0], [0.0, 3.0], [-2.0, 2.0]])
 
@@ -56,69 +57,46 @@ class CalibrationTraining(Config):
     most_clusters: Annotated[int, Field(ge=1, le=100)] = 12
 
 
-@dataclass(frozen=True)
-class Draws:
-    """What the draws of a swarm depend on, beside its number: the settings of :class:`CalibrationTraining`."""
+def fit_swarm(training: CalibrationTraining, swarm: int) -> dict[str, Any]:
+    """Draw a swarm, fit it, and count heads and other UAVs by uncalibrated log-odds.
 
-    seed: int
-    most_uavs: int
-    most_clusters: int
-
-
-@dataclass(frozen=True, kw_only=True)
-class Row(Draws):
-    """A swarm and its fit; the draws make the swarm again.
-
-    Args:
-        swarm: its number.
-        follows: 1 if any UAV follows another.
-        living: number of living UAVs.
-        heads: number of living heads that lead.
-        exact: 1 if the fit has the true heads.
-        log_odds: ``bin:UAVs:heads`` of every bin of uncalibrated log-odds with a UAV; empty if no UAV seemed to follow.
+    Returns:
+        A row: the settings of the draws; ``swarm``, its number; ``follows``, 1 if any UAV follows another; ``living``,
+        the number of living UAVs; ``heads``, that of living heads that lead; ``exact``, 1 if the fit has the true
+        heads; ``log_odds``, ``bin:UAVs:heads`` of every bin of log-odds with a UAV, empty if no UAV seemed to follow.
     """
-
-    swarm: int
-    follows: int
-    living: int
-    heads: int
-    exact: int
-    log_odds: str
-
-
-def play(games: Sequence[Game[Draws]]) -> list[Row]:
-    """Draw swarms, fit them, and count heads and other UAVs by uncalibrated log-odds."""
-    rows = []
-    for draws, swarm in games:
-        rng = np.random.default_rng([draws.seed, swarm])
-        config = draw_calibration_swarm(draws.most_uavs, draws.most_clusters, rng)
-        window, leads = draw_calibration_window(config, rng)
-        living = np.flatnonzero(window.alive)
-        head, motion = leads[living], read_motion(window, living)
-        found = None if motion is None else fit_motion(motion, *_DEFAULTS, None, rng)
-        counts, exact = "", not head.any()
-        if found is not None:
-            place = np.rint((np.clip(found.log_odds, -MOST_ODDS, MOST_ODDS) + MOST_ODDS) / _BIN).astype(np.int64)
-            uavs, led = np.bincount(place, minlength=_BINS), np.bincount(place[head], minlength=_BINS)
-            counts = " ".join(f"{k}:{uavs[k]}:{led[k]}" for k in np.flatnonzero(uavs).tolist())
-            exact = np.array_equal(found.heads, np.flatnonzero(head))
-        numbers = {"swarm": swarm, "living": len(living), "heads": int(head.sum()), "exact": int(exact)}
-        rows.append(Row(**vars(draws), **numbers, follows=int(config.follow != "none"), log_odds=counts))
-    return rows
+    rng = np.random.default_rng([training.seed, swarm])
+    config = draw_calibration_swarm(training.most_uavs, training.most_clusters, rng)
+    window, leads = draw_calibration_window(config, rng)
+    living = np.flatnonzero(window.alive)
+    head, motion = leads[living], read_motion(window, living)
+    found = None if motion is None else fit_motion(motion, *_DEFAULTS, None, rng)
+    counts, exact = "", not head.any()
+    if found is not None:
+        place = np.rint((np.clip(found.log_odds, -MOST_ODDS, MOST_ODDS) + MOST_ODDS) / _BIN).astype(np.int64)
+        uavs, led = np.bincount(place, minlength=_BINS), np.bincount(place[head], minlength=_BINS)
+        counts = " ".join(f"{k}:{uavs[k]}:{led[k]}" for k in np.flatnonzero(uavs).tolist())
+        exact = np.array_equal(found.heads, np.flatnonzero(head))
+    numbers = {"swarm": swarm, "follows": int(config.follow != "none"), "living": len(living)}
+    return {**_settings(training), **numbers, "heads": int(head.sum()), "exact": int(exact), "log_odds": counts}
 
 
-def _count(rows: Sequence[Row]) -> tuple[Floats, Floats]:
+def _settings(training: CalibrationTraining) -> dict[str, int]:
+    return {name: getattr(training, name) for name in _COLUMNS[:3]}
+
+
+def _count(rows: pd.DataFrame) -> tuple[Floats, Floats]:
     """UAVs and heads ``(S, bins)`` of all rows."""
     uavs, heads = np.zeros((2, len(rows), _BINS))
-    for number, row in enumerate(rows):
-        for entry in row.log_odds.split():
+    for number, entries in enumerate(rows["log_odds"]):
+        for entry in entries.split():
             place, count, leading = map(int, entry.split(":"))
             uavs[number, place], heads[number, place] = count, leading
     return uavs, heads
 
 
-def fit_calibration(rows: Sequence[Row]) -> Calibration:
-    """Fit a calibration to rows of :func:`play` by maximum likelihood, with a wide prior."""
+def fit_calibration(rows: pd.DataFrame) -> Calibration:
+    """Fit a calibration to rows of :func:`fit_swarm` by maximum likelihood, with a wide prior."""
     uavs, heads = _count(rows)
     others, size, leading = uavs - heads, uavs.sum(axis=1), heads.sum(axis=1)
 
@@ -140,12 +118,12 @@ def fit_calibration(rows: Sequence[Row]) -> Calibration:
     return Calibration(**{name: round(value, 5) for name, value in fitted.model_dump().items()})
 
 
-def _score(rows: Sequence[Row]) -> dict[str, float]:
+def _score(rows: pd.DataFrame) -> dict[str, float]:
     """Brier score and log loss of the probabilities by two-fold cross-validation, before and after calibration."""
     totals: dict[str, Floats] = {name: np.zeros(3) for name in ("", ", before calibration")}
     for half in (0, 1):
-        fitted = fit_calibration([row for row in rows if row.swarm % 2 != half])
-        uavs, heads = _count([row for row in rows if row.swarm % 2 == half])
+        fitted = fit_calibration(rows[rows["swarm"] % 2 != half])
+        uavs, heads = _count(rows[rows["swarm"] % 2 == half])
         for name, curve in zip(totals, (fitted, Calibration(slope=1.0, offset=0.0)), strict=True):
             share = np.clip(curve(_ODDS), 1e-9, 1.0 - 1e-9)
             brier = (heads @ (1.0 - share) ** 2 + (uavs - heads) @ share**2).sum()
@@ -160,55 +138,62 @@ def train_calibration(
     training: CalibrationTraining | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
     resume: bool = True,
-    workers: int | Place = 1,
+    *,
+    workers: int = 1,
+    backend: str | None = None,
 ) -> Path:
     """Fit swarms, count, estimate the calibration and write it.
 
-    It writes these files to ``out``: ``calibration.json`` and ``rows-HASH.csv`` (a :class:`Row` for each swarm; the
-    hash is that of the detector's source files).
+    It writes these files to ``out``: ``calibration.json`` and ``rows.csv``, a row of :func:`fit_swarm` for each swarm.
 
     Args:
         out: the output folder; created if it is missing.
         training: the settings; the defaults give the shipped calibration.
         progress: function that is called with the number of finished swarms and of all swarms.
-        resume: whether to resume from the rows in ``out``, if there are any.
-        workers: number of processes, or a place; the result does not depend on it.
+        resume: whether to resume from the rows in ``out``, if there are any. Rows of other code are not recognised.
+        workers: number of processes that fit swarms; the result does not depend on it.
+        backend: where they run, see :func:`usnet_env.evaluation.run.map_tasks`.
 
     Returns:
         The path of the calibration file.
 
     Raises:
-        ArgumentError: an argument is refused, or ``out`` holds a file of other rows.
+        ArgumentError: an argument is refused, ``out`` can't be written, or it holds rows of other settings.
     """
-    training = CalibrationTraining() if training is None else training
-    detector, folder = _hash_detector(), Path(out)
-    path = folder / f"rows-{detector[:12]}.csv"
-    if not resume:
-        path.unlink(missing_ok=True)
-    draws = Draws(training.seed, training.most_uavs, training.most_clusters)
-    suite = Suite(Draws, Row, play, number="swarm", order=("seed", "swarm"))
-    rows = suite.run(list_games([draws], training.swarms), path, workers=workers, progress=progress)
-    made = {"command": "usnet train follow-mixture", "detector": detector, "versions": versions()}
+    training, folder = CalibrationTraining() if training is None else training, Path(out)
+    reserve_folder(folder)
+    path = folder / "rows.csv"
+    rows = _read_rows(path, training) if resume and path.exists() else []
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, _COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+        left = range(len(rows), training.swarms)
+        for row in map_tasks(partial(fit_swarm, training), left, workers=workers, backend=backend):
+            rows.append(row)
+            writer.writerow(row)
+            file.flush()
+            progress(len(rows), training.swarms)
+    table = pd.DataFrame(rows[: training.swarms])
     record = {
-        "calibration": fit_calibration(rows).model_dump(mode="json"),
-        "training": {**training.model_dump(mode="json"), **made},
+        "calibration": fit_calibration(table).model_dump(mode="json"),
+        "training": {**training.model_dump(mode="json"), "command": "usnet train follow-mixture"},
         "metrics": {
-            "uavs": sum(row.living for row in rows),
-            "heads": sum(row.heads for row in rows),
-            "swarms with followers": sum(row.follows for row in rows),
-            "exact": sum(row.exact for row in rows),
-            **_score(rows),
+            "uavs": int(table["living"].sum()),
+            "heads": int(table["heads"].sum()),
+            "swarms with followers": int(table["follows"].sum()),
+            "exact": int(table["exact"].sum()),
+            **_score(table),
         },
     }
     write_text(folder / "calibration.json", json.dumps(record, indent=2) + "\n")
     return folder / "calibration.json"
 
 
-def _hash_detector() -> str:
-    """A hash of the source files of the detector and of the kernel below it, on which the rows depend."""
-    sources = sha256()
-    for package in ("detectors.follow_mixture", "detectors.series"):
-        for source in sorted(files(package).iterdir(), key=lambda entry: entry.name):
-            if source.name.endswith(".py") and source.name != "calibration.py":
-                sources.update(source.read_bytes())
-    return sources.hexdigest()
+def _read_rows(path: Path, training: CalibrationTraining) -> list[dict[str, Any]]:
+    """The rows of a file, without a line that a killed run left unfinished."""
+    whole = path.read_text(encoding="utf-8").rpartition("\n")[0]
+    table = pd.read_csv(io.StringIO(whole), keep_default_na=False)
+    if (table[list(_COLUMNS[:3])] != _settings(training)).any(axis=None):
+        raise ArgumentError(f"out must hold no rows of other settings, got {quote(str(path))}.")
+    return table.to_dict("records")

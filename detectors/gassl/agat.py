@@ -254,13 +254,10 @@ def _attn_head_arrays(phi, numbers, head):  # type: ignore[no-untyped-def]
 
 @compiled()
 def attend(phi, numbers, history, value):  # type: ignore[no-untyped-def]
-    """Forward pass of one UAV's AGAT over all R times.
+    """Forward pass of one UAV's AGAT with Φ_i, ``phi`` ``(parameters,)``, over all R times.
 
-    Args:
-        phi: ``(parameters,)`` Φ_i.
-        numbers: :meth:`AgatSizes.numbers`.
-        history: ``(R, 3 (T_0 + 1))`` V_{i,t}, newest first, and p_{i,t-T_0+1}.
-        value: ``(T_0 + 1, 3, n, R)`` x_{i',l} of all UAVs.
+    ``numbers`` are those of :meth:`AgatSizes.numbers`, ``history`` ``(R, 3 (T_0 + 1))`` is V_{i,t}, newest first, and
+    p_{i,t-T_0+1}; ``value`` ``(T_0 + 1, 3, n, R)`` are x_{i',l} of all UAVs.
 
     Returns:
         alpha ``(T_0 + 1, n, R)``; the pooled v̂_{i,t}, ..., v̂_{i,t-T_0+1}, p̂_{i,t-T_0+1} ``(T_0 + 1, 3, R)``; L's hidden

@@ -36,16 +36,13 @@ class Gassl(Detector):
         rule: ``"paper"``, or ``"exclude-self"`` where no UAV may choose itself.
         steps: Ω, gradient steps for each UAV.
         learning_rate: β of equations (24) and (25).
-        query_hidden: hidden units of L.
-        query: outputs of L.
-        key: K, rows of K_l.
-        similarity_hidden: units of the two hidden layers of s_l.
-        ifsn_hidden: units of each of the three hidden layers of the IFSN.
+        query_hidden, query, key: hidden units and outputs of L; K, rows of K_l.
+        similarity_hidden, ifsn_hidden: units of the hidden layers of s_l and of the IFSN.
         gain: scale of the initial values of K_l and s_l, in units of 1 / sqrt(inputs of the layer); with a small one,
             the IFSN learns the window by heart before attention has moved.
         memory: T_0.
-        implementation: ``"compiled"``, or ``"printed"``: the readable loop of
-            :mod:`detectors.gassl.algorithm_1`, much slower, the same to float rounding.
+        implementation: ``"compiled"``, or ``"printed"``: the readable loop of :mod:`detectors.gassl.algorithm_1`,
+            much slower, the same to float rounding.
 
     Raises:
         ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is refused, or the window has no more than

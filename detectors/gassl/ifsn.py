@@ -138,17 +138,9 @@ def pair_losses(gamma, own, source, target, weight):  # type: ignore[no-untyped-
     """The squared error of Γ for every pair of UAVs, summed over the times: the sum of equation (37).
 
     The input for UAV i and source i' is the concatenation of P_i, V_{i'} and p_{i'}; each entry is standardised over
-    the times, as in training. The first layer is linear in the two parts, which meet by one addition.
-
-    Args:
-        gamma: ``(parameters,)`` Γ.
-        own: ``(n, R, a)`` standardised own positions.
-        source: ``(n, R, b)`` standardised velocities, newest first, and position of every source.
-        target: ``(n, R, 3)`` metres per step, v_{i,t+1}.
-        weight: ``(n, R)``.
-
-    Returns:
-        ``(n, n)``: row i, column i'.
+    the times, as in training: ``own`` ``(n, R, a)`` and ``source`` ``(n, R, b)``, velocities newest first. The first
+    layer is linear in the two parts, which meet by one addition. ``target`` ``(n, R, 3)`` are v_{i,t+1}. Returns
+    ``(n, n)``: row i, column i'.
     """
     uavs, times, owns = own.shape
     first, first_bias, second, second_bias, third, third_bias, output, output_bias = _arrays(

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable
-from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -26,8 +25,8 @@ from detectors.random_swarms import draw_training_swarm, observe
 from detectors.weights import Checkpoint, record_training, write_losses, write_weights
 from usnet_env.arrays import Mask
 from usnet_env.config import Config, whole_number
-from usnet_env.evaluation.engine import Place
-from usnet_env.evaluation.mapping import run_in_order
+from usnet_env.evaluation.run import map_tasks
+from usnet_env.files import reserve_folder
 
 _START, _STEP, _HELD_OUT = range(3)  # purpose of a seed
 _HELD_OUT_SWARMS = 200
@@ -116,7 +115,9 @@ def train_heads(
     progress: Callable[[int, int], None] = lambda done, total: None,
     resume: bool = True,
     checkpoint_every: int = 100,
-    workers: int | Place = 1,
+    *,
+    workers: int = 1,
+    backend: str | None = None,
 ) -> Path:
     """Train the network and write its weights.
 
@@ -129,31 +130,31 @@ def train_heads(
         progress: function that is called with the number of finished steps and of all steps.
         resume: whether to resume from the checkpoint in ``out``, if there is one.
         checkpoint_every: the number of steps between two checkpoints.
-        workers: number of processes that draw the swarms, or a place; with 1, the process that trains draws them. The
-            weights do not depend on it.
+        workers: number of processes that draw swarms; the weights do not depend on it.
+        backend: where they run, see :func:`usnet_env.evaluation.run.map_tasks`.
 
     Returns:
         The path of the weights file.
 
     Raises:
         ArgumentError: an argument is refused, ``out`` can't be written, or it holds a checkpoint with other settings.
-        EvaluationError: a process that draws swarms ended.
     """
     training = HeadTraining() if training is None else training
     whole_number("checkpoint_every", checkpoint_every, 1)
+    reserve_folder(Path(out))
     checkpoint = Checkpoint(Path(out), training.model_dump(mode="json"))
     network = draw_network(training.part(NetworkSizes), int(_make_rng(training, _START).integers(2**63)))
     optimiser = torch.optim.AdamW(network.parameters(), lr=training.rate, weight_decay=training.decay)
     losses = _read_checkpoint(checkpoint, network, optimiser) if resume else []
     steps = range(len(losses), training.steps)
-    with closing(run_in_order(partial(_draw_step, training), steps, workers, "Step")) as drawn:
-        for step, arrays in zip(steps, drawn, strict=True):
-            # Sums depend on the order and alignment of numbers in memory, which other processes do not keep.
-            examples = [Example(*(torch.tensor(np.ascontiguousarray(array)) for array in each)) for each in arrays]
-            losses.append(_run_step(training, step, examples, network, optimiser))
-            progress(len(losses), training.steps)
-            if len(losses) % checkpoint_every == 0 or len(losses) == training.steps:
-                _write_checkpoint(checkpoint, network, optimiser, losses)
+    drawn = map_tasks(partial(_draw_step, training), steps, workers=workers, backend=backend)
+    for step, arrays in zip(steps, drawn, strict=True):
+        # Sums depend on the order and alignment of numbers in memory, which other processes do not keep.
+        examples = [Example(*(torch.tensor(np.ascontiguousarray(array)) for array in each)) for each in arrays]
+        losses.append(_run_step(training, step, examples, network, optimiser))
+        progress(len(losses), training.steps)
+        if len(losses) % checkpoint_every == 0 or len(losses) == training.steps:
+            _write_checkpoint(checkpoint, network, optimiser, losses)
     write_losses(checkpoint.folder, "step", [round(loss, 6) for loss in losses])
     metrics = _evaluate_network(training, network, losses)
     path = checkpoint.folder / "learned.safetensors"

@@ -37,13 +37,8 @@ def run_round(
 ) -> tuple[Detection, GruParameters]:
     """Lines 2 to 5 of the on-line executions. The environment destroys the candidates and ends the loop.
 
-    Args:
-        window: the observations of T_ob steps, with at least 3 living UAVs.
-        parameters: W_{r-1}; in round 1 the meta parameters.
-        clusterer: of the features, with ``cluster(window, rng)``; its features may come from ``parameters``.
-        gassl: the settings of Algorithm 1, such as T_0.
-        online: the settings of on-line training.
-        rng: where all draws come from.
+    The ``window`` has at least 3 living UAVs; the ``parameters`` are W_{r-1}, in round 1 the meta parameters. The
+    ``clusterer``'s features may come from them. ``gassl`` has the settings of Algorithm 1, such as T_0.
 
     Returns:
         The answer of :meth:`detectors.mc_gassl.McGassl.detect`, and W_r for the next round.

@@ -21,7 +21,7 @@ from detectors.mc_gassl.triplet import Metric
 from detectors.parameters import Count, Lags
 from detectors.series.designs import check_window
 from detectors.series.votes import LEAST_UAVS, name_at_random, shows_evidence
-from usnet_env.config import ArgumentError, named_values, quote
+from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
@@ -73,14 +73,13 @@ class McGassl(Detector):
 
     def check_arguments(self) -> tuple[Gassl, OnlineTraining]:
         """Check every argument; return the settings of GASSL and of on-line training."""
-        given = named_values("gassl", self.gassl)
         plain = super().check_arguments()
         check_clusterer(plain.clusterer)
         metric = Metric(sampling=plain.sampling)
         online = OnlineTraining(steps=plain.online_steps, rate=plain.online_rate, metric=metric)
-        for name in given:
-            if name not in Gassl().get_params() or name == "memory":
-                raise ArgumentError(f"gassl must hold arguments of Gassl other than memory, got {quote(name)}.")
+        given = dict(plain.gassl or {})
+        for name in set(given) - (set(Gassl().get_params()) - {"memory"}):
+            raise ArgumentError(f"gassl must hold arguments of Gassl other than memory, got {quote(name)}.")
         gassl = Gassl(memory=plain.memory, **given)
         gassl.check_arguments()
         return gassl, online

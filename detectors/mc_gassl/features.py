@@ -9,20 +9,12 @@ import torch
 from numpy.lib.stride_tricks import sliding_window_view
 
 from detectors.mc_gassl.gru import ARENA_SCALE, GruInputs, GruParameters, Scale, embed
-from detectors.parameters import Lags
 from detectors.series.gaps import fill_gaps
 from usnet_env.arrays import Floats
-from usnet_env.config import Config
 from usnet_env.window import Window
 
 #: features of the newest T_0 samples (the paper's), their mean over all times, or one for every time
 Mode = Literal["single", "mean", "series"]
-
-
-class _Arguments(Config):
-    mode: Mode
-    memory: Lags
-    scale: Scale
 
 
 def inputs_of(window: Window, memory: int = 4) -> GruInputs:
@@ -57,16 +49,12 @@ def gru_features(
 
     Returns:
         ``(N, w)``, or ``(N, T_ob - T_0 + 1, w)`` for ``"series"``.
-
-    Raises:
-        ArgumentError: an argument is refused.
     """
-    arguments = _Arguments(mode=mode, memory=memory, scale=scale)
-    inputs = inputs_of(window, arguments.memory)
+    inputs = inputs_of(window, memory)
     if mode == "single":
         inputs = inputs.at(torch.tensor([inputs.times - 1]))
     with torch.no_grad():
-        embedding = embed(parameters, inputs, arguments.scale).double()
+        embedding = embed(parameters, inputs, scale).double()
     if mode == "mean":
         seen = inputs.seen | ~inputs.seen.any(dim=0)
         embedding = (embedding * seen[..., None]).sum(dim=0, keepdim=True) / seen.sum(dim=0)[:, None]

@@ -6,7 +6,6 @@ The cell has no biases, the reset gate acts before W_h, and the first hidden sta
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated
@@ -15,17 +14,14 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from detectors.weights import packaged_arrays, read_arrays
+from detectors.weights import packaged_arrays
 from usnet_env.arrays import AxisLength
-from usnet_env.config import ArgumentError, quote
 
 Metres = Annotated[float, Field(gt=0)]
 Scale = Metres | tuple[Metres, Metres, Metres]
 
 #: metres by which positions are divided, axis by axis: the paper's arena. Metres as they are saturate the gates.
 ARENA_SCALE = (1000.0, 1000.0, 100.0)
-#: the arrays of a weights file
-NAMES = ("reset", "update", "candidate")
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,22 +32,11 @@ class GruParameters:
         reset: W_r ``(w, w + 3)``, for [h; v].
         update: W_u ``(w, w + 3)``, for [h; v].
         candidate: W_h ``(w, 3 + w)``, for [v; g_r * h].
-
-    Raises:
-        ArgumentError: the three don't have one such shape.
     """
 
     reset: Tensor
     update: Tensor
     candidate: Tensor
-
-    def __post_init__(self) -> None:
-        shapes = [tuple(tensor.shape) for tensor in self.tensors()]
-        width = shapes[0][0] if shapes[0] else 0
-        if width < 3 or any(shape != (width, width + 3) for shape in shapes):
-            raise ArgumentError(
-                f"parameters must be three arrays of one shape (width, width + 3) with width >= 3, got {quote(shapes)}."
-            )
 
     @property
     def width(self) -> int:
@@ -73,7 +58,7 @@ class GruInputs:
 
     Args:
         position: ``(R, n, 3)`` metres, p_{i,t-T_0+1}, where the first of the velocities starts.
-        velocity: ``(R, n, T_0, 3)`` metres per step, v_{i,t-T_0+1}, ..., v_{i,t}: oldest first.
+        velocity: ``(R, n, T_0, 3)`` metres per step, oldest first.
         seen: ``(R, n)`` bool, all of the T_0 velocities were seen. What was not seen is filled in.
     """
 
@@ -123,29 +108,11 @@ def embed(parameters: GruParameters, inputs: GruInputs, scale: Scale = ARENA_SCA
     return gru(parameters, inputs.position / inputs.position.new_tensor(scale), inputs.velocity)
 
 
-def load_weights(path: str | os.PathLike[str]) -> GruParameters:
-    """The weights in a file that :func:`detectors.mc_gassl.train.train_meta` wrote.
-
-    Raises:
-        ArgumentError: a file is missing or broken, or the weights are not those that the JSON names.
-    """
-    return parameters_of(str(path), read_arrays(path))
-
-
 def load_meta_weights() -> GruParameters:
     """The meta-trained weights that this package ships, made by :func:`detectors.mc_gassl.train.train_meta`."""
-    return parameters_of("meta", packaged_arrays("detectors.mc_gassl", "meta"))
+    return read_parameters(packaged_arrays("detectors.mc_gassl", "meta"))
 
 
-def parameters_of(path: str, arrays: Mapping[str, Tensor]) -> GruParameters:
-    """W from the arrays :data:`NAMES` of a file, which may hold others.
-
-    Raises:
-        ArgumentError: the arrays are not those of a GRU network; ``path`` is named.
-    """
-    if any(name not in arrays for name in NAMES):
-        raise ArgumentError(f"path must hold the arrays {', '.join(NAMES)}, got {quote(path)} with {sorted(arrays)}.")
-    parameters = GruParameters(*(arrays[name] for name in NAMES))
-    if any(value.dtype != torch.float32 or not bool(value.isfinite().all()) for value in parameters.tensors()):
-        raise ArgumentError(f"path must hold finite float32 arrays, got others in {quote(path)}.")
-    return parameters
+def read_parameters(arrays: Mapping[str, Tensor]) -> GruParameters:
+    """W among the arrays of a weights file or a checkpoint."""
+    return GruParameters(arrays["reset"], arrays["update"], arrays["candidate"])

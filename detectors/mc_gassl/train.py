@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -18,14 +17,14 @@ import torch
 from pydantic import Field
 
 from detectors.mc_gassl.features import inputs_of
-from detectors.mc_gassl.gru import ARENA_SCALE, GruParameters, Scale, draw_parameters, parameters_of
+from detectors.mc_gassl.gru import ARENA_SCALE, GruParameters, Scale, draw_parameters, read_parameters
 from detectors.mc_gassl.training_steps import Clustered, OnlineTraining, Task, joint_step, meta_step, train_online
 from detectors.mc_gassl.triplet import Metric, batch_loss
 from detectors.weights import Checkpoint, record_training, write_losses, write_weights
 from usnet_env.arrays import Indices
 from usnet_env.config import ArgumentError, Config, quote, whole_number
-from usnet_env.evaluation.engine import Place
-from usnet_env.evaluation.mapping import run_in_order
+from usnet_env.evaluation.run import map_tasks
+from usnet_env.files import reserve_folder
 from usnet_env.swarm import SwarmConfig, advance, start
 from usnet_env.swarm.random_follow import random_follow_strategy
 from usnet_env.window import Window
@@ -134,12 +133,9 @@ def _train(
 def online_losses(
     parameters: GruParameters, window: Window, labels: Indices, steps: int, training: MetaTraining
 ) -> tuple[GruParameters, list[float]]:
-    """On-line training by some steps on a window of N UAVs whose clusters, the ``labels`` ``(N,)``, are known.
+    """On-line training on a window with known ``labels`` ``(N,)``: the parameters and the loss before each step.
 
     The batches are those of the training, and its seed decides the draws.
-
-    Returns:
-        The trained parameters, and the loss before each step.
     """
     settings = OnlineTraining(steps=steps, metric=training.part(Metric))
     generator = _generator(training, _ONLINE)
@@ -152,7 +148,9 @@ def train_meta(
     progress: Callable[[int, int], None] = lambda done, total: None,
     resume: bool = True,
     checkpoint_every: int = 500,
-    workers: int | Place = 1,
+    *,
+    workers: int = 1,
+    backend: str | None = None,
 ) -> Path:
     """Train the GRU network off-line and write its weights.
 
@@ -165,20 +163,20 @@ def train_meta(
         progress: called with what is done (strategies drawn, then episodes) and all there is to do.
         resume: go on from the checkpoint in ``out``, if there is one; otherwise start again.
         checkpoint_every: episodes between two checkpoints.
-        workers: number of processes that draw the swarms, or a place; the weights do not depend on it.
+        workers: number of processes that draw swarms; the weights do not depend on it.
+        backend: where they run, see :func:`usnet_env.evaluation.run.map_tasks`.
 
     Returns:
         The weights file.
 
     Raises:
-        ArgumentError: an argument is refused, ``out`` can't be written to, or its checkpoint is of another training
-            or of more episodes.
-        EvaluationError: a process that draws swarms ended.
+        ArgumentError: ``out`` can't be written to, or its checkpoint is of another training or of more episodes.
     """
     training = MetaTraining() if training is None else training
     # A training can be prolonged: a checkpoint may be of fewer episodes.
     checkpoint = Checkpoint(Path(out), training.model_dump(mode="json", exclude={"episodes"}))
     whole_number("checkpoint_every", checkpoint_every, 1)
+    reserve_folder(Path(out))
     total = training.strategies + training.episodes
     arrays, losses = checkpoint.read() if resume else ({}, [])
     if len(losses) > training.episodes:
@@ -186,13 +184,12 @@ def train_meta(
             f"episodes must be at least the {len(losses)} of the checkpoint in {quote(str(checkpoint.folder))}, "
             f"got {training.episodes}."
         )
-    parameters = parameters_of(str(checkpoint.path), arrays) if arrays else start_of(training)
+    parameters = read_parameters(arrays) if arrays else start_of(training)
     tasks = []
     draw = partial(_draw_windows, training)
-    with closing(run_in_order(draw, range(training.strategies), workers, "Strategy")) as drawn:
-        for windows in drawn:
-            tasks.append(_make_task(training, windows))
-            progress(len(tasks), total)
+    for windows in map_tasks(draw, range(training.strategies), workers=workers, backend=backend):
+        tasks.append(_make_task(training, windows))
+        progress(len(tasks), total)
     while len(losses) < training.episodes:
         episodes = range(len(losses), min(len(losses) + checkpoint_every, training.episodes))
         parameters, more = _train(training, parameters, tasks, episodes)

@@ -18,13 +18,7 @@ from usnet_env.config import Config
 
 
 class OnlineTraining(Config):
-    """Settings of :func:`train_online`.
-
-    Args:
-        steps: gradient steps a round.
-        rate: beta'.
-        metric: batches and loss.
-    """
+    """Settings of :func:`train_online`: gradient ``steps`` a round, beta' (``rate``), batches and loss (``metric``)."""
 
     steps: Annotated[int, Field(ge=0, le=1_000_000)] = 1
     rate: Annotated[float, Field(gt=0)] = 1.0
@@ -50,11 +44,7 @@ def train_online(
     UAVs with -1 in ``labels`` ``(n,)`` int64 take no part.
 
     Returns:
-        The trained parameters, and the loss before each step. Where no triplet can be drawn (one cluster, or
-        clusters of one UAV only), the parameters are returned unchanged and the losses are 0.
-
-    Raises:
-        ArgumentError: ``labels`` has another length than n.
+        The trained parameters, and the loss before each step; unchanged and 0 where no triplet can be drawn.
     """
     losses: list[float] = []
     for _ in range(settings.steps):
@@ -105,11 +95,7 @@ def meta_step(
 def joint_step(
     parameters: GruParameters, task: Task, metric: Metric, outer_rate: float, generator: torch.Generator
 ) -> tuple[GruParameters, float]:
-    """One episode of joint training: W loses beta times the gradient of the mean of L_S(W) and L_Q(W).
-
-    Returns:
-        The new W, and L_Q(W) before the step.
-    """
+    """One episode of joint training: W less beta times the gradient of the mean of L_S(W) and L_Q(W); and L_Q(W)."""
     at = parameters.trainable()
     support = batch_loss(at, *task.support, metric, generator)
     query = batch_loss(at, *task.query, metric, generator)

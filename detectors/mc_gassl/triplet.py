@@ -10,7 +10,7 @@ from pydantic import Field
 from torch import Tensor
 
 from detectors.mc_gassl.gru import ARENA_SCALE, GruInputs, GruParameters, Scale, embed, gru
-from usnet_env.config import ArgumentError, Config
+from usnet_env.config import Config
 
 
 class Metric(Config):
@@ -32,14 +32,7 @@ class Metric(Config):
 
 
 class Triplets(NamedTuple):
-    """B triplets, each at one time.
-
-    Args:
-        time: ``(B,)`` indices of the R times.
-        anchor: ``(B,)`` indices of the n UAVs, i_a.
-        positive: ``(B,)`` i_p, of the anchor's cluster.
-        negative: ``(B,)`` i_n, of another cluster.
-    """
+    """B triplets: ``(B,)`` indices of times, and of the UAVs i_a, i_p of its cluster, and i_n of another one."""
 
     time: Tensor
     anchor: Tensor
@@ -116,15 +109,7 @@ def triplet_loss(anchor: Tensor, positive: Tensor, negative: Tensor, margin: flo
 def batch_loss(
     parameters: GruParameters, inputs: GruInputs, labels: Tensor, metric: Metric, generator: torch.Generator
 ) -> Tensor:
-    """Equation (33) of one random batch, as a mean, so that rates and losses do not depend on B.
-
-    The arguments are those of :func:`draw_triplets`. The loss is 0 where no triplet can be drawn.
-
-    Raises:
-        ArgumentError: ``labels`` has another length than n.
-    """
-    if labels.shape != (inputs.uavs,):
-        raise ArgumentError(f"labels must have shape ({inputs.uavs},), got {tuple(labels.shape)}.")
+    """Equation (33) of one random batch, as a mean, so that rates do not depend on B; 0 without a triplet."""
     batch = inputs.at(torch.randperm(inputs.times, generator=generator)[: metric.times])
     time, *three = draw_triplets(metric, parameters, batch, labels, generator)
     # The Siamese network: the same cells for anchors, positives and negatives, and for no other UAV.

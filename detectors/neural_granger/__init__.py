@@ -1,4 +1,4 @@
-"""Neural Granger causality: one additive network for each candidate head, predictions pooled."""
+"""Neural Granger causality: one network for each candidate head of a cluster."""
 
 from detectors.neural_granger.detector import NeuralGranger
 

@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
 from pydantic import Field
 
 from detectors.base import Detector
-from detectors.neural_granger.inputs import build_samples
-from detectors.neural_granger.per_candidate import PerCandidate, fit_per_candidate
+from detectors.neural_granger.training import build_samples, fit_networks
 from detectors.parameters import Count, Lags
 from detectors.series.designs import check_window
 from detectors.series.votes import choose_heads, name_at_random, select_top, shows_evidence, spread
-from usnet_env.arrays import Mask
-from usnet_env.config import ArgumentError, quote
+from usnet_env.config import ArgumentError
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
 
 
 class NeuralGranger(Detector):
@@ -30,58 +29,52 @@ class NeuralGranger(Detector):
     that is best, compared with the null model, wins; the null model is a ridge regression on the UAV's own past.
     Then the winner's network predicts each UAV i from the past of each other UAV j, and i attends to j in proportion to
     the likelihood of its flight; to itself by the likelihood of the null model. The score of a UAV is the attention
-    that it receives. Made for one cluster (P1); :meth:`detect_among` takes a part of a swarm.
-
-    The idea is that of Tank, Covert, Foti, Shojaie and Fox, "Neural Granger causality", IEEE Transactions on Pattern
-    Analysis and Machine Intelligence 44(8), 2022. The training on the observed window itself and the votes are those of
-    the paper's GASSL (:mod:`detectors.gassl`), which pools inputs; this detector pools predictions.
+    that it receives. Made for one cluster (P1). The idea is that of Tank, Covert, Foti, Shojaie and Fox, "Neural
+    Granger causality", IEEE Transactions on Pattern Analysis and Machine Intelligence 44(8), 2022.
 
     Args:
         top_k: the number of candidates.
-        gate: whether the answer is empty if no UAV seems to be followed. Without the gate, ``top_k`` UAVs are named in
-            every window.
-        gate_threshold: the gain that at least two UAVs must have from the best candidate for the gate to open. A gain
-            is the logarithm of the null model's error divided by the network's error, on held-out times.
+        gate: whether the answer is empty unless at least two UAVs have a gain of ``gate_threshold`` from the best
+            candidate: the logarithm of the null model's error divided by the network's error, on held-out times.
+        gate_threshold: see ``gate``.
         device: ``"cpu"``, ``"cuda"`` or ``"auto"`` (a GPU if there is one).
         memory: T_0.
-        steps, times, voters, units, learning_rate, weight_decay, input_noise, blocks, ridge, floor: settings of the
-            training, see :class:`detectors.neural_granger.per_candidate.PerCandidate`; ``None`` for the default.
+        steps, times, voters: training steps; random times and random UAVs that each network must predict in a step.
+        units: tanh units for each coordinate of the candidate's past.
+        learning_rate, weight_decay: of AdamW, with a cosine schedule; biases and gains do not decay.
+        input_noise: standard deviation of the noise on a candidate's velocities, as a fraction of the root mean
+            square error of its null model (so that the noise stays small for smooth flight).
+        blocks: contiguous blocks of times that are held out, a fifth of all times, with gaps of T_0 on both sides.
+        ridge: penalty of the null model.
+        floor: squared error, in (metres per step)², that is added to all errors before their logarithm is taken.
 
     Raises:
         ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is invalid, the device does not exist, or the
             window has no more than T_0 velocities or more than 10,000 UAVs.
     """
 
-    side_by_side: ClassVar[bool] = True
-
     tags = Tags(needs=("torch",), most_uavs=10_000, least_steps=5, needs_unit_speed=True)
     top_k: Count = 1
     gate: bool = False
-    gate_threshold: Annotated[float, Field(ge=0)] = 0.5
+    gate_threshold: NonNegative = 0.5
     device: Literal["cpu", "cuda", "auto"] = "cpu"
     memory: Lags = 4
-    steps: int | None = None
-    times: int | None = None
-    voters: int | None = None
-    units: int | None = None
-    learning_rate: float | None = None
-    weight_decay: float | None = None
-    input_noise: float | None = None
-    blocks: int | None = None
-    ridge: float | None = None
-    floor: float | None = None
+    steps: Count = 200
+    times: Count = 64
+    voters: Annotated[int, Field(ge=2, le=100_000)] = 24
+    units: Annotated[int, Field(ge=1, le=1000)] = 6
+    learning_rate: Positive = 3e-2
+    weight_decay: NonNegative = 0.3
+    input_noise: NonNegative = 0.2
+    blocks: Annotated[int, Field(ge=1, le=100)] = 4
+    ridge: Positive = 1.0
+    floor: Positive = 1e-3
 
-    def check_arguments(self) -> PerCandidate:
-        """Check all arguments and return the settings of the training."""
-        super().check_arguments()
-        self._resolve_device()
-        given = {name: getattr(self, name) for name in PerCandidate.model_fields}
-        return PerCandidate(**{name: value for name, value in given.items() if value is not None})
-
-    def _resolve_device(self) -> torch.device:
+    def check_arguments(self) -> Any:
+        """Check all arguments and return them."""
         if self.device == "cuda" and not torch.cuda.is_available():
             raise ArgumentError("device must be 'cpu' or 'auto' on a machine without a GPU, got 'cuda'.")
-        return torch.device("cuda" if self.device != "cpu" and torch.cuda.is_available() else "cpu")
+        return super().check_arguments()
 
     def detect(self, window: Window) -> Detection:
         """Train on one window and name the candidates.
@@ -91,72 +84,29 @@ class NeuralGranger(Detector):
             the others, divided by the number n of living UAVs), ``leader`` (the other UAV to which each UAV attends
             most), attention alpha, and in ``extras``: ``choice`` ``(N,)``, as ``leader``, but a UAV's own index if it
             attends most to its own past; ``explained`` ``(N,)``, the fraction of the squared velocity that the fit
-            explains on held-out times; ``gain`` ``(N,)``, the second largest gain that other UAVs have from each UAV,
-            which the gate compares with ``gate_threshold``; ``followed`` (bool), whether it reaches the threshold.
-            With fewer than 3 living UAVs, or where no velocity was seen, nothing can be learned: then ``top_k`` living
-            UAVs are named at random (none with the gate) and all scores are 0.
+            explains on held-out times; ``gain`` ``(N,)``, which the gate compares with its threshold; ``followed``
+            (bool), whether it reaches it. With fewer than 3 living UAVs, or where no velocity was seen, ``top_k``
+            living UAVs are named at random (none with the gate) and all scores are 0.
         """
-        return self.detect_batch([window])[0]
-
-    def detect_among(self, window: Window, members: Mask) -> Detection:
-        """Name the candidates of a part of the swarm, as if the other UAVs were absent.
-
-        Args:
-            window: of the whole swarm.
-            members: ``(N,)`` bool, the UAVs of the part.
-        """
-        mask = np.asarray(members)
-        if mask.shape != (window.uavs,) or mask.dtype != bool:
-            raise ArgumentError(f"members must be {window.uavs} booleans, got {quote(members)}.")
-        return self.detect(replace(window, alive=window.alive & mask))
-
-    def detect_batch(self, windows: Sequence[Window]) -> list[Detection]:
-        """Train on several windows side by side, which is much faster for small swarms than one after another.
-
-        Windows with equal T_ob and equal numbers of living UAVs share a batch. All random numbers of a batch come from
-        one generator, so the answer for a window depends on the batch that it is in.
-        """
-        settings = self.check_arguments()
-        groups: dict[tuple[int, int, bool], list[int]] = {}
-        for number, window in enumerate(windows):
-            check_window(window, self.memory)
-            living = np.flatnonzero(window.alive)
-            key = len(living), window.observation_steps, shows_evidence(window, living)
-            groups.setdefault(key, []).append(number)
-        answers: dict[int, Detection] = {}
-        for (_, _, shown), numbers in groups.items():
-            group = [windows[number] for number in numbers]
-            found = self._fit_group(group, settings) if shown else [self._name_at_random(window) for window in group]
-            answers.update(zip(numbers, found, strict=True))
-        return [answers[number] for number in range(len(windows))]
-
-    def _name_at_random(self, window: Window) -> Detection:
-        count = 0 if self.gate else self.top_k
-        candidates = name_at_random(np.flatnonzero(window.alive), count, window.uavs, self.rng)
-        return Detection(candidates, np.zeros(window.uavs), extras={"followed": False})
-
-    def _fit_group(self, windows: list[Window], settings: PerCandidate) -> list[Detection]:
-        members, device = [np.flatnonzero(window.alive) for window in windows], self._resolve_device()
-        samples = build_samples(windows, members, self.memory, device)
+        settings, living = self.check_arguments(), np.flatnonzero(window.alive)
+        check_window(window, self.memory)
+        if not shows_evidence(window, living):
+            candidates = name_at_random(living, 0 if self.gate else self.top_k, window.uavs, self.rng)
+            return Detection(candidates, np.zeros(window.uavs), extras={"followed": False})
+        device = torch.device("cuda" if self.device != "cpu" and torch.cuda.is_available() else "cpu")
         generator = torch.Generator(device).manual_seed(int(self.rng.integers(2**63)))
-        fit = fit_per_candidate(samples, settings, generator)
-        second = fit.held_out_gain.sort(dim=1, descending=True).values[:, 1]
-        arrays = (each.double().cpu().numpy() for each in (fit.attention, second, fit.explained))
-        found = []
-        for window, index, winner, attention, gain, explained in zip(
-            windows, members, fit.winner.tolist(), *arrays, strict=True
-        ):
-            choice, own = choose_heads(attention, False, self.rng), choose_heads(attention, True, self.rng)
-            c = attention.copy()
-            np.fill_diagonal(c, 0.0)
-            c = c.sum(axis=0) / len(attention)
-            followed = bool(gain[winner] >= self.gate_threshold)
-            named = np.zeros(len(index), bool)
-            if not self.gate or followed:
-                named[select_top(c, self.top_k, self.rng)] = True
-            wide = partial(spread, members=index, uavs=window.uavs)
-            extras: dict[str, Any] = {"choice": wide(index[choice], fill=-1), "gain": wide(gain), "followed": followed}
-            extras["explained"] = wide(explained)
-            leader, whole = wide(index[own], fill=-1), wide(attention, pairs=True)
-            found.append(Detection(wide(named), wide(c), leader=leader, attention=whole, extras=extras))
-        return found
+        fit = fit_networks(build_samples(window, living, self.memory, device), settings, generator)
+        second = fit.held_out_gain.sort(dim=0, descending=True).values[1]
+        attention, gain, explained = (part.double().cpu().numpy() for part in (fit.attention, second, fit.explained))
+        choice, other = choose_heads(attention, False, self.rng), choose_heads(attention, True, self.rng)
+        c = attention.copy()
+        np.fill_diagonal(c, 0.0)
+        c = c.sum(axis=0) / len(attention)
+        followed = bool(gain[fit.winner] >= self.gate_threshold)
+        named = np.zeros(len(living), bool)
+        if not self.gate or followed:
+            named[select_top(c, self.top_k, self.rng)] = True
+        wide = partial(spread, members=living, uavs=window.uavs)
+        extras = {"choice": wide(living[choice], fill=-1), "gain": wide(gain), "explained": wide(explained)}
+        leader, whole = wide(living[other], fill=-1), wide(attention, pairs=True)
+        return Detection(wide(named), wide(c), leader=leader, attention=whole, extras={**extras, "followed": followed})

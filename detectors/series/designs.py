@@ -19,34 +19,25 @@ RealT = TypeVar("RealT", np.float32, np.float64)
 
 
 def check_pairs(uavs: int) -> None:
-    """Refuse a window whose matrices of pairs would be too large.
-
-    Raises:
-        ArgumentError: N is above 10,000.
-    """
+    """Refuse a window whose matrices of pairs would be too large."""
     if uavs > MOST_UAVS:
         raise ArgumentError(
-            f"window must hold at most {MOST_UAVS} UAVs for a detector that compares all pairs, got {uavs}: "
-            f"one matrix of pairs takes {8 * uavs**2 / 2**30:.1f} GiB."
+            f"window must hold at most {MOST_UAVS} UAVs for a detector that compares all pairs, got {uavs}."
         )
 
 
 def check_window(window: Window, memory: int) -> None:
-    """Refuse a window that is too short for ``memory``, T_0, or too large for matrices of all pairs.
-
-    Raises:
-        ArgumentError: the window has no more than T_0 velocities, or more than 10,000 UAVs.
-    """
+    """Refuse a window that is too short for ``memory``, T_0, or too large for matrices of all pairs."""
     check_pairs(window.uavs)
     if window.observation_steps <= memory:
         raise ArgumentError(f"window must hold more than memory = {memory} velocities, got {window.observation_steps}.")
 
 
 def count_lags(steps: int, most: int, width: int, rows_per_feature: float) -> int:
-    """Return the largest number of lags, at most ``most``, that leaves enough rows for a regression.
+    """The largest number of lags L, from 0 to ``most``, that leaves enough rows for a regression.
 
-    With L lags of ``width`` features each, a window of ``steps`` samples has ``steps`` - L rows, which must be at least
-    ``rows_per_feature`` for each of the L ``width`` features. The result is 0 if one lag is too much.
+    A window of ``steps`` samples has ``steps`` - L rows, of which there must be ``rows_per_feature`` for each of the
+    L ``width`` features.
     """
     return max(0, min(most, int(steps / (1.0 + rows_per_feature * width))))
 
@@ -76,12 +67,9 @@ def centre_columns(values: NDArray[RealT], seen: Mask) -> NDArray[RealT]:
 
 
 def centre_past(values: NDArray[RealT], seen: Mask, lags: int) -> NDArray[RealT]:
-    """Stack the past and centre each column over its seen rows, ``(n, T - lags, lags d)``.
+    """Stack the past of ``values`` ``(T, n, d)``, each column centred over its seen rows, ``(n, T - lags, lags d)``.
 
-    Args:
-        values: ``(T, n, d)``.
-        seen: ``(T, n)``; an unseen sample is replaced by the mean of its column, which is 0 here.
-        lags: 1 to T - 1.
+    A sample that was not ``seen`` ``(T, n)`` is replaced by the mean of its column, which is 0 here.
     """
     past = centre_columns(
         stack_past(values, lags).swapaxes(0, 1), stack_past(seen[..., None], lags)[..., 0].swapaxes(0, 1)

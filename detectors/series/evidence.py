@@ -34,11 +34,9 @@ class Evidence:
     """Pairwise evidence among the n living UAVs.
 
     Args:
-        pairs: ``(n, n)``; entry (i, j) is the evidence that i follows j, about 0 or below if it doesn't. The diagonal
-            is -inf.
+        pairs: ``(n, n)``; entry (i, j) is the evidence that i follows j, about 0 or below if not; -inf for i = j.
         surrogate: ``(n, n)``, the same with the voters (rows) shifted in time.
-        spread: lower bound of the standard deviation of an entry by chance; the surrogate of very few UAVs would
-            underestimate it.
+        spread: lower bound of the standard deviation of an entry by chance, for very few UAVs.
     """
 
     pairs: Floats
@@ -67,12 +65,8 @@ def regression_evidence(
 ) -> Evidence | None:
     """Compute the adjusted R² of a ridge regression of i's velocity on j's past, for every pair.
 
-    Args:
-        velocity: see above.
-        seen: see above.
-        lags: the largest number of lags; fewer in short windows.
-        squares: whether axis-wise squares are among the features, if the window is long enough.
-        ridge: see :func:`detectors.series.regressions.whiten`.
+    Short windows have fewer ``lags``, and no ``squares``; for ``ridge`` see
+    :func:`detectors.series.regressions.whiten`.
     """
     steps, uavs = velocity.shape[:2]
     rich = count_lags(steps, lags, 6, ROWS_PER_FEATURE) if squares else 0
@@ -90,11 +84,7 @@ def regression_evidence(
 def granger_evidence(velocity: NDArray[np.floating], seen: Mask, lags: int, own_lags: int) -> Evidence | None:
     """Compute Granger causality: the adjusted share of i's residual on its own past that j's past explains.
 
-    Args:
-        velocity: see above.
-        seen: see above.
-        lags: the number of past velocities of j; fewer in short windows.
-        own_lags: the number of past velocities of i, at most that of j.
+    There are ``lags`` past velocities of j, fewer in short windows, and ``own_lags`` of i, at most as many.
     """
     steps, uavs = velocity.shape[:2]
     lags = max(1, count_lags(steps, lags, 3, _ROWS_PER_FEATURE_BEYOND))

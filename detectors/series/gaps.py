@@ -1,11 +1,6 @@
 """Samples that the observer missed: one rule for every detector that needs tracks without gaps.
 
-Regressions that can leave a sample out do so by their masks (:mod:`detectors.series.evidence`). For the others, three
-rules met the same games with ``miss_rate`` 0.1 and 0.3: lines between the seen positions and their differences as
-velocities, the rule below; the nearest seen position and a velocity of 0; and lines with the UAV's mean velocity. With
-0.3, ``gassl`` names the head alone in 0.71, 0.29 and 0.50 of 28 games, ``neural-granger`` in 0.93, 0.79 and 0.75 of 28,
-and the purity of spectral clusters is 0.977, 0.913 and 0.972 (n = 70); no detector is clearly better off with another
-rule (``python benchmarks/gaps.py``).
+Regressions that can leave a sample out do so by their masks (:mod:`detectors.series.evidence`).
 """
 
 from __future__ import annotations

@@ -10,15 +10,9 @@ from detectors.series.regressions import RIDGE, subtract_projection, whiten
 
 
 def compute_innovations(values: NDArray[RealT], lags: int, ridge: float = RIDGE) -> NDArray[RealT]:
-    """Compute the innovations: the residuals of a ridge regression of each UAV on its own past.
+    """Residuals ``(T - lags, n, d)`` of a ridge regression of each UAV's ``values`` ``(T, n, d)`` on its own past.
 
-    Args:
-        values: ``(T, n, d)``, centred; 0 where unseen.
-        lags: the number of own past samples, 1 to T - 1.
-        ridge: see :func:`detectors.series.regressions.whiten`.
-
-    Returns:
-        ``(T - lags, n, d)``.
+    The values are centred, and 0 where unseen; for ``ridge`` see :func:`detectors.series.regressions.whiten`.
     """
     past = stack_past(values, lags)
     white, _ = whiten(past.reshape(*past.shape[:2], lags * values.shape[2]), ridge)
@@ -30,19 +24,16 @@ def predict_from_own_past(
 ) -> NDArray[RealT]:
     """Predict each UAV from its own past by a cross-fitted ridge regression.
 
-    The rows of a fold are predicted by a fit to the other folds, without the ``gap`` rows on each side of the fold,
-    which share samples with it. So the errors are those of rows that were not fitted.
+    The rows of a fold, of consecutive rows, are predicted by a fit to the other folds, without the ``gap`` rows on each
+    side of the fold, which share samples with it. So the errors are those of rows that were not fitted.
 
     Args:
         past: ``(..., R, p)``, the features, with a column of ones for the mean.
-        target: ``(..., R, d)``.
+        target: ``(..., R, d)``; the prediction has this shape.
         weight: ``(..., R)``, 1 where the target was seen, else 0.
         penalty: what is added to the diagonal of the Gram matrix.
         gap: in rows.
-        folds: of consecutive rows.
-
-    Returns:
-        ``(..., R, d)``.
+        folds: their number.
     """
     rows = past.shape[-2]
     index = np.arange(rows)

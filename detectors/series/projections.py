@@ -134,15 +134,10 @@ def explain_each(gram: Floats, moment: Floats) -> Floats:
 def multiply_pairs(
     features: Floats, weight: Floats, innovation: Floats, own: Floats, place: Indices, target: Indices
 ) -> tuple[Floats, Floats, Floats]:
-    """Products of P pairs of features and targets, with weighted rows.
+    """Products of P pairs of features ``(k, p, R)`` and weighted targets ``(G, a, R)``: ``innovation``.
 
-    Args:
-        features: ``(k, p, R)``.
-        weight: ``(G, R)`` of the rows of each target.
-        innovation: ``(G, a, R)`` weighted targets.
-        own: ``(G, z, R)`` orthonormal rows, which the features are compared beyond.
-        place: ``(P,)`` from 0 to k - 1.
-        target: ``(P,)`` from 0 to G - 1.
+    ``weight`` ``(G, R)`` is that of the rows of each target, ``own`` ``(G, z, R)`` are orthonormal rows, which the
+    features are compared beyond; ``place`` and ``target`` ``(P,)`` are indices of features and targets.
 
     Returns:
         Features times targets ``(P, p, a)``; features times features ``(P, p, p)``, less what the own rows explain of

@@ -25,14 +25,9 @@ def whiten(features: NDArray[RealT], ridge: float = RIDGE, fitted: bool = False)
     With X = U S Vᵀ, λ the ``ridge`` times the mean of s², and d = s² / (s² + λ), a ridge regression of y on X has the
     fit ŷ = U d Uᵀ y. Then Q = U √d, |Qᵀ y|² = yᵀ ŷ. With ``fitted``, Q = U √(d (2 - d)), |Qᵀ y|² = |y|² - |y - ŷ|².
 
-    Args:
-        features: ``(n, R, p)``, a block per UAV.
-        ridge: at least 0.
-        fitted: which of the two; they agree for small λ.
-
     Returns:
-        Q of the shape and type of ``features``, 0 for a UAV without motion; and ``(n,)``, the sums of d, the degrees
-        of freedom of the fits.
+        Q of the shape and type of ``features`` ``(n, R, p)``, 0 for a UAV without motion; and ``(n,)``, the sums of d,
+        the degrees of freedom of the fits.
     """
     wide = features.astype(np.float64, copy=False)  # a Gram matrix has the square of the features' condition number
     gram = wide.transpose(0, 2, 1) @ wide
@@ -53,20 +48,15 @@ def whiten(features: NDArray[RealT], ridge: float = RIDGE, fitted: bool = False)
 def explain_pairs(
     features: NDArray[np.floating], targets: Sequence[NDArray[np.floating]], ridge: float = RIDGE, fitted: bool = False
 ) -> tuple[Floats, Floats]:
-    """Compute the share of every target that each UAV's features explain.
+    """Compute the share of every target that each UAV's ``features`` ``(n, R, p)``, centred, explain.
 
-    One whitened matrix per UAV serves all targets, and the products are formed for a few UAVs at a time. They are in
-    single precision, which is enough for a share and takes half the time.
-
-    Args:
-        features: ``(n, R, p)``, centred.
-        targets: arrays ``(R, v, d)``, centred, with any number v of UAVs.
-        ridge: as in :func:`whiten`.
-        fitted: as in :func:`whiten`; the shares are then R².
+    One whitened matrix per UAV serves all targets, centred arrays ``(R, v, d)`` with any number v of UAVs, a few UAVs
+    at a time. Products are in single precision. ``ridge`` and ``fitted`` are those of :func:`whiten`; if fitted, the
+    shares are R².
 
     Returns:
-        Shares ``(len(targets), v, n)`` from 0 to 1, entry (s, i, j) for target i and the features of j: 0 in the rows
-        and columns of UAVs without motion; and the degrees of freedom ``(n,)``, see :func:`whiten`.
+        Shares ``(len(targets), v, n)`` from 0 to 1, entry (s, i, j) for target i and the features of j: 0 for UAVs
+        without motion; and the degrees of freedom ``(n,)``.
     """
     uavs, rows, width = features.shape
     voters, axes = targets[0].shape[1:]

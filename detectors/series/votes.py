@@ -19,10 +19,7 @@ LEAST_VOTERS = 1.5  # voters that a head must add: m_j >= 2 followers, of which 
 def choose_heads(attention: NDArray[np.floating[Any]], exclude_self: bool, rng: np.random.Generator) -> Indices:
     """Choose the UAV that each UAV attends to most, ``(n,)``: i_L^{(i)} of equation (19).
 
-    Args:
-        attention: ``(n, n)`` alpha_{i,i'}.
-        exclude_self: whether a UAV may not choose itself.
-        rng: breaks ties, so that they don't favour low indices.
+    ``attention`` ``(n, n)`` is alpha_{i,i'}; with ``exclude_self``, no UAV chooses itself; ``rng`` breaks ties.
     """
     weight = attention.copy()
     if exclude_self:
@@ -34,8 +31,7 @@ def choose_heads(attention: NDArray[np.floating[Any]], exclude_self: bool, rng: 
 def count_votes(chosen: Indices) -> Floats:
     """Count the votes c_i = (1/n) sum_{i' != i} 1{i_L^{(i')} = i} of every UAV, ``(n,)``: equation (20).
 
-    Args:
-        chosen: ``(n,)`` from :func:`choose_heads`. A UAV that chose itself counts for no UAV.
+    ``chosen`` ``(n,)`` is from :func:`choose_heads`. A UAV that chose itself counts for no UAV.
     """
     uavs = len(chosen)
     others = chosen[chosen != np.arange(uavs)]
@@ -68,14 +64,9 @@ def name_at_random(members: NDArray[np.intp], count: int, uavs: int, rng: np.ran
 def spread(
     values: NDArray[Any], members: NDArray[np.intp], uavs: int, fill: float = 0, pairs: bool = False
 ) -> NDArray[Any]:
-    """What holds for n members of a swarm, for all of its N UAVs; floats become float64.
+    """What holds for n members of a swarm, for all of its N UAVs, with ``fill`` for the others; floats become float64.
 
-    Args:
-        values: ``(n, ...)``, or ``(..., n, n)`` for pairs.
-        members: ``(n,)`` indices of the members.
-        uavs: N.
-        fill: the value of the other UAVs.
-        pairs: whether the last two axes are UAVs.
+    ``values`` are ``(n, ...)``, or ``(..., n, n)`` for ``pairs``; ``members`` ``(n,)`` are indices.
     """
     shape = (*values.shape[:-2], uavs, uavs) if pairs else (uavs, *values.shape[1:])
     wide = np.full(shape, fill, np.float64 if values.dtype.kind == "f" else values.dtype)
@@ -84,13 +75,10 @@ def spread(
 
 
 def compute_votes(evidence: Evidence) -> tuple[Indices, Floats]:
-    """Compute the vote of each UAV and its weight.
+    """The vote of each UAV, ``(n,)`` int64: the UAV with the highest evidence in its row; and its weight ``(n,)``.
 
-    A UAV votes for the UAV with the highest evidence in its row. The weight is the difference between this evidence and
-    its value by chance, at least 0. So the vote of a head, which follows no UAV, has nearly no weight.
-
-    Returns:
-        ``(n,)`` int64 votes and ``(n,)`` float64 weights.
+    The weight is the difference between this evidence and its value by chance, at least 0. So the vote of a head, which
+    follows no UAV, has nearly no weight.
     """
     vote = evidence.pairs.argmax(axis=1)
     best = evidence.pairs.max(axis=1)
@@ -101,16 +89,12 @@ def cover_voters(evidence: Evidence, most: int | None = None) -> list[int]:
     """Choose heads for unknown M by a greedy cover of the significant voters.
 
     Let e_ij be the evidence above the threshold. Head j explains the share e_ij / max_k e_ik of a significant voter i;
-    several heads explain the largest of their shares. The algorithm repeatedly adds the head that raises the sum of
-    these shares the most, as long as it raises it by at least ``LEAST_VOTERS``. A follower that votes for another
-    follower of the same head doesn't add a head, since the true head explains it nearly as well.
-
-    Args:
-        evidence: the evidence among the n living UAVs.
-        most: the largest number of heads; ``None``: no limit.
+    several heads explain the largest of their shares. The head that raises the sum of these shares the most is added as
+    long as it raises it by at least ``LEAST_VOTERS``. A follower that votes for another follower of the same head adds
+    no head, since the true head explains it nearly as well.
 
     Returns:
-        Indices of the heads in the order of choice; empty if no UAV follows another one.
+        Indices of at most ``most`` heads in the order of choice; empty if no UAV follows another one.
     """
     threshold = evidence.threshold
     above = np.maximum(evidence.pairs - threshold, 0.0)
@@ -133,13 +117,12 @@ def find_trees(lead: Floats, strength: Floats, threshold: float) -> tuple[Indice
     """Give each follower its direct leader so that no cycle closes.
 
     Args:
-        lead: ``(n, n)``, how much better j predicts i than i predicts j.
+        lead: ``(n, n)``, how much better j predicts i than i predicts j; above ``threshold`` it is significant.
         strength: ``(n, n)``, how closely i follows j; among those that lead i, the strongest is its direct leader.
-        threshold: a lead above it is significant.
+        threshold: of the lead.
 
     Returns:
-        ``(n,)`` direct leader, -1 for UAVs that follow none, and ``(n,)`` root of the tree, the UAV's own index if it
-        follows none.
+        ``(n,)`` direct leader, -1 for none, and ``(n,)`` root of the tree, the own index of a UAV that follows none.
     """
     follows = lead > threshold
     leader, root = np.full(len(lead), -1), np.arange(len(lead))
@@ -166,9 +149,8 @@ def detection_from_evidence(
 
     Returns:
         Candidates: in the first round the UAVs with the ``clusters`` highest scores; otherwise the heads of
-        :func:`cover_voters` (at most ``clusters``), or the UAV with the highest score if there are none. There is at
-        least one candidate if a UAV is alive. A score is the sum of the weights of a UAV's votes; clusters are numbered
-        in the order of the heads' indices; attention is the evidence, clipped at 0.
+        :func:`cover_voters`, or the UAV with the highest score if there are none. A score is the sum of the weights of
+        a UAV's votes; clusters are numbered in the order of the heads' indices; attention is the evidence, from 0.
     """
     uavs = len(alive)
     living = np.flatnonzero(alive)

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import gymnasium as gym
 import numpy as np
-import torch
 
 import usnet_env
-from detectors.neural_granger.inputs import Samples, build_samples
 
 
 def cluster(seed=0, follow="f1", followers=4, **arguments):
@@ -41,10 +39,6 @@ def same(one, two):
     assert one.extras.keys() == two.extras.keys()
     for name, value in one.extras.items():
         np.testing.assert_array_equal(value, two.extras[name])
-
-
-def samples(windows, memory=4) -> Samples:
-    return build_samples(windows, [np.arange(window.uavs) for window in windows], memory, torch.device("cpu"))
 
 
 def changed(window, **arrays):

@@ -42,15 +42,14 @@ def try_all(gain, itself, sizes, most=None):
     return best, found
 
 
-def make_problem(seed, planted):
+def make_problem(seed):
     """Gains of 8 groups by 7 candidates: 5 single UAVs, which are groups 0 to 4, and 2 members of groups 5 and 6."""
     rng = np.random.default_rng(seed)
     sizes = np.array([1, 1, 1, 1, 1, 3, 2, 4])
     itself = np.array([0, 1, 2, 3, 4, -1, -1])
-    gain = rng.normal(-2.0, 2.0, (8, 7)) if planted else rng.normal(0.0, 4.0, (8, 7))
-    if planted:
-        gain[[1, 2, 5], 0] += 12.0
-        gain[[6, 7], rng.integers(3, 7)] += 12.0
+    gain = rng.normal(-2.0, 2.0, (8, 7))
+    gain[[1, 2, 5], 0] += 12.0
+    gain[[6, 7], rng.integers(3, 7)] += 12.0
     gain[itself[:5], np.arange(5)] = -np.inf
     return gain, itself, sizes
 
@@ -74,63 +73,12 @@ def check_definition(found, gain, itself, sizes):
 @given(seeds)
 @settings(max_examples=25)
 def test_planted_heads_are_found_as_by_trying_all_sets(seed):
-    gain, itself, sizes = make_problem(seed, planted=True)
+    gain, itself, sizes = make_problem(seed)
     found = assign(gain, itself, sizes)
     value, heads = try_all(gain, itself, sizes)
     check_definition(found, gain, itself, sizes)
     assert found.value == pytest.approx(value, abs=1e-9)
     assert tuple(found.heads - 10) == heads
-
-
-def test_among_random_gains_most_searches_end_at_the_best_set():
-    short = []
-    for seed in range(60):
-        gain, itself, sizes = make_problem(seed, planted=False)
-        found = assign(gain, itself, sizes)
-        check_definition(found, gain, itself, sizes)
-        best, _ = try_all(gain, itself, sizes)
-        assert found.value <= best + 1e-9
-        short.append(best - found.value)
-    assert np.mean(np.array(short) > 1e-9) <= 0.1
-
-
-@given(seeds, st.integers(1, 3))
-@settings(max_examples=25)
-def test_no_more_heads_than_allowed(seed, most):
-    gain, itself, sizes = make_problem(seed, planted=True)
-    found = assign(gain, itself, sizes, most)
-    assert len(found.heads) <= most
-    check_definition(found, gain, itself, sizes)
-    assert found.value == pytest.approx(try_all(gain, itself, sizes, most)[0], abs=1e-9)
-
-
-@given(seeds)
-@settings(max_examples=25)
-def test_the_order_of_groups_and_candidates_is_irrelevant(seed):
-    gain, itself, sizes = make_problem(seed, planted=True)
-    rng = np.random.default_rng(seed)
-    groups, candidates = rng.permutation(8), rng.permutation(7)
-    place = np.argsort(groups)
-    moved = assign_groups(
-        gain[groups][:, candidates],
-        10 + candidates,
-        np.where(itself >= 0, place[itself], -1)[candidates],
-        sizes[groups],
-        None,
-    )
-    assert np.array_equal(moved.head, assign(gain, itself, sizes).head[groups])
-
-
-@given(seeds, st.floats(0.5, 20.0))
-@settings(max_examples=25)
-def test_a_head_that_gains_more_stays_and_a_candidate_without_gain_changes_nothing(seed, more):
-    gain, itself, sizes = make_problem(seed, planted=True)
-    found = assign(gain, itself, sizes)
-    raised = gain.copy()
-    raised[:, found.heads[0] - 10] += more
-    assert found.heads[0] in assign(raised, itself, sizes).heads
-    useless = np.column_stack([gain, np.full(8, -0.1)])
-    assert np.array_equal(assign(useless, np.append(itself, -1), sizes).head, found.head)
 
 
 def test_without_gain_or_candidates_there_are_no_heads():

@@ -3,36 +3,27 @@
 import itertools
 import json
 from importlib.resources import files
-from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from interrupted_training import Interrupted, stop_at
 from mixture_windows import answer, swarm_window
 from scipy.special import expit
 
 from detectors.follow_mixture.calibration import Calibration, shipped_calibration
 from detectors.follow_mixture.train import (
     CalibrationTraining,
-    Row,
     fit_calibration,
     train_calibration,
 )
 from detectors.policy import Policy, choose
-from detectors.random_swarms import draw_calibration_swarm
 from usnet_env.config import ArgumentError
-from usnet_env.evaluation.suite import read_rows
-from usnet_env.swarm.follow import FollowInputs, follow_strategy
-from usnet_env.swarm.random_follow import RandomFollowStrategy
 
 SHIPPED = files("detectors.follow_mixture") / "data" / "calibration.json"
-ROWS = Path(__file__).parents[3] / "benchmarks" / "results" / "follow_mixture_calibration.csv"
 TINY = CalibrationTraining(swarms=4, most_uavs=24, most_clusters=3)
-
-
-class Interrupted(Exception):
-    """Raised by a test to end a training early."""
 
 
 def record():
@@ -44,11 +35,6 @@ def test_probabilities_rise_with_the_log_odds(slope, offset, odds):
     mapped = Calibration(slope=slope, offset=offset)(np.array([-np.inf, *sorted(odds), np.inf]))
     assert ((mapped >= 0) & (mapped <= 1)).all()
     assert (np.diff(mapped) >= 0).all()
-
-
-def test_the_map_is_a_logistic_function():
-    odds = np.array([-3.0, 0.0, 0.5, 13.0])
-    np.testing.assert_allclose(Calibration(slope=0.5, offset=1.0)(odds), 1.0 / (1.0 + np.exp(-0.5 * odds - 1.0)))
 
 
 def test_the_detector_returns_calibrated_probabilities():
@@ -65,80 +51,6 @@ def test_what_ships_was_made_by_the_defaults():
     assert made["metrics"]["log loss"] <= made["metrics"]["log loss, before calibration"]
 
 
-def test_committed_rows_give_what_ships():
-    rows = read_rows(ROWS, Row)
-    assert len(rows) == CalibrationTraining().swarms
-    fitted = fit_calibration(rows)
-    assert fitted.slope == pytest.approx(shipped_calibration().slope, abs=1e-4)
-    assert fitted.offset == pytest.approx(shipped_calibration().offset, abs=1e-4)
-    assert fitted.doubt == pytest.approx(shipped_calibration().doubt, abs=1e-4)
-
-
-@pytest.mark.slow
-def test_interrupted_training_is_resumed_to_the_identical_result(tmp_path):
-    def stop(done, total):
-        if done == 3:
-            raise Interrupted
-
-    whole = train_calibration(tmp_path / "whole", TINY)
-    few = train_calibration(tmp_path / "parts", TINY.model_copy(update={"swarms": 2}))
-    with pytest.raises(Interrupted):
-        train_calibration(tmp_path / "parts", TINY, stop)
-    (rows,) = (tmp_path / "parts").glob("rows-*.csv")
-    assert len(read_rows(rows, Row)) == 3
-    calls = []
-    parts = train_calibration(tmp_path / "parts", TINY, lambda *call: calls.append(call))
-    assert calls == [(3, 4), (4, 4)]
-    assert few == parts
-    for name in ("calibration.json", rows.name):
-        assert (whole.parent / name).read_bytes() == (parts.parent / name).read_bytes()
-    other = TINY.model_copy(update={"seed": 1})
-    assert train_calibration(tmp_path / "parts", other, workers=2).read_bytes() != whole.read_bytes()
-    assert len(read_rows(rows, Row)) == 8
-    train_calibration(tmp_path / "parts", other, resume=False)
-    assert len(read_rows(rows, Row)) == 4
-    rows.write_text("swarm\n1\n")
-    with pytest.raises(ArgumentError, match="out must hold rows of this measurement"):
-        train_calibration(tmp_path / "parts", TINY)
-
-
-def test_swarms_are_of_every_kind_and_follow_no_strategy_of_the_paper():
-    drawn = [draw_calibration_swarm(150, 12, np.random.default_rng([0, swarm])) for swarm in range(300)]
-    assert all(config.follow == "none" or isinstance(config.follow, RandomFollowStrategy) for config in drawn)
-    assert 10 < sum(config.follow == "none" for config in drawn) < 60
-    assert {config.mobility for config in drawn} >= {"iid", "gauss_markov", "straight", "waypoint"}
-    assert min(config.uavs for config in drawn) >= 20
-    assert max(config.uavs for config in drawn) <= 150
-    for name in ("decoys", "miss_rate", "position_noise", "head_jitter"):
-        assert 0 < sum(bool(getattr(config, name)) for config in drawn) < 300
-
-
-def test_the_calibration_never_draws_f1():
-    """Strategies that are alike on all axes have no rotation, which is what keeps the others apart from f1."""
-    rng = np.random.default_rng(0)
-    head_velocity = rng.standard_normal((50, 4, 3)).astype(np.float32)
-    head_velocity /= np.linalg.norm(head_velocity, axis=-1, keepdims=True)
-    positions = rng.uniform(0, 500, (2, 50, 5, 3)).astype(np.float32)
-    inputs = FollowInputs(positions[0], head_velocity, positions[1], np.empty(0, np.float32))
-    f1 = follow_strategy("f1").direction(inputs)
-    alike, nearest = 0, -1.0
-    for swarm in range(400):  # the first swarms of the calibration that ships
-        follow = draw_calibration_swarm(150, 12, np.random.default_rng([0, swarm])).follow
-        if follow == "none":
-            continue
-        wanted = follow.direction(inputs)
-        lengths = np.linalg.norm(wanted, axis=1) * np.linalg.norm(f1, axis=1)
-        nearest = max(nearest, float(np.mean((wanted * f1).sum(axis=1) / lengths)))
-        alike += follow.rotation is not None and np.array_equal(follow.rotation, np.eye(3))
-    assert alike > 20
-    assert nearest < 0.995  # the mean cosine of two strategies that the grammar's own test takes for different
-
-
-def row(log_odds):
-    """A row of which only the counts matter."""
-    return Row(0, 150, 12, swarm=0, follows=1, living=60, heads=3, exact=1, log_odds=log_odds)
-
-
 def rows_of(slope, offset, doubt, swarms=300, uavs=60):
     """Rows of swarms whose heads are drawn by a calibration; log-odds have bins of 0.25, the first of them at -14."""
     rng = np.random.default_rng(0)
@@ -148,8 +60,8 @@ def rows_of(slope, offset, doubt, swarms=300, uavs=60):
         share = expit(slope * (0.25 * place - 14.0) + offset)
         head = rng.random(uavs) < (share if rng.random() >= doubt else share.mean())
         counts = ((k, (place == k).sum(), head[place == k].sum()) for k in np.unique(place))
-        rows.append(row(" ".join(":".join(map(str, entry)) for entry in counts)))
-    return rows
+        rows.append(" ".join(":".join(map(str, entry)) for entry in counts))
+    return pd.DataFrame({"log_odds": rows})
 
 
 @pytest.mark.parametrize(("slope", "offset", "doubt"), [(0.5, 0.0, 0.0), (1.0, -1.5, 0.3), (2.0, 1.0, 0.1)])
@@ -158,11 +70,6 @@ def test_slope_offset_and_doubt_are_recovered_from_counts(slope, offset, doubt):
     assert fitted.slope == pytest.approx(slope, rel=0.1)
     assert fitted.offset == pytest.approx(offset, abs=0.15)
     assert fitted.doubt == pytest.approx(doubt, abs=0.06)
-
-
-def test_without_evidence_the_map_is_the_identity():
-    fitted = fit_calibration([row("")])
-    assert (fitted.slope, fitted.offset) == (1.0, 0.0)
 
 
 @given(st.integers(0, 10_000), st.floats(0.0, 3.0))
@@ -204,3 +111,27 @@ def test_doubt_about_the_fit_misses_heads_together():
     assert choose(p, alive, Policy(policy="map"), tie, doubt=0.3).sum() == 5
     assert choose(p, alive, Policy(policy="map"), tie, doubt=0.6).sum() == 0
     assert choose(p, alive, Policy(objective="P1"), tie, doubt=0.3).sum() == 1
+
+
+def test_interrupted_training_is_resumed_to_the_identical_result(tmp_path):
+    whole = train_calibration(tmp_path / "whole", TINY)
+    with pytest.raises(Interrupted):
+        train_calibration(tmp_path / "parts", TINY, stop_at(2))
+    rows = tmp_path / "parts" / "rows.csv"
+    assert len(pd.read_csv(rows)) == 2
+    with rows.open("a") as file:
+        file.write("0,24,3,2,1")  # a killed run left this
+    calls = []
+    parts = train_calibration(tmp_path / "parts", TINY, lambda *call: calls.append(call))
+    assert calls == [(3, 4), (4, 4)]
+    for name in ("calibration.json", "rows.csv"):
+        assert (whole.parent / name).read_bytes() == (parts.parent / name).read_bytes()
+    with pytest.raises(ArgumentError, match="out must hold no rows of other settings"):
+        train_calibration(tmp_path / "parts", TINY.model_copy(update={"seed": 1}))
+    shorter = train_calibration(tmp_path / "parts", TINY.model_copy(update={"swarms": 2}))
+    assert json.loads(shorter.read_text())["metrics"]["uavs"] == pd.read_csv(rows)["living"][:2].sum()
+
+
+def test_without_evidence_the_map_is_the_identity():
+    fitted = fit_calibration(pd.DataFrame({"log_odds": [""]}))
+    assert (fitted.slope, fitted.offset) == (1.0, 0.0)

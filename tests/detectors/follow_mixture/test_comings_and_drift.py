@@ -8,45 +8,6 @@ from detectors.follow_mixture.motion import read_motion
 from usnet_env import Window
 
 
-def unit(vectors):
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-
-
-def groups_then_others(seed, groups=3, followers=6, others=17, steps=60):
-    """Groups whose followers fly towards their head leave before many independent UAVs come."""
-    rng = np.random.default_rng(seed)
-    uavs = others + groups * (followers + 1)
-    leader = np.arange(uavs)
-    leader[others:] = others + np.arange(uavs - others) // (followers + 1) * (followers + 1)
-    independent = (leader == np.arange(uavs))[:, None]
-    fresh = unit(rng.standard_normal((steps + 1, uavs, 3)))
-    place, before = rng.uniform(-300.0, 300.0, (uavs, 3)), fresh[0]
-    position, velocity = np.empty((steps + 1, uavs, 3)), np.empty((steps, uavs, 3))
-    position[0] = place
-    for t in range(steps):
-        towards = place[leader] - place
-        towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9)
-        wanted = unit(before[leader] + 0.8 * towards + 0.05 * rng.standard_normal((uavs, 3)))
-        velocity[t] = before = np.where(independent, fresh[t + 1], wanted)
-        position[t + 1] = place = place + before
-    seen = np.zeros((steps + 1, uavs), bool)
-    seen[: 2 * steps // 3, others:] = True
-    seen[2 * steps // 3 + 5 :, :others] = True
-    both = seen[:-1] & seen[1:]
-    return Window(
-        np.where(seen[..., None], position, 0), np.where(both[..., None], velocity, 0), seen, np.ones(uavs, bool)
-    )
-
-
-@pytest.mark.parametrize("seed", [0, 1])
-def test_a_follower_that_is_never_seen_together_with_its_head(seed):
-    window = groups_then_others(seed)
-    detection = answer(window)
-    assert detection.candidates.any()
-    assert np.isfinite(detection.scores).all()
-    assert np.isfinite(detection.extras["probability"]).all()
-
-
 def drifting(window, drift):
     """The same swarm in a wind of ``drift`` metres per step."""
     position = window.position + np.arange(len(window.position))[:, None, None] * np.asarray(drift)
@@ -66,24 +27,6 @@ def test_a_common_drift_is_not_taken_for_one_speed(drift, config):
     assert np.array_equal(detection.candidates, truth.head)
 
 
-@pytest.mark.parametrize("drift", [0.0, 30.0])
-def test_gaps_are_interpolated_within_the_drifting_swarm(drift):
-    window, _ = swarm_window(20, uavs=12)
-    seen = np.ones_like(window.seen)
-    seen[[20, 21, 22, 50], 3] = False
-    seen[:7, 4], seen[60:, 4] = False, False
-    both = seen[:-1] & seen[1:]
-    moving = drifting(window, [drift, 0.0, 0.0])
-    gappy = Window(moving.position * seen[..., None], moving.velocity * both[..., None], seen, moving.alive)
-    motion = read_motion(gappy, np.arange(12))
-    velocity = motion.velocity * motion.speed
-    np.testing.assert_allclose(velocity.swapaxes(0, 1)[both], window.velocity[both], atol=1e-3)
-    track = window.position
-    np.testing.assert_allclose(velocity[3, 19:23], np.tile((track[23, 3] - track[19, 3]) / 4, (4, 1)), atol=1e-3)
-    np.testing.assert_allclose(velocity[4, :7], 0.0, atol=1e-3)  # relative to the swarm
-    np.testing.assert_allclose(velocity[4, 59:], 0.0, atol=1e-3)
-
-
 @pytest.mark.parametrize("mobility", ["iid", "smooth_turn"])
 @pytest.mark.parametrize("drift", [[30.0, 0.0, 0.0], [0.0, -60.0, 80.0]])
 def test_the_drift_of_uavs_of_one_speed_is_found_exactly(mobility, drift):
@@ -94,38 +37,3 @@ def test_the_drift_of_uavs_of_one_speed_is_found_exactly(mobility, drift):
     assert not still.drift.any()
     np.testing.assert_allclose(moved.drift, drift, atol=1e-3)
     np.testing.assert_allclose(moved.velocity, still.velocity, atol=1e-3)
-
-
-def test_a_slow_drift_is_left_in_and_one_of_unequal_speeds_is_the_mean():
-    window, _ = swarm_window(22, uavs=24, position_noise=0.3)
-    slow = read_motion(drifting(window, [0.5, 0.0, 0.0]), np.arange(24))
-    assert not slow.drift.any()
-    fast = drifting(window, [0.0, 40.0, 0.0])
-    motion = read_motion(fast, np.arange(24))
-    assert not motion.unit
-    np.testing.assert_allclose(motion.drift, fast.velocity.reshape(-1, 3).mean(axis=0), atol=1e-4)
-
-
-def flatten(window, axes):
-    """The window with motion along some axes only, which become the last ones."""
-    position, velocity = (np.zeros_like(values) for values in (window.position, window.velocity))
-    position[..., -len(axes) :], velocity[..., -len(axes) :] = window.position[..., axes], window.velocity[..., axes]
-    return Window(position, velocity, window.seen, window.alive, window.round)
-
-
-def test_an_axis_without_motion_adds_no_evidence():
-    """Heads on a line, behind noise: with the weight of three axes, the evidence of one axis was overrated."""
-    noisy = {"follow": "f2", "clusters": 3, "uavs": 30, "mobility": "gauss_markov", "head_jitter": True}
-    exact = 0
-    for seed in range(12):
-        window, truth = swarm_window(seed, position_noise=0.2, **noisy)
-        exact += np.array_equal(answer(flatten(window, [0]), policy="map").candidates, truth.head)
-    assert exact >= 9
-
-
-def test_the_plane_of_a_swarm_does_not_matter():
-    window, truth = swarm_window(3, position_noise=0.1, follow="f2", clusters=3, uavs=30)
-    last, first = answer(flatten(window, [0, 1])), answer(flatten(window, [1, 0]))
-    np.testing.assert_allclose(last.extras["probability"], first.extras["probability"], atol=1e-6)
-    assert np.array_equal(last.candidates, truth.head)
-    assert last.extras["strategy"]["law"].shape[1] == 2

@@ -9,9 +9,6 @@ from scipy.optimize import minimize_scalar
 from detectors.follow_mixture.evidence import (
     add_rests,
     bayes_factor,
-    choose_pairs,
-    fit_law,
-    gain_by_law,
     gather_statistics,
     make_targets,
     own_evidence,
@@ -65,26 +62,6 @@ def all_pairs(velocity):
     return add_rests(make_targets(velocity, LABEL, LAGS), pair(group, uav), velocity)
 
 
-def choose(targets, past, names):
-    """The candidates of the two groups of several."""
-    groups = np.array(list(HEAD_OF))
-    return choose_pairs(targets, screen(targets, past, names, groups), groups)
-
-
-@pytest.mark.parametrize("steps", [20, 60])
-def test_innovations_are_residuals_of_a_weighted_regression_on_the_own_past(steps):
-    velocity, _ = make_problem(steps=steps)
-    targets, pairs = all_pairs(velocity)
-    without = [int(pairs.target[(pairs.group == group) & (pairs.uav == uav)][0]) for group, uav in ((1, 3), (2, 4))]
-    rows = {1: members_of(1, -1), 3: [6], without[0]: members_of(1, 3), without[1]: members_of(2, 4)}
-    for row, members in rows.items():
-        target, known, weight = weighted_parts(velocity, members)
-        np.testing.assert_allclose(targets.innovation[row].T, regress(known, target), atol=1e-4)
-        np.testing.assert_allclose(targets.weight[row], weight, rtol=1e-3)
-    assert len(targets.innovation) == 5 + (np.bincount(LABEL)[LABEL] > 1).sum()  # a group of one has no rest
-    assert (targets.rows <= steps - LAGS - targets.own.shape[1] + 1e-9).all()
-
-
 def test_the_evidence_of_a_pair_is_that_of_a_regression_on_both_pasts():
     velocity, past = make_problem(1)
     targets, pairs = all_pairs(velocity)
@@ -136,67 +113,6 @@ def test_the_bayes_factor_is_the_largest_of_a_g_prior(seed, width, strength, axe
     best = max(0.0, -minimize_scalar(lambda x: -evidence(np.exp(x)), (-3.0, 3.0), tol=1e-10).fun)
     share = ((features.T @ y) ** 2).sum() / (y**2).sum()
     assert float(bayes_factor(share, np.float64(rows), width, axes)) == pytest.approx(best, rel=1e-6, abs=1e-6)
-
-
-def test_a_share_of_1_in_single_precision_is_finite_evidence():
-    shares = np.array([[1.0, 1.1, 0.5]], np.float32)
-    found = bayes_factor(shares, np.array([[40.0]]), 3, 3)
-    assert np.isfinite(found).all()
-    assert found[0, 0] == found[0, 1] > found[0, 2]
-
-
-@pytest.mark.parametrize("name", [0, 1, 3])
-def test_a_shared_law_is_a_stacked_weighted_regression(name):
-    velocity, past = make_problem(2)
-    targets, pairs = all_pairs(velocity)
-    (statistics,) = gather_statistics(targets, past, pairs, [NAMES[name]])
-    features = make_features(past, [NAMES[name]])[0].swapaxes(1, 2)
-    used = np.array([np.flatnonzero((pairs.group == g) & (pairs.uav == h))[0] for g, h in [*HEAD_OF.items(), (2, 5)]])
-    variance = np.array([0.5, 1.0, 3.0])
-    design, target = [], []
-    for place, (group, uav) in enumerate([*HEAD_OF.items(), (2, 5)]):
-        y, known, weight = weighted_parts(velocity, members_of(group, uav))
-        own = [known if k == place else np.zeros_like(known) for k in range(3)]
-        design.append(np.column_stack([*own, features[uav] * weight[:, None]]) / np.sqrt(variance[place]))
-        target.append(y / np.sqrt(variance[place]))
-    expected = np.linalg.lstsq(np.concatenate(design), np.concatenate(target), rcond=None)[0][-statistics.width :]
-    law = fit_law(statistics, used, variance)
-    np.testing.assert_allclose(law, expected, atol=2e-3)
-    gained, left = gain_by_law(targets, pairs, statistics, law)
-    for group, uav in ((1, 0), (2, 6), (1, 3), (0, 5)):
-        (place,) = np.flatnonzero((pairs.group == group) & (pairs.uav == uav))
-        y, known, weight = weighted_parts(velocity, members_of(group, uav))
-        energy = (regress(known, y) ** 2).sum()
-        error = (regress(known, y - (features[uav] * weight[:, None]) @ law) ** 2).sum()
-        rows = targets.rows[pairs.target[place]]
-        assert gained[place] == pytest.approx(-1.5 * rows * np.log(error / energy), rel=1e-3, abs=1e-2)
-        assert left[place] == pytest.approx(error / (3.0 * rows), rel=1e-3)
-
-
-def test_the_best_candidates_of_each_sort_are_nominated():
-    velocity, past = make_problem(3)
-    targets, every = all_pairs(velocity)
-    (statistics,) = gather_statistics(targets, past, every, ["v(1)"])
-    evidence = own_evidence(targets, every, statistics)
-    chosen = choose(targets, past, ["v(1)"])
-    named = set(zip(chosen.group, chosen.uav, strict=True))
-    alone = np.bincount(LABEL)[LABEL] == 1
-    for group in HEAD_OF:
-        for sort in (alone, ~alone):
-            some = (every.group == group) & sort[every.uav] & (LABEL[every.uav] != group)
-            kept = np.array([(group, uav) in named for uav in every.uav[some]])
-            best = np.sort(evidence[some])[-3:]
-            best = best[best > 0]
-            assert (evidence[some][kept] > 0).all()
-            np.testing.assert_allclose(np.sort(evidence[some][kept])[-len(best) :], best, rtol=1e-3, atol=1e-3)
-    assert all((group, head) in named for group, head in HEAD_OF.items())
-    member = LABEL[chosen.uav] == chosen.group
-    assert np.array_equal(chosen.target, chosen.group)
-    joined, pairs = add_rests(make_targets(velocity, LABEL, LAGS), chosen, velocity)
-    assert np.array_equal(pairs.target[~member], chosen.group[~member])
-    assert np.array_equal(np.sort(pairs.target[member]), 5 + np.arange(member.sum()))  # each without the member itself
-    assert member.any()
-    assert len(joined.innovation) == 5 + member.sum()
 
 
 def test_features_of_a_row_are_functions_of_its_past():

@@ -1,16 +1,11 @@
 """Spectra and groups of follow-mixture against slow definitions."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from mixture_windows import swarm_window
-from scipy.stats import multivariate_normal
 
-from detectors.follow_mixture.groups import _Bands, _merge_best, _spectral_bands
-from detectors.follow_mixture.motion import filter_tracks, fit_spectra, read_motion, smoothed_pasts
+from detectors.follow_mixture.groups import _spectral_bands
+from detectors.follow_mixture.motion import fit_spectra, read_motion, smoothed_pasts
 
 
 def flown(seed, **config):
@@ -43,21 +38,6 @@ def test_smoothed_pasts_are_expectations_given_earlier_observations():
         np.testing.assert_allclose(pasts[uav, lag - 1, :, row], expect(motion, spectra, uav, row + 4, lag), atol=1e-8)
 
 
-def test_filtered_tracks_are_expectations_given_one_side_of_time():
-    motion, spectra = flown(6, position_noise=0.5)
-    past, future = filter_tracks(motion.velocity, spectra, np.array([7, 29]))
-    turned = replace(motion, velocity=motion.velocity[:, ::-1])
-    for place, uav, step in ((0, 7, 40), (1, 29, 0), (1, 29, 99)):
-        np.testing.assert_allclose(past[place, step], expect(motion, spectra, uav, step + 1, 1), atol=1e-8)
-        np.testing.assert_allclose(future[place, -1 - step], expect(turned, spectra, uav, step + 1, 1), atol=1e-8)
-
-
-def test_without_noise_tracks_are_known():
-    motion, spectra = flown(6)
-    for known in filter_tracks(motion.velocity, spectra, np.array([3])):
-        np.testing.assert_array_equal(known, motion.velocity[[3]])
-
-
 @pytest.mark.parametrize("steps", [9, 10])
 def test_fourier_coordinates_keep_lengths_and_angles(steps):
     velocity = np.random.default_rng(0).standard_normal((4, steps, 3))
@@ -68,69 +48,3 @@ def test_fourier_coordinates_keep_lengths_and_angles(steps):
     assert count.tolist() == [len(some) for some in columns]
     assert (np.diff(wave) >= 0).all()
     assert wave.max() <= 4.0
-
-
-@given(st.integers(0, 1000), st.integers(1, 6), st.floats(0.05, 20.0), st.floats(0.1, 5.0))
-@settings(max_examples=30)
-def test_the_worth_of_a_group_is_a_difference_of_log_densities(seed, size, ratio, noise):
-    """x_i = s + e_i with s ~ N(0, P N) and e ~ N(0, N), in each of six coordinates of two bands."""
-    members = np.random.default_rng(seed).standard_normal((2, size, 3))
-    ratios, noises = np.array([ratio, 0.5 * ratio]), np.array([noise, 2.0 * noise])
-    expected = 0.0
-    for band in range(2):
-        joint = multivariate_normal(np.zeros(size), noises[band] * (np.eye(size) + ratios[band]))
-        alone = multivariate_normal(np.zeros(size), noises[band] * np.eye(size))
-        expected += (joint.logpdf(members[band].T) - alone.logpdf(members[band].T)).sum()
-    energy = (members.sum(axis=1) ** 2).sum(axis=1)
-    worth = _Bands(noises, ratios, np.array([3.0, 3.0])).worth(energy, np.float64(size))
-    assert float(worth) == pytest.approx(expected, rel=1e-9, abs=1e-9)
-
-
-def merge_slowly(gram, models, price):
-    """The partition of the highest log density less prices on the path of greedy mergers, and its model."""
-    uavs = gram.shape[1]
-
-    def worth(model, members):
-        return float(model.worth(gram[:, members][:, :, members].sum(axis=(1, 2)), np.float64(len(members))))
-
-    path = [[[i] for i in range(uavs)]]
-    while True:
-        groups = path[-1]
-        now = [worth(models[-1], some) for some in groups]
-        rises = {
-            (a, b): worth(models[-1], groups[a] + groups[b]) - now[a] - now[b]
-            for a in range(len(groups))
-            for b in range(a)
-        }
-        a, b = max(rises, key=rises.__getitem__, default=(0, 0))
-        if not rises.get((a, b), 0.0) > price:
-            break
-        path.append([*(some for k, some in enumerate(groups) if k not in (a, b)), groups[a] + groups[b]])
-    energy = np.einsum("fii->f", gram)
-    found = []
-    for model in models:
-        alone = -0.5 * (energy / model.noise + uavs * model.count * np.log(model.noise)).sum()
-        for mergers, groups in enumerate(path):
-            found.append((alone + sum(worth(model, some) for some in groups) - mergers * price, groups, model))
-    return max(found, key=lambda one: one[0])[1:]
-
-
-@pytest.mark.parametrize("price", [0.0, np.log(13), 10.0])
-@pytest.mark.parametrize("seed", range(5))
-def test_groups_are_merged_as_by_definition(seed, price):
-    rng = np.random.default_rng(seed)
-    label = rng.integers(0, 4, 13)
-    shared = rng.normal(size=(3, 4, 6))[:, label]
-    x = shared + rng.choice([0.2, 0.7]) * rng.normal(size=(3, 13, 6))
-    x[:, rng.choice(13, 3, replace=False)] = rng.normal(size=(3, 3, 6))
-    gram = x @ x.swapaxes(1, 2)
-    count = np.full(3, 6.0)
-    models = [
-        _Bands(share * np.array([1.0, 1.2, 1.5]), (1.0 - share) / share * np.array([1.0, 0.8, 0.5]), count)
-        for share in (0.03, 0.1, 0.3, 0.5)
-    ]
-    found, model = _merge_best(gram, models, price)
-    groups, expected = merge_slowly(gram, models, price)
-    assert model is expected
-    wanted = {frozenset(some) for some in groups}
-    assert {frozenset(np.flatnonzero(found == name).tolist()) for name in np.unique(found)} == wanted

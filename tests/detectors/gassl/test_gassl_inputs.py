@@ -1,17 +1,12 @@
 """The topology matrix of equation (5), the batch of Algorithm 1, and its standardised form."""
 
-import gymnasium as gym
 import numpy as np
 import pytest
-from single_cluster_windows import changed, cluster, without
+from single_cluster_windows import cluster, without
 
-from detectors.baselines.trivial import NoCandidates
-from detectors.gassl import Gassl
 from detectors.gassl.topology_matrix import build_batch
 from detectors.gassl.training import prepare_inputs
 from detectors.series.gaps import fill_gaps
-from usnet_env import ArgumentError, Window
-from usnet_env.replay import record_episode
 
 
 def topology_matrix(window, time, members=None, memory=4):
@@ -43,31 +38,6 @@ def test_the_topology_matrix_of_a_cluster_has_the_rows_of_its_members():
     np.testing.assert_array_equal(living.reshape(4, 3, 5), rows[[0, 1, 3, 4]])
 
 
-def test_missing_columns_are_filled():
-    window, _ = cluster(followers=2, observation_steps=12)
-    seen = window.seen.copy()
-    seen[5, 1] = False
-    holed = changed(window, seen=seen)
-    x = topology_matrix(holed, 8).reshape(3, 3, 5)[1]  # p at instant 5, v at 5 to 8
-    place = (window.position[4, 1] + window.position[6, 1]) / 2
-    np.testing.assert_allclose(x[:, 0], place, rtol=1e-6)
-    np.testing.assert_allclose(x[:, 1], window.position[6, 1] - place, atol=1e-3)
-    np.testing.assert_array_equal(x[:, 2:], window.velocity[6:9, 1].T)
-
-
-def test_the_topology_matrix_is_that_of_a_recorded_episode():
-    env = gym.make("USNET/MultiCluster-v0", clusters=2, uavs=9, observation_steps=12, max_rounds=1)
-    episode = record_episode(env, NoCandidates(), 3, 0)
-    arrays = (episode.position[0], episode.velocity[0], episode.seen[0], episode.alive[0])
-    window = Window(*arrays)
-    for time in (3, 7, 10):
-        np.testing.assert_array_equal(topology_matrix(window, time), episode.topology_matrix(1, time, memory=4))
-        head = int(np.flatnonzero(episode.head)[0])
-        members = np.flatnonzero((episode.root[0] == head) | (np.arange(9) == head))
-        found = topology_matrix(window, time, members)
-        np.testing.assert_array_equal(found, episode.topology_matrix(1, time, head=head, memory=4))
-
-
 @pytest.mark.parametrize("memory", [4, 2])
 def test_a_batch_is_the_matrices_of_all_times_and_the_next_velocities(memory):
     window, _ = cluster(followers=3, miss_rate=0.2, observation_steps=15)
@@ -89,13 +59,6 @@ def test_a_batch_is_the_matrices_of_all_times_and_the_next_velocities(memory):
     assert 0 < batch.weight.mean() < 1
 
 
-def test_a_batch_needs_more_velocities_than_the_memory():
-    window, _ = cluster(followers=2, observation_steps=5)
-    assert build_batch(window).times == 1
-    with pytest.raises(ArgumentError, match=r"^window must hold more than memory = 5 velocities, got 5\.$"):
-        Gassl(memory=5).detect(window)
-
-
 def test_inputs_are_the_standardised_batch():
     window, _ = cluster(followers=3, observation_steps=15, miss_rate=0.1)
     batch = build_batch(window)
@@ -112,11 +75,3 @@ def test_inputs_are_the_standardised_batch():
             np.testing.assert_allclose(inputs.own[i, t], (batch.own[t, i] - mean).ravel(), atol=1e-3)
             np.testing.assert_array_equal(inputs.target[i, t], batch.target[t, i])
             assert inputs.weight[i, t] == batch.weight[t, i]
-
-
-def test_uavs_that_do_not_move_have_finite_inputs():
-    window, _ = cluster(followers=2, observation_steps=12)
-    still = changed(window, position=np.ones_like(window.position), velocity=np.zeros_like(window.velocity))
-    inputs = prepare_inputs(build_batch(still))
-    for values in (inputs.history, inputs.value, inputs.own):
-        assert np.isfinite(values).all()

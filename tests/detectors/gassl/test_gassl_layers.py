@@ -20,13 +20,6 @@ def test_exp_of_numbers_up_to_0(size):
     assert x[0] == 1.0
 
 
-def test_exp_of_very_negative_numbers_is_nothing_beside_1():
-    x = np.array([-80.0, -200.0, -1e30, -np.inf], np.float32)
-    exp_in_place(x, np.empty(4, np.int32))
-    assert (x >= 0).all()
-    assert (x < 1e-30).all()
-
-
 @pytest.mark.parametrize("shape", [(1,), (5, 3), (2, 3, 4)])
 def test_tanh_is_odd_bounded_and_numpys(shape):
     x = np.random.default_rng(0).normal(0, 3, shape).astype(np.float32)

@@ -1,22 +1,21 @@
 """Training of the learned detector: the same weights whether interrupted or not, a loss that falls, files that hold."""
 
 import json
-from hashlib import sha256
 from importlib.resources import files
 
 import numpy as np
 import pytest
 import torch
 from interrupted_training import Interrupted, read_losses, same_files, stop_at, unchanged_generators
-from safetensors.torch import load, save
 
-from detectors.checks.windows import simulate_window
+from detectors.checks.windows import draw_window
 from detectors.learned import Learned
 from detectors.learned.detector import load_network
 from detectors.learned.network import build_network
 from detectors.learned.train import HeadTraining, train_heads
+from detectors.mc_gassl.train import MetaTraining, train_meta
 from detectors.random_swarms import draw_training_swarm
-from detectors.weights import arrays_of, packaged_record, read_arrays, write_weights
+from detectors.weights import read_arrays, write_weights
 from usnet_env.config import ArgumentError
 from usnet_env.swarm.random_follow import RandomFollowStrategy
 
@@ -40,7 +39,7 @@ def test_interrupted_training_goes_on_to_the_identical_result(tmp_path):
             train_heads(tmp_path / "parts", training, stop_at(5), checkpoint_every=4)
         assert not (tmp_path / "parts" / "learned.safetensors").exists()
         calls = []
-        train_heads(tmp_path / "parts", training, lambda *call: calls.append(call), checkpoint_every=4, workers=2)
+        train_heads(tmp_path / "parts", training, lambda *call: calls.append(call), checkpoint_every=4)
     assert calls == [(5, 6), (6, 6)]
     same_files(tmp_path / "whole", tmp_path / "parts")
     with pytest.raises(ArgumentError, match="out must hold no checkpoint of another training"):
@@ -62,24 +61,10 @@ def test_a_short_training_lowers_the_loss_and_writes_what_it_did(tmp_path):
     assert metrics["last_loss"] == pytest.approx(np.mean(losses[-15:]), abs=1e-5)
     assert np.mean(losses[-10:]) < 0.7 * np.mean(losses[:10])
     assert metrics["held_out_loss"] < np.mean(losses[:10])
-    window = simulate_window(2, 9)
     detector = Learned(weights=str(path))
+    window = draw_window(detector, 9, 2)
     detector.reset(0)
     assert not np.array_equal(detector.detect(window).scores, Learned().detect(window).scores)
-
-
-def test_the_shipped_weights_are_those_of_their_record():
-    folder = files("detectors.learned") / "data"
-    record = packaged_record("detectors.learned", "learned")
-    data = (folder / "learned.safetensors").read_bytes()
-    assert record["sha256"] == sha256(data).hexdigest()
-    assert len(data) < 1_000_000
-    plain = {name: value for name, value in record["training"].items() if name not in ("torch", "numpy")}
-    assert HeadTraining(**plain) == HeadTraining()  # what the command trains by default
-    assert record["metrics"]["last_loss"] < 0.5 * record["metrics"]["first_loss"]
-    shipped = load_network()
-    for name, value in load(data).items():
-        assert torch.equal(shipped.state_dict()[name], value)
 
 
 def test_swarms_of_training_are_of_every_kind():
@@ -94,33 +79,40 @@ def test_swarms_of_training_are_of_every_kind():
         assert 0 < sum(bool(getattr(config, name)) for config in drawn) < 300
 
 
-def test_changed_or_foreign_weights_are_refused(tmp_path):
-    network = load_network()
-    path = write_weights(tmp_path / "own.safetensors", network.state_dict(), {}, {})
-    assert torch.equal(read_arrays(path)["itself"], network.state_dict()["itself"])
-    path.write_bytes(path.read_bytes()[:-1] + b"\x01")
-    with pytest.raises(ArgumentError, match="path must hold the weights that its JSON names"):
-        read_arrays(path)
-    path.with_suffix(".json").write_text("{}")
-    with pytest.raises(ArgumentError, match="path must have a JSON with a sha256 beside it"):
-        read_arrays(path)
-    with pytest.raises(ArgumentError, match="path must be a name that ends in"):
-        write_weights(tmp_path / "own.pt", {}, {}, {})
-    with pytest.raises(ArgumentError, match="path must be a safetensors file"):
-        arrays_of("half", b"half of one")
-    with pytest.raises(ArgumentError, match="path must hold the arrays of a head network"):
-        build_network("other", load(save({"w": torch.zeros(3)})))
-    broken = {name: torch.full_like(value, torch.nan) for name, value in network.state_dict().items()}
-    with pytest.raises(ArgumentError, match="path must hold finite arrays"):
-        build_network("other", broken)
-    (tmp_path / "checkpoint.safetensors").write_bytes(b"half of one")
-    with pytest.raises(ArgumentError, match="path must be a safetensors file"):
-        train_heads(tmp_path, HeadTraining(**SMALL))
-
-
 @pytest.mark.parametrize(
     "bad", [{"steps": 0}, {"swarms": 0}, {"seed": -1}, {"rate": 0.0}, {"most_uavs": 9}, {"leader_weight": -1.0}]
 )
 def test_bad_settings_are_refused(bad):
     with pytest.raises(ArgumentError, match=next(iter(bad))):
         HeadTraining(**bad)
+
+
+def test_the_shipped_weights_are_those_of_the_default_training():
+    record = json.loads((files("detectors.learned") / "data" / "learned.json").read_text())
+    plain = {name: value for name, value in record["training"].items() if name not in ("torch", "numpy")}
+    assert HeadTraining(**plain) == HeadTraining()  # what the command trains by default
+    assert record["metrics"]["last_loss"] < 0.5 * record["metrics"]["first_loss"]
+
+
+def test_foreign_weights_are_refused(tmp_path):
+    network = load_network()
+    path = write_weights(tmp_path / "own.safetensors", network.state_dict(), {}, {"loss": 1})
+    assert json.loads(path.with_suffix(".json").read_text()) == {"training": {}, "metrics": {"loss": 1}}
+    for name, value in read_arrays(path).items():
+        assert torch.equal(value, network.state_dict()[name])
+    with pytest.raises(ArgumentError, match="path must hold the arrays of a head network"):
+        build_network("other", {"w": torch.zeros(3)})
+    broken = {name: torch.full_like(value, torch.nan) for name, value in network.state_dict().items()}
+    with pytest.raises(ArgumentError, match="path must hold finite arrays"):
+        build_network("other", broken)
+    (tmp_path / "checkpoint.safetensors").write_bytes(b"half of one")
+    for refused in (lambda: train_heads(tmp_path, HeadTraining(**SMALL)), lambda: read_arrays(tmp_path / "none")):
+        with pytest.raises(ArgumentError, match="path must be a safetensors file"):
+            refused()
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_anything_is_trained(tmp_path):
+    (tmp_path / "file").write_text("")
+    for train, settings in ((train_heads, HeadTraining()), (train_meta, MetaTraining())):
+        with pytest.raises(ArgumentError, match="out must be a folder that can be written"):
+            train(tmp_path / "file" / "out", settings)

@@ -1,48 +1,20 @@
 """Features of a window: shapes, masks, and the GRU network behind them."""
 
-from functools import partial
 from typing import get_args
 
 import numpy as np
-import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mc_gassl_inputs import parameters, swarm_window
 
-from detectors.clustering import make_clusterer
 from detectors.mc_gassl.features import Mode, gru_features, inputs_of
 from detectors.mc_gassl.gru import embed
 from usnet_env import Window
-from usnet_env.config import ArgumentError
 
 
 def weights(width=3):
     return parameters(width, dtype=torch.float32)
-
-
-def changed(window, **arrays):
-    parts = {name: getattr(window, name) for name in ("position", "velocity", "seen", "alive", "round")}
-    return Window(**{**parts, **arrays})
-
-
-def without(window, gone):
-    alive = window.alive.copy()
-    alive[gone] = False
-    position, velocity = (np.where(alive[:, None], a, 0) for a in (window.position, window.velocity))
-    return changed(window, position=position, velocity=velocity, seen=window.seen & alive, alive=alive)
-
-
-def test_inputs_are_the_windows_samples():
-    window, _ = swarm_window(uavs=20, clusters=3, observation_steps=30)
-    inputs = inputs_of(window, memory=4)
-    assert inputs.position.shape == (27, 20, 3)
-    assert inputs.velocity.shape == (27, 20, 4, 3)
-    for r in (0, 13, 26):
-        np.testing.assert_array_equal(inputs.position[r].numpy(), window.position[r])
-        for lag in range(4):
-            np.testing.assert_array_equal(inputs.velocity[r, :, lag].numpy(), window.velocity[r + lag])
-    assert bool(inputs.seen.all())
 
 
 @settings(max_examples=25, deadline=None)
@@ -78,64 +50,3 @@ def test_the_modes_are_the_newest_the_mean_and_all_of_one_series():
     np.testing.assert_allclose(single, series[:, -1], atol=1e-6)
     mean = gru_features(window, weights(), "mean", scale=(500.0, 500.0, 50.0))
     np.testing.assert_allclose(mean, series.mean(axis=1), atol=1e-12)
-
-
-def test_the_mean_leaves_out_times_that_were_not_seen():
-    window, _ = swarm_window(uavs=20, clusters=3, observation_steps=30)
-    whole = gru_features(window, weights(), "series")
-    seen = window.seen.copy()
-    seen[10, 7] = False  # velocities 9 and 10, and so the times 6 to 10
-    hidden = seen[..., None]
-    velocity_seen = (seen[:-1] & seen[1:])[..., None]
-    holed = changed(
-        window,
-        position=np.where(hidden, window.position, 0),
-        velocity=np.where(velocity_seen, window.velocity, 0),
-        seen=seen,
-    )
-    mean = gru_features(holed, weights(), "mean")
-    np.testing.assert_allclose(mean[7], np.delete(whole[7], range(6, 11), axis=0).mean(axis=0), atol=1e-6)
-    others = np.arange(20) != 7
-    np.testing.assert_array_equal(mean[others], gru_features(window, weights(), "mean")[others])
-
-
-@pytest.mark.parametrize("mode", get_args(Mode))
-def test_the_destroyed_are_zero_and_change_nobody(mode):
-    window, _ = swarm_window(uavs=20, clusters=3, observation_steps=30)
-    fewer = without(window, [3, 11])
-    values = gru_features(fewer, weights(), mode)
-    assert not values[[3, 11]].any()
-    rest = np.delete(np.arange(20), [3, 11])
-    np.testing.assert_array_equal(values[rest], gru_features(window, weights(), mode)[rest])
-    assert not bool(inputs_of(fewer).seen[:, [3, 11]].any())
-
-
-@pytest.mark.parametrize("mode", get_args(Mode))
-def test_features_follow_the_order_of_the_uavs_and_touch_no_generator(mode):
-    window, _ = swarm_window(uavs=20, clusters=3, observation_steps=30)
-    order = np.random.default_rng(0).permutation(20)
-    shuffled = changed(
-        window,
-        position=window.position[:, order],
-        velocity=window.velocity[:, order],
-        seen=window.seen[:, order],
-        alive=window.alive[order],
-    )
-    before = torch.random.get_rng_state()
-    values = gru_features(window, weights(), mode)
-    np.testing.assert_allclose(gru_features(shuffled, weights(), mode), values[order], atol=1e-6)
-    assert torch.equal(before, torch.random.get_rng_state())
-
-
-@pytest.mark.parametrize("mode", get_args(Mode))
-def test_clusterers_take_them(mode):
-    window, _ = swarm_window(uavs=20, clusters=3, observation_steps=30)
-    clusterer = make_clusterer("kmeans", count=3, features=partial(gru_features, parameters=weights(), mode=mode))
-    assert clusterer.cluster(window, np.random.default_rng(0)).count == 3
-
-
-@pytest.mark.parametrize("bad", [{"mode": "meen"}, {"memory": 0}, {"scale": 0.0}, {"scale": (1.0, -1.0, 1.0)}])
-def test_bad_arguments_are_refused(bad):
-    window, _ = swarm_window(uavs=20, clusters=3, observation_steps=30)
-    with pytest.raises(ArgumentError, match=next(iter(bad))):
-        gru_features(window, weights(), **bad)

@@ -5,10 +5,8 @@ import torch
 from mc_gassl_inputs import clustered, generator, parameters
 
 from detectors.mc_gassl.gru import GruParameters
-from detectors.mc_gassl.train import MetaTraining
-from detectors.mc_gassl.training_steps import OnlineTraining, Task, joint_step, meta_step, train_online
+from detectors.mc_gassl.training_steps import OnlineTraining, Task, meta_step, train_online
 from detectors.mc_gassl.triplet import Metric, batch_loss
-from usnet_env.config import ArgumentError
 
 # Every hinge is far from its kink, so that differences are derivatives; hard triplets don't depend on the weights.
 SMOOTH = Metric(sampling="hard", margin=5.0, times=3, anchors=10, scale=1.0)
@@ -82,15 +80,6 @@ def through_both(support, query, at, rate):
     return query(less(at, rate, gradients))
 
 
-def test_the_joint_step_descends_the_mean_of_both_losses():
-    drawn, at = task(3), parameters(seed=4)
-    support, query = losses_of(drawn, SMOOTH, generator(6))
-    gradients = numerical_gradient(lambda weights: 0.5 * (support(weights) + query(weights)), at)
-    found, loss = joint_step(at, drawn, SMOOTH, 0.2, generator(6))
-    assert_equal_parameters(found, less(at, 0.2, gradients), 1e-7)
-    assert loss == pytest.approx(float(query(at)))
-
-
 def separable(seed=0):
     """Clusters whose UAVs share their velocities but for a little noise, at positions that tell nothing."""
     swarm = clustered(times=30, uavs=12, clusters=3, seed=seed)
@@ -118,15 +107,6 @@ def test_online_training_parts_the_clusters(sampling):
     assert torch.equal(before, torch.random.get_rng_state())
 
 
-def test_one_online_step_is_equation_39():
-    swarm, at = clustered(), parameters()
-    loss = losses_of(Task(swarm, swarm), SMOOTH, generator(2))[0]
-    settings = OnlineTraining(steps=1, rate=0.4, metric=SMOOTH)
-    found, losses = train_online(at, swarm.inputs, swarm.labels, settings, generator(2))
-    assert_equal_parameters(found, less(at, 0.4, numerical_gradient(loss, at)), 1e-7)
-    assert losses == [pytest.approx(float(loss(at)))]
-
-
 @pytest.mark.parametrize("labels", [[0] * 9, list(range(9)), [-1] * 9])
 def test_online_training_without_a_triplet_changes_nothing(labels):
     at = parameters()
@@ -135,18 +115,3 @@ def test_online_training_without_a_triplet_changes_nothing(labels):
     )
     assert_equal_parameters(found, at)
     assert losses == [0.0, 0.0, 0.0]
-
-
-@pytest.mark.parametrize(
-    ("kind", "bad"),
-    [
-        (OnlineTraining, {"steps": -1}),
-        (OnlineTraining, {"rate": 0.0}),
-        (MetaTraining, {"method": "maml"}),
-        (MetaTraining, {"inner_rate": -1.0}),
-        (MetaTraining, {"outer_rate": float("nan")}),
-    ],
-)
-def test_bad_settings_are_refused(kind, bad):
-    with pytest.raises(ArgumentError, match=next(iter(bad))):
-        kind(**bad)

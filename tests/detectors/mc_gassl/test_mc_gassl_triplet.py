@@ -8,7 +8,6 @@ from mc_gassl_inputs import generator, parameters, random_inputs
 
 from detectors.mc_gassl.gru import GruParameters, embed
 from detectors.mc_gassl.triplet import Metric, batch_loss, draw_triplets, triplet_loss
-from usnet_env.config import ArgumentError
 
 SAMPLINGS = ("hard", "semi-hard", "random")
 
@@ -99,29 +98,6 @@ def test_every_triplet_is_one(sampling, labels, anchors, seed):
         assert n in other
 
 
-def test_random_triplets_choose_everybody_alike():
-    inputs = random_inputs(times=1500, uavs=6)
-    triplets = drawn("random", inputs, torch.tensor([0, 0, 0, 1, 1, 1]))[1]
-    negatives = torch.bincount(triplets.negative[triplets.anchor == 0], minlength=6)
-    positives = torch.bincount(triplets.positive[triplets.anchor == 0], minlength=6)
-    assert negatives[:3].sum() == 0
-    assert positives[[0, 3, 4, 5]].sum() == 0
-    assert (negatives[3:] - 500).abs().max() < 100
-    assert (positives[1:3] - 750).abs().max() < 120
-
-
-@settings(max_examples=30, deadline=None)
-@given(margin=st.floats(0.01, 5.0), seed=st.integers(0, 1000))
-def test_the_loss_is_the_hinge_of_two_distances(margin, seed):
-    inputs, labels = random_inputs(seed=seed), torch.arange(9) % 3
-    features, triplets = drawn("random", inputs, labels, seed=seed)
-    losses = loss_of(features, triplets, margin)
-    for loss, (t, a, p, n) in zip(losses.tolist(), rows(triplets), strict=True):
-        near = sum((x - y) ** 2 for x, y in zip(features[t, p].tolist(), features[t, a].tolist(), strict=True)) ** 0.5
-        far = sum((x - y) ** 2 for x, y in zip(features[t, n].tolist(), features[t, a].tolist(), strict=True)) ** 0.5
-        assert loss == pytest.approx(max(0.0, near - far + margin), abs=1e-12)
-
-
 def test_the_batch_loss_is_the_mean_and_its_gradient_that_of_finite_differences():
     inputs, labels = random_inputs(), torch.arange(9) % 3
     metric = Metric(sampling="hard", margin=5.0, times=5, anchors=1000, scale=1.0)  # no hinge is at its kink
@@ -133,44 +109,3 @@ def test_the_batch_loss_is_the_mean_and_its_gradient_that_of_finite_differences(
     features, triplets = drawn("hard", inputs, labels)
     assert loss(*arrays).item() == pytest.approx(loss_of(features, triplets, 5.0).mean().item())
     assert torch.autograd.gradcheck(loss, tuple(tensor.requires_grad_(True) for tensor in arrays))
-
-
-def test_collapsed_features_have_the_margin_as_loss_and_a_finite_gradient():
-    inputs, labels = random_inputs(), torch.arange(9) % 3
-    inputs.position.zero_()
-    at = GruParameters(*map(torch.zeros_like, parameters().tensors())).trainable()
-    loss = batch_loss(at, inputs, labels, Metric(margin=0.7, scale=1.0), generator())
-    assert loss.item() == pytest.approx(0.7)
-    assert all(bool(gradient.isfinite().all()) for gradient in torch.autograd.grad(loss, at.tensors()))
-
-
-@pytest.mark.parametrize("sampling", SAMPLINGS)
-@pytest.mark.parametrize("labels", [[0] * 9, list(range(9)), [-1] * 9, [0, 0, *[-1] * 7]])
-def test_without_a_triplet_the_loss_and_its_gradient_are_nothing(sampling, labels):
-    at = parameters().trainable()
-    loss = batch_loss(at, random_inputs(), torch.tensor(labels), Metric(sampling=sampling), generator())
-    assert loss.item() == 0.0
-    assert all(not gradient.any() for gradient in torch.autograd.grad(loss, at.tensors()))
-
-
-def test_far_away_from_the_origin_hard_sampling_is_still_exact():
-    near, labels = random_inputs(dtype=torch.float32), torch.arange(9) % 3
-    far = random_inputs(dtype=torch.float32)
-    far.position.add_(4096.0)
-    far.position.sub_(4096.0)  # the rounding of what is far away, and nothing else
-    near.position.copy_(far.position)
-    far.position.add_(4096.0)
-    weights = parameters(dtype=torch.float32)
-    one, two = (draw_triplets(Metric(sampling="hard"), weights, inputs, labels, generator()) for inputs in (near, far))
-    assert rows(one) == rows(two)
-
-
-def test_labels_of_another_length_are_refused():
-    with pytest.raises(ArgumentError, match=r"labels must have shape \(9,\), got \(8,\)"):
-        batch_loss(parameters(), random_inputs(), torch.zeros(8, dtype=torch.int64), Metric(), generator())
-
-
-@pytest.mark.parametrize("bad", [{"sampling": "hardest"}, {"margin": 0.0}, {"times": 0}, {"scale": -1.0}])
-def test_bad_settings_are_refused(bad):
-    with pytest.raises(ArgumentError, match=next(iter(bad))):
-        Metric(**bad)

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import t as student
 
-from detectors.series.direction import compare_directions, lead_probabilities
+from detectors.series.direction import _log_density, compare_directions, lead_probabilities
 
 STEPS, DELAY, FOLLOWERS = 100, 3, 4
 
@@ -57,29 +58,10 @@ def test_a_leader_is_told_from_a_common_cause(axes, noisy):
     assert np.median(leads) > 2 > 0 > -0.5 > np.median(driven)
 
 
-def test_a_law_of_squares_is_a_lead_too():
-    ratios = [compare(led_group(np.random.default_rng(seed), law=np.square, kept=0.5)) for seed in range(20)]
-    assert np.mean(np.array(ratios) > 1) >= 0.9
-
-
-def test_a_leader_for_a_part_of_the_time_is_less_certain():
-    whole, part = (
-        np.median([compare(led_group(np.random.default_rng(seed), share=share)) for seed in range(20)])
-        for share in (1.0, 0.6)
-    )
-    assert whole > part > 0
-
-
 def test_the_one_that_follows_does_not_lead():
     for seed in range(5):
         leader, follower = led_group(np.random.default_rng(seed))[:2]
         assert compare(np.stack([follower, leader])) < -2 < 2 < compare(np.stack([leader, follower]))
-
-
-def test_a_delay_beyond_the_longest_is_not_found():
-    ratios = [compare(led_group(np.random.default_rng(seed), kept=0.3), longest=longest) for seed in range(10)
-              for longest in (1, 4)]  # fmt: skip
-    assert np.median(ratios[1::2]) > 3 > np.median(ratios[::2])
 
 
 @given(st.integers(0, 10_000), st.floats(1e-2, 1e2), st.integers(1, 3))
@@ -93,17 +75,6 @@ def test_scale_and_order_do_not_matter(seed, scale, axes):
     np.testing.assert_allclose([compare(scale * flight), compare(mixed)], ratio, rtol=1e-3, atol=1e-3)
 
 
-def test_heads_are_compared_with_their_own_followers():
-    rng = np.random.default_rng(3)
-    leader, driven = led_group(rng), driven_group(rng)
-    count = 1 + FOLLOWERS
-    label = np.repeat([0, 1, 2, 3], [1, FOLLOWERS, 1, FOLLOWERS])
-    root = np.repeat([0, count], count)
-    velocity, heads = np.concatenate([leader, driven]), np.array([0, count])
-    both = compare_directions(velocity, (velocity[heads], velocity[heads]), label, root, heads, 12, False)
-    np.testing.assert_allclose(both, [compare(leader), compare(driven)], rtol=1e-9)
-
-
 def test_nothing_is_compared_in_a_short_window_or_without_followers():
     flight = led_group(np.random.default_rng(0))
     assert compare(flight[:, :31]) == np.inf
@@ -112,10 +83,6 @@ def test_nothing_is_compared_in_a_short_window_or_without_followers():
         flight, (flight[:0], flight[:0]), np.arange(5), np.full(5, -1), np.array([], np.int64), 12, False
     )
     assert alone.shape == (0,)
-
-
-def test_still_uavs_have_no_lead():
-    assert abs(compare(np.zeros((5, STEPS, 3)))) < 1e-6
 
 
 @given(st.lists(st.floats(-30.0, 30.0), min_size=1, max_size=6))
@@ -127,10 +94,16 @@ def test_the_probability_to_lead_is_that_of_all_sets_of_leaders(ratio):
         weight = np.exp(np.dot(leads, ratio)) / math.comb(count, sum(leads))
         total += weight
         found += weight * np.array(leads)
-    np.testing.assert_allclose(lead_probabilities(np.array(ratio)), found / total, rtol=1e-6)
+    np.testing.assert_allclose(lead_probabilities(np.array(ratio)), found / total, rtol=1e-6, atol=1e-12)
 
 
 def test_other_heads_that_lead_make_a_doubtful_head_a_leader():
     assert lead_probabilities(np.array([-0.2]))[0] < 0.5 < lead_probabilities(np.array([-0.2, 8.0, 8.0]))[0]
     assert lead_probabilities(np.array([0.2]))[0] > 0.5 > lead_probabilities(np.array([0.2, -8.0, -8.0]))[0]
     np.testing.assert_allclose(lead_probabilities(np.full(3, np.inf)), 1.0)
+
+
+def test_a_lead_of_eight_blocks_has_a_t_distribution_with_seven_degrees_of_freedom():
+    values = np.array([-30.0, -1.0, 0.0, 0.5, 4.0])
+    expected = student(7).logpdf(values) - student(7).logpdf(0.0)
+    np.testing.assert_allclose(_log_density(values), expected, atol=1e-9)

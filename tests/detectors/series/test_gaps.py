@@ -56,14 +56,3 @@ def test_missed_positions_lie_on_the_line_between_their_neighbours():
     np.testing.assert_allclose(filled.position[6, 1], whole[5, 1], atol=1e-6)
     assert not filled.velocity[[0, 1, 5], 1].any()
     np.testing.assert_allclose(filled.position[:, 2], filled.position[:, :2].mean(axis=1), atol=1e-6)
-
-
-@given(st.integers(0, 2**31))
-def test_the_order_of_the_uavs_does_not_matter(seed):
-    window, _ = window_of(seed)
-    order = np.random.default_rng(seed).permutation(5)
-    arrays = (window.position, window.velocity, window.seen)
-    moved = fill_gaps(Window(*(array[:, order] for array in arrays), window.alive[order], window.round))
-    plain = fill_gaps(window)
-    np.testing.assert_allclose(moved.position, plain.position[:, order], atol=1e-5)
-    np.testing.assert_allclose(moved.velocity, plain.velocity[:, order], atol=1e-5)

@@ -66,3 +66,16 @@ def test_the_energy_of_pairs_is_a_quadratic_form():
     np.testing.assert_allclose(explain_each(gram, moment), expected, rtol=1e-9)
     assert np.array_equal(gram, before[0])
     assert np.array_equal(moment, before[1])
+
+
+def test_the_ridge_is_too_small_to_matter_and_large_enough_for_features_that_depend_on_each_other():
+    """A feature is the sum of others: in single precision, without a ridge, a division by 0 would explain anything."""
+    features, rng = make_features(4, 3, 200), np.random.default_rng(4)
+    white = orthonormalise(features[1:])
+    np.testing.assert_allclose(white @ white.transpose(0, 2, 1), np.broadcast_to(np.eye(3), (3, 3, 3)), atol=3e-5)
+    target = rng.standard_normal((200, 3, 4))
+    found = explain_exactly(features, target.astype(np.float32), np.ones((200, 4), np.float32))
+    expected = [[explained(features[k].T, target[:, :, c]) for k in range(4)] for c in range(4)]
+    np.testing.assert_allclose(found, expected, rtol=1e-3)
+    (_, product), *_ = project(features, {"all": np.arange(3)}, target.astype(np.float32))
+    np.testing.assert_allclose((product**2).sum(axis=(1, 2)).T, expected, rtol=1e-3)

@@ -1,0 +1,311 @@
+"""The clusterers: their base class, their result, those of this package and their registry."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from sklearn.cluster import HDBSCAN, AgglomerativeClustering, spectral_clustering
+from sklearn.cluster import KMeans as SklearnKMeans
+
+from detectors.clustering.counts import MARGIN, compute_gap_statistic, estimate_count_by_eigengap
+from detectors.clustering.factorisation import factorise_affinity
+from detectors.clustering.features import (
+    AFFINITIES,
+    FEATURES,
+    Affinity,
+    Features,
+    normalise_affinity,
+    regularise_affinity,
+)
+from detectors.parameters import Count, Lags, Parameters
+from detectors.series.evidence import regression_evidence
+from detectors.series.votes import detection_from_evidence, spread
+from usnet_env.arrays import Floats, Indices
+from usnet_env.config import ArgumentError, quote, unknown_name
+from usnet_env.parts import Registry, check_call
+from usnet_env.window import Window
+
+COUNTS = ("gap", "gap-one-se", "eigengap")  # the values of count= that estimate the number of clusters beforehand
+OWN = "own"  # the value of count= with which a clusterer finds the number of clusters itself
+
+
+@dataclass(frozen=True, eq=False)
+class Clustering:
+    """The clusters of one window and what they were computed from.
+
+    Args:
+        labels: ``(N,)`` int64, 0 to ``count`` - 1 for living UAVs, -1 for destroyed ones.
+        count: the number of clusters; 0 if no UAV is alive.
+        features: ``(N, d)`` or ``(N, T, d)``, 0 for destroyed UAVs, or ``None``.
+        affinity: ``(N, N)``, the similarity of every two UAVs from 0 to 1, or ``None`` if it was not computed.
+        extras: ``"estimate"`` is the number of clusters that was given or estimated before clustering.
+    """
+
+    labels: Indices
+    count: int
+    features: Floats | None = None
+    affinity: Floats | None = None
+    extras: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Living:
+    """Features and affinity of the n living UAVs of a window, computed at first use by a clusterer's arguments."""
+
+    window: Window
+    arguments: Any
+
+    @cached_property
+    def index(self) -> NDArray[np.intp]:
+        """``(n,)`` indices of the living UAVs among the N UAVs of the window."""
+        return np.flatnonzero(self.window.alive)
+
+    @cached_property
+    def features(self) -> Floats:
+        """``(n, d)``, or a time series ``(n, T, d)``."""
+        features = self.arguments.features
+        if isinstance(features, str):
+            return FEATURES[features](self.window, self.arguments.memory)[self.index]
+        return np.asarray(features(self.window), np.float64)[self.index]
+
+    @cached_property
+    def flat(self) -> Floats:
+        """``(n, d)``, or ``(n, T d)``: a time series is flattened to one row per UAV."""
+        return self.features.reshape(len(self.index), -1)
+
+    @cached_property
+    def affinity(self) -> Floats:
+        """``(n, n)`` symmetric, from 0 to 1, 1 on the diagonal."""
+        affinity = self.arguments.affinity or ("lag" if self.features.ndim == 3 else "rbf")
+        if isinstance(affinity, str):
+            return AFFINITIES[affinity](self.features, self.arguments.max_lag)
+        values = np.array(affinity(self.features), np.float64)
+        np.fill_diagonal(values, 1.0)
+        return values
+
+
+class Clusterer(Parameters):
+    """Base class: clusters the living UAVs of one window. A subclass implements :meth:`partition`.
+
+    The constructor only stores its keyword arguments. A window without living UAVs has no cluster; with one living UAV
+    it has one. A living UAV that was never seen has the mean features of the others. A ``count`` above the number of
+    living UAVs is lowered to it. K-Means and SNMF may return fewer clusters than ``count``.
+
+    Args:
+        count: the number of clusters, or how to estimate it: ``"gap"``
+            (:func:`detectors.clustering.compute_gap_statistic` of the features), ``"gap-one-se"`` (the same with
+            ``margin=math.inf``, the one-standard-error rule of Tibshirani et al.) or ``"eigengap"``
+            (:func:`detectors.clustering.estimate_count_by_eigengap` of the affinity).
+        features: ``"raw"``, ``"scaled"`` or ``"velocities"`` (see :mod:`detectors.clustering.features`), or a callable
+            from a window to ``(N, d)`` or a time series ``(N, T, d)``.
+        affinity: ``"lag"`` (time series only) or ``"rbf"`` (see :mod:`detectors.clustering.features`), or a callable
+            from the features of n UAVs to ``(n, n)``; ``None``: ``"lag"`` for a time series, else ``"rbf"``.
+        max_lag: L, the longest lag of ``"lag"``, in samples, at least 0.
+        memory: T_0, the number of samples in ``"raw"`` and ``"scaled"``.
+
+    Raises:
+        ArgumentError: raised by :meth:`cluster` for an invalid argument.
+    """
+
+    counts: ClassVar[tuple[str, ...]] = COUNTS  #: the strings that ``count`` accepts
+
+    count: Count | str = "eigengap"
+    features: str | Features = "velocities"
+    affinity: str | Affinity | None = None
+    max_lag: Annotated[int, Field(ge=0, le=1000)] = 4
+    memory: Lags = 4
+
+    def check_arguments(self) -> Any:
+        """Check all arguments and return them."""
+        checked = super().check_arguments()
+        for name, known in (("count", self.counts), ("features", FEATURES), ("affinity", AFFINITIES)):
+            value = getattr(checked, name)
+            if isinstance(value, str) and value not in known:
+                raise unknown_name(name, value, known)
+        return checked
+
+    def cluster(self, window: Window, rng: np.random.Generator) -> Clustering:
+        """Cluster the living UAVs of the observer's window; ``rng`` is the generator of all random numbers."""
+        arguments = self.check_arguments()
+        living = Living(window, arguments)
+        n = len(living.index)
+        labels = np.full(window.uavs, -1, np.int64)
+        if n < 2:
+            labels[living.index] = 0
+            return Clustering(labels, n, extras={"estimate": 1} if n else {})
+        estimate = self._estimate_count(living, rng)
+        found = self.partition(living, None if estimate is None else min(estimate, n), rng)
+        used, labels[living.index] = np.unique(found, return_inverse=True)
+        widen = partial(spread, members=living.index, uavs=window.uavs)
+        affinity = widen(living.affinity, pairs=True) if "affinity" in vars(living) else None  # if it was computed
+        extras = {"estimate": len(used) if estimate is None else estimate}
+        return Clustering(labels, len(used), widen(living.features), affinity, extras)
+
+    def _estimate_count(self, living: Living, rng: np.random.Generator) -> int | None:
+        count = living.arguments.count
+        if count in ("gap", "gap-one-se"):
+            return compute_gap_statistic(living.flat, rng, margin=MARGIN if count == "gap" else np.inf).count
+        if count == "eigengap":
+            return estimate_count_by_eigengap(living.affinity)
+        return None if count == OWN else count
+
+    @abstractmethod
+    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> NDArray[np.integer[Any]]:
+        """Assign a label to each of the n ≥ 2 living UAVs, ``(n,)``; any whole numbers are valid labels.
+
+        Args:
+            living: features and affinity of the living UAVs.
+            count: the number of clusters, 1 to n; ``None`` if the clusterer finds it itself (``count="own"``).
+            rng: generator of all random numbers.
+        """
+
+
+class KMeans(Clusterer):
+    """K-Means on the features, the best of ten starts; a time series is flattened to one row per UAV."""
+
+    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
+        """Return labels ``(n,)`` by scikit-learn; no more clusters than distinct rows."""
+        count = min(count or 1, len(np.unique(living.flat, axis=0)))
+        return SklearnKMeans(count, n_init=10, random_state=int(rng.integers(2**31))).fit_predict(living.flat)
+
+
+class Spectral(Clusterer):
+    """Spectral clustering of the regularised affinity."""
+
+    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
+        """Return labels ``(n,)``."""
+        if count is None or count in (1, len(living.index)):
+            return np.arange(len(living.index)) % (count or 1)
+        # K-Means on the embedding sometimes makes a cluster of one head that is similar to no UAV; cluster_qr does not.
+        affinity, state = regularise_affinity(living.affinity), int(rng.integers(2**31))
+        return spectral_clustering(affinity, n_clusters=count, random_state=state, assign_labels="cluster_qr")
+
+
+class SymmetricNMF(Clusterer):
+    """Symmetric non-negative matrix factorisation of the normalised affinity, A ≈ H Hᵀ.
+
+    The label of a UAV is the column of the largest entry in its row of H. Of several random ``starts`` with at most
+    ``steps`` updates each, the one with the lowest loss is used. The other arguments are those of :class:`Clusterer`.
+    """
+
+    starts: Annotated[int, Field(ge=1, le=1_000_000)] = 5
+    steps: Annotated[int, Field(ge=1, le=1_000_000)] = 300
+
+    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
+        """Return labels ``(n,)``."""
+        matrix = normalise_affinity(living.affinity)
+        fits = [factorise_affinity(matrix, count or 1, rng, self.steps) for _ in range(living.arguments.starts)]
+        return min(fits, key=lambda fit: float(fit[1][-1]))[0].argmax(axis=1).astype(np.int64)
+
+
+class Agglomerative(Clusterer):
+    """Agglomerative clustering of the distances 1 - affinity.
+
+    The ``linkage`` is ``"average"``, ``"complete"`` or ``"single"``; other arguments are those of :class:`Clusterer`.
+    """
+
+    linkage: Literal["average", "complete", "single"] = "complete"
+
+    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
+        """Return labels ``(n,)``."""
+        model = AgglomerativeClustering(count, metric="precomputed", linkage=self.linkage)
+        return model.fit_predict(1.0 - living.affinity)
+
+
+class Hdbscan(Clusterer):
+    """HDBSCAN on the distances 1 - affinity, which also finds the number of clusters: ``count`` is ``"own"``.
+
+    A cluster has at least ``least`` members. A UAV that HDBSCAN labels as noise joins the cluster of the UAV that it is
+    most similar to; if all are noise, they are one cluster. Other arguments are those of :class:`Clusterer`.
+    """
+
+    counts: ClassVar[tuple[str, ...]] = (OWN,)
+
+    count: Literal["own"] = "own"
+    least: Annotated[int, Field(ge=2, le=100_000)] = 3
+
+    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
+        """Return labels ``(n,)``."""
+        n, least = len(living.index), living.arguments.least
+        if n < least:
+            return np.zeros(n, np.int64)
+        model = HDBSCAN(min_cluster_size=least, min_samples=1, metric="precomputed", copy=True)
+        found: Indices = model.fit_predict(1.0 - living.affinity).astype(np.int64)
+        clustered = found >= 0
+        if not clustered.any():
+            return np.zeros(n, np.int64)
+        found[~clustered] = found[clustered][living.affinity[~clustered][:, clustered].argmax(axis=1)]
+        return found
+
+
+class LeadVotes(Clusterer):
+    """Clusters of the UAVs that vote for the same leader, with the votes of :class:`detectors.lagged.LaggedRegression`.
+
+    The UAVs with the most votes are the leaders, and each UAV joins the leader with the highest R². ``count="own"``
+    takes as many leaders as are needed to cover the significant votes. The votes always use the velocities of the
+    window; ``features`` and ``affinity`` only serve ``"gap"`` and ``"eigengap"``.
+    """
+
+    counts: ClassVar[tuple[str, ...]] = (*COUNTS, OWN)
+
+    count: Count | str = OWN
+    lags: Lags = 4
+    squares: bool = True
+    ridge: Annotated[float, Field(ge=0)] = 1e-3
+
+    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
+        """Return labels ``(n,)``; ``rng`` breaks ties between leaders."""
+        window, index, given = living.window, living.index, living.arguments
+        velocity, seen = window.velocity[:, index], window.velocity_seen[:, index]
+        evidence = regression_evidence(velocity, seen, given.lags, given.squares, given.ridge)
+        found = detection_from_evidence(evidence, np.ones(len(index), bool), count, first_round=True, rng=rng)
+        return np.asarray(found.clusters)
+
+
+Factory = Callable[..., Clusterer]
+
+
+def _check_factory(factory: Any, subject: str = "factory") -> Factory:
+    if not callable(factory):
+        raise ArgumentError(f"{subject} must be a class or a function that returns a clusterer, got {quote(factory)}.")
+    return factory
+
+
+_BUILT_IN: dict[str, Factory] = {
+    "kmeans": KMeans,
+    "spectral": Spectral,
+    "snmf": SymmetricNMF,
+    "agglomerative": Agglomerative,
+    "hdbscan": Hdbscan,
+    "lead-votes": LeadVotes,
+}
+
+#: All clusterers by name.
+CLUSTERERS = Registry("clusterer", "clusterer", "usnet.clusterers", __name__, _check_factory, _BUILT_IN, classes=True)
+register_clusterer = CLUSTERERS.register
+
+
+def make_clusterer(name: str, /, **arguments: Any) -> Clusterer:
+    """Create the clusterer of this name: ``make_clusterer("spectral", count="eigengap")``.
+
+    Raises:
+        ArgumentError: there is no such clusterer, or it does not take such an argument.
+    """
+    factory = CLUSTERERS.find(name)
+    check_call(f"clusterer {name!r}", factory, arguments)
+    return factory(**arguments)
+
+
+def check_clusterer(clusterer: Any) -> None:
+    """Refuse what is neither the name of a clusterer nor an object with ``cluster(window, rng)``."""
+    if isinstance(clusterer, str):
+        CLUSTERERS.find(clusterer)
+    elif not callable(getattr(clusterer, "cluster", None)):
+        raise ArgumentError(f"clusterer must be a name or have cluster(window, rng), got {quote(clusterer)}.")

@@ -1,0 +1,183 @@
+"""What holds for every clusterer; features, affinities and the factorisation, each against a slow reference."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sklearn.base import clone
+from swarm_windows import swarm_window, without
+
+from detectors.clustering import CLUSTERERS, Clusterer, KMeans, factorise_affinity, make_clusterer, register_clusterer
+from detectors.clustering.features import (
+    FEATURES,
+    compute_raw_features,
+    compute_rbf_affinity,
+    compute_scaled_features,
+    correlate_both_ways,
+)
+from usnet_env import ArgumentError, Window
+from usnet_env.objectives import head_in_cluster, purity
+
+NAMES = ["agglomerative", "hdbscan", "kmeans", "lead-votes", "snmf", "spectral"]
+
+
+def cluster(name, window, seed=0, **arguments):
+    return make_clusterer(name, **arguments).cluster(window, np.random.default_rng(seed))
+
+
+def test_all_are_registered_and_store_their_arguments():
+    assert sorted(CLUSTERERS) == NAMES
+    for name in NAMES:
+        clusterer = clone(make_clusterer(name))
+        assert vars(clusterer) == clusterer.get_params()
+
+
+@pytest.mark.parametrize("name", ["agglomerative", "hdbscan", "snmf", "spectral", "lead-votes"])
+def test_clusters_of_linear_followers_are_found_and_counted(name):
+    for seed in range(2):
+        window, head, leader = swarm_window(seed, follow="f1", uavs=60, cluster_sizes=(11,) * 5)
+        clustering = cluster(name, window)
+        assert clustering.count == 5
+        assert purity(leader, clustering.labels) == 1.0
+        assert head_in_cluster(head, leader, clustering.labels) == 1.0
+
+
+@pytest.mark.parametrize(("name", "least"), [("spectral", 0.93), ("snmf", 0.93), ("lead-votes", 0.99)])
+def test_clusters_of_any_followers_are_found(name, least):
+    for follow in ("f4", "f5", "f6", "f7"):
+        window, _, leader = swarm_window(3, follow=follow)
+        assert purity(leader, cluster(name, window, count=5).labels) >= least
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_destroyed_uavs_get_no_label_and_do_not_matter(name):
+    window, _, leader = swarm_window(5, follow="f2", clusters=3, uavs=45, cluster_sizes=(14,) * 3)
+    gone = leader == leader[0]
+    clustering = cluster(name, without(window, gone))
+    rest = ~gone
+    apart = Window(window.position[:, rest], window.velocity[:, rest], window.seen[:, rest], window.alive[rest], 2)
+    assert clustering.count == 2
+    assert (clustering.labels[gone] == -1).all()
+    assert np.array_equal(clustering.labels[rest], cluster(name, apart).labels)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@settings(max_examples=8)
+@given(
+    uavs=st.integers(0, 9),
+    count=st.sampled_from([1, 3, 30, "gap", "eigengap"]),
+    still=st.booleans(),
+    seed=st.integers(0, 99),
+)
+def test_any_window_gets_labels_from_0(name, uavs, count, still, seed):
+    rng = np.random.default_rng(seed)
+    velocity = np.zeros((12, 10, 3)) if still else rng.standard_normal((12, 10, 3))
+    alive, seen = np.arange(10) < uavs, rng.random((13, 10)) < 0.8
+    seen &= alive
+    velocity *= (seen[1:] & seen[:-1])[..., None]
+    window = Window(np.zeros((13, 10, 3)), velocity, seen, alive)
+    clustering = cluster(name, window, seed, **({} if name == "hdbscan" else {"count": count}))
+    assert clustering.count <= uavs
+    assert np.array_equal(np.unique(clustering.labels[alive]), np.arange(clustering.count))
+    assert (clustering.labels[~alive] == -1).all()
+
+
+def test_features_and_affinity_may_be_functions():
+    window, _, leader = swarm_window(2, follow="f1", clusters=3, uavs=45, cluster_sizes=(14,) * 3)
+    clustering = cluster(
+        "spectral", window, count=3, features=lambda _: np.eye(3)[np.unique(leader, return_inverse=True)[1]]
+    )
+    assert purity(leader, clustering.labels) == 1.0
+    assert clustering.features.shape == (45, 3)
+    same = leader[:, None] == leader
+    clustering = cluster("agglomerative", window, count=3, affinity=lambda _: same.astype(float))
+    assert purity(leader, clustering.labels) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "argument"),
+    [
+        ("kmeans", {"count": "most"}, "count"),
+        ("kmeans", {"count": 0}, "count"),
+        ("kmeans", {"count": "own"}, "count"),
+        ("hdbscan", {"count": 3}, "count"),
+        ("spectral", {"features": "gru"}, "features"),
+        ("spectral", {"affinity": "cosine"}, "affinity"),
+        ("spectral", {"affinity": "lag", "features": "raw"}, "affinity"),
+        ("agglomerative", {"linkage": "ward"}, "linkage"),
+    ],
+)
+def test_a_bad_argument_is_named(name, arguments, argument):
+    window, _, _ = swarm_window(0, clusters=2, uavs=12)
+    with pytest.raises(ArgumentError, match=f"^{argument} must be"):
+        cluster(name, window, **arguments)
+
+
+def test_a_custom_clusterer():
+    class Halves(Clusterer):
+        def partition(self, living, count, rng):
+            return living.window.position[0, living.index, 0] > np.median(living.window.position[0, living.index, 0])
+
+    window, _, _ = swarm_window(11, clusters=2, uavs=20)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(CLUSTERERS, "_registered", {})
+        register_clusterer("halves", Halves)
+        assert np.bincount(cluster("halves", window, count=2).labels).tolist() == [10, 10]
+    with pytest.raises(ArgumentError, match="spectrall"):
+        make_clusterer("spectrall")
+    with pytest.raises(ArgumentError, match="factory must be"):
+        register_clusterer("mine", 5)
+    register_clusterer("kmeans", KMeans)  # the same once more
+
+
+def slow_lag_correlation(series, max_lag, shift=0):
+    n, steps, _ = series.shape
+    moved = series - series.mean(axis=1, keepdims=True)
+    moved = moved / np.sqrt((moved**2).sum(axis=(1, 2), keepdims=True))
+    other = np.roll(moved, shift, axis=1)
+    result = np.full((n, n), -np.inf)
+    for i, j, tau in np.ndindex(n, n, 2 * max_lag + 1):
+        lag = tau - max_lag
+        total = sum(moved[i, t + lag] @ other[j, t] for t in range(steps) if 0 <= t + lag < steps)
+        result[i, j] = max(result[i, j], total)
+    return np.maximum(result, result.T)
+
+
+@pytest.mark.parametrize("max_lag", [0, 3])
+def test_lag_correlation_is_the_best_over_lags_in_both_directions(max_lag):
+    series = np.random.default_rng(0).standard_normal((4, 12, 3)) + 4.0
+    for surrogate, shift in ((False, 0), (True, 6)):
+        found = correlate_both_ways(series, max_lag, surrogate=surrogate)
+        np.testing.assert_allclose(found, slow_lag_correlation(series, max_lag, shift), atol=1e-12)
+
+
+def test_rbf_is_its_formula():
+    features = np.random.default_rng(2).standard_normal((12, 4)) + 100.0
+    squared = ((features[:, None] - features) ** 2).sum(axis=2)
+    width = np.sqrt(np.sort(squared, axis=1)[:, 7])
+    np.testing.assert_allclose(compute_rbf_affinity(features, 0), np.exp(-squared / np.outer(width, width)), atol=1e-9)
+
+
+def test_features_are_the_last_samples_of_the_window():
+    window, _, _ = swarm_window(0, clusters=2, uavs=9)
+    values = compute_raw_features(window, 3).reshape(9, 3, 6)
+    np.testing.assert_array_equal(values[..., :3], window.position[-4:-1].swapaxes(0, 1))
+    np.testing.assert_array_equal(values[..., 3:], window.velocity[-3:].swapaxes(0, 1))
+    standard = compute_scaled_features(window, 3).reshape(-1, 6)
+    np.testing.assert_allclose(standard.mean(axis=0), 0, atol=1e-9)
+    np.testing.assert_allclose(standard.std(axis=0), 1)
+    np.testing.assert_array_equal(FEATURES["velocities"](window, 3), window.velocity.swapaxes(0, 1))
+
+
+@settings(max_examples=20)
+@given(st.integers(2, 12), st.integers(1, 5), st.integers(0, 2**31), st.booleans())
+def test_the_loss_of_the_factorisation_never_rises_and_is_what_it_says(n, rank, seed, definite):
+    rng = np.random.default_rng(seed)
+    half = rng.random((n, n)) * (rng.random((n, n)) > 0.3)
+    affinity = half @ half.T / n if definite else np.maximum(half, half.T)
+    factor, losses = factorise_affinity(affinity, rank, rng, steps=60)
+    assert factor.shape == (n, rank)
+    assert (factor >= 0).all()
+    assert (np.diff(losses) <= 0).all()
+    slow = ((affinity - factor @ factor.T) ** 2).sum()
+    np.testing.assert_allclose(losses[-1], slow, rtol=1e-6, atol=1e-9 * (1 + (affinity**2).sum()))

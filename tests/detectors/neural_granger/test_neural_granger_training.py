@@ -1,0 +1,112 @@
+"""One network for each candidate: each function against a slow and literal one."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from single_cluster_windows import cluster
+
+from detectors.neural_granger import NeuralGranger, training
+from detectors.neural_granger.training import AdditiveNetwork, Problem, build_samples, fit_networks, split_times
+from detectors.series.gaps import fill_gaps
+
+CPU = torch.device("cpu")
+
+
+def samples_of(seed=0, memory=4, **arguments):
+    window, head = cluster(seed, **{"followers": 3} | arguments)
+    return build_samples(window, np.arange(window.uavs), memory, CPU), window, head
+
+
+def settings(**arguments):
+    return NeuralGranger(**arguments).check_arguments()
+
+
+@pytest.mark.parametrize("memory", [2, 4])
+def test_samples_follow_the_index_convention(memory):
+    one, window, _ = samples_of(memory=memory, miss_rate=0.2)
+    whole, rows = fill_gaps(window), 100 - memory
+    assert (one.uavs, one.times) == (4, rows)
+    for i, row in [(0, 0), (2, 41), (3, rows - 1)]:
+        t = row + memory - 1  # the newest velocity of the sample, v_t
+        np.testing.assert_array_equal(one.target[i, row], window.velocity[t + 1, i])
+        assert bool(one.weight[i, row]) == window.velocity_seen[t + 1, i]
+        np.testing.assert_array_equal(one.position[i, row], whole.position[t, i])
+        for lag in range(memory):
+            np.testing.assert_array_equal(one.velocity[i, row, lag], whole.velocity[t - lag, i])
+    part = build_samples(window, np.array([3, 1]), memory, CPU)
+    np.testing.assert_array_equal(part.velocity, one.velocity[[3, 1]])
+
+
+@pytest.mark.parametrize(("times", "blocks"), [(96, 4), (70, 4), (58, 3), (30, 1), (12, 0)])
+def test_held_out_times_are_apart_from_those_of_training(times, blocks):
+    used, held = split_times(times, blocks=4, gap=4, device=CPU)
+    assert len(held) == max(1, blocks) * (times // (5 * max(1, blocks)))
+    assert len(used) >= times // 3
+    assert (used[:, None] - held[None]).abs().min() == (5 if blocks else 1)  # 12 are too few for gaps
+    assert 1 + int((held.diff() > 1).sum()) == max(1, blocks)
+
+
+@pytest.mark.parametrize("times", [1, 2, 5])
+def test_very_short_windows_still_have_times_of_both_kinds(times):
+    used, held = split_times(times, blocks=4, gap=4, device=CPU)
+    assert len(used) >= 1
+    assert len(held) >= 1
+    assert max(used.max(), held.max()) < times
+
+
+def literal_error(network, problem, i, j, times):
+    """Mean squared error of UAV i from candidate j by j's own network, one time at a time."""
+    samples = problem.samples
+    slope, readout, linear, where = (weight[j].double() for weight in network.weights)
+    shift, bias, gain, spread = (weight[j].double() for weight in network.free)
+    errors = []
+    for t in times.tolist():
+        if samples.weight[i, t] == 0:
+            continue
+        u = 1.7 * (samples.velocity[j, t] - samples.velocity[j].mean((0, 1))).reshape(-1).double()
+        output, units = bias[0].clone(), slope.shape[1]
+        for c in range(len(u)):
+            output += torch.tanh(slope[c] * u[c] + shift[c]) @ readout[c * units : (c + 1) * units] + u[c] * linear[c]
+        offset = (samples.position[j, t] - samples.position[i, t]).double()
+        output += (
+            torch.cat([offset / 300, offset / (offset.norm() + 1e-6)]) @ where + problem.null[i, t].double() @ gain
+        )
+        predicted = output / torch.sqrt((output**2).sum() + torch.exp(spread[0, 0]))
+        errors.append(float(((predicted - samples.target[i, t].double()) ** 2).sum()))
+    return np.mean(errors)
+
+
+@pytest.mark.parametrize("entries", [4_000_000, 1])
+def test_errors_of_all_pairs(monkeypatch, entries):
+    monkeypatch.setattr(training, "_CHUNK_ENTRIES", entries)
+    problem = Problem(samples_of(follow="f6", miss_rate=0.1)[0], settings())
+    network = AdditiveNetwork.draw(4, 12, 6, torch.Generator().manual_seed(0))
+    for parameter in (*network.weights, *network.free):
+        parameter.data += 0.3 * torch.randn(parameter.shape, generator=torch.Generator().manual_seed(1))
+    network, times = network.select(torch.arange(4)), torch.arange(10, 24)
+    found = problem.compute_all_errors(network.select, times)
+    for i, j in np.ndindex(4, 4):
+        assert float(found[i, j]) == pytest.approx(literal_error(network, problem, i, j, times), rel=1e-4)
+
+
+def test_the_winner_is_the_head_and_its_followers_attend_to_it():
+    for seed in range(2):
+        samples, _, head = samples_of(seed, followers=4, follow="f4")
+        fit = fit_networks(samples, settings(steps=100), torch.Generator().manual_seed(0))
+        followers = [i for i in range(5) if i != head]
+        assert fit.winner == head
+        np.testing.assert_allclose(fit.attention.sum(1), 1.0, atol=1e-5)
+        assert (fit.attention[followers, head] > 0.9).all()
+        assert (fit.held_out_gain[followers, head] > 0.5).all()
+        assert (fit.explained[followers] > 0.4).all()
+        assert not fit.held_out_gain.diagonal().any()
+
+
+def test_noise_on_the_sources_is_a_share_of_the_error_of_the_null_model():
+    smooth = Problem(samples_of(follow="none", mobility="gauss_markov")[0], settings())
+    random = Problem(samples_of(follow="none")[0], settings())
+    assert smooth.noise.mean() < 0.7 * random.noise.mean()
+    np.testing.assert_allclose(random.noise, 0.2, atol=0.04)  # unit variance after scaling, nothing predicted
+    assert not Problem(samples_of()[0], SimpleNamespace(ridge=1.0, input_noise=0.0)).noise.any()
