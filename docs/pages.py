@@ -31,9 +31,7 @@ def generate_pages() -> dict[str, str]:
     """Markdown of all pages, by file name without suffix."""
     kinds = dict.fromkeys(kind for kind, _ in ENVIRONMENTS.values())
     pages = {kind: _environment_page(kind) for kind in kinds}
-    pages["Tracks"] = _page(
-        "Tracks", TracksEnv, '`gym.make("usnet_env:USNET/Tracks-v0", path="flock.csv")` creates it.'
-    )
+    pages["Tracks"] = _page("Tracks", TracksEnv, "It needs `path`, a file of tracks.")
     for game in GAMES:
         module = importlib.import_module(f"usnet_env.multiagent.{game}")
         use = f"After `from usnet_env.multiagent import {game}`, `{game}.parallel_env()` creates it."
