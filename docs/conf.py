@@ -10,7 +10,6 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from detector_pages import detector_classes
 from pages import write_pages
 
 project = "USNET"
@@ -26,7 +25,8 @@ extensions = [
     "sphinx.ext.mathjax",
     "sphinx-mathjax-offline",  # equations are drawn without a network
 ]
-exclude_patterns = ["_build"]
+# Tables of the field's models are included by docs/field.md; they are no pages.
+exclude_patterns = ["_build", "generated/field_models.md", "generated/controls.md", "generated/kinematics.md"]
 
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 3
@@ -51,18 +51,7 @@ def _keep_bars(_app: Any, _what: str, _name: str, _obj: Any, _options: Any, line
         lines[number] = "".join(parts)
 
 
-def _leave_out_docstring(_app: Any, what: str, name: str, _obj: Any, _options: Any, lines: list[str]) -> None:
-    """The page of a detector has its docstring in Markdown."""
-    if what == "class" and name in detector_classes().values():
-        lines.clear()
-
-
-def _generate_pages(app: Any) -> None:
-    write_pages(Path(app.srcdir))
-
-
 def setup(app: Any) -> None:
     """Write the generated pages before Sphinx looks for them."""
-    app.connect("builder-inited", _generate_pages)
+    app.connect("builder-inited", lambda app: write_pages(Path(app.srcdir)))
     app.connect("autodoc-process-docstring", _keep_bars)
-    app.connect("autodoc-process-docstring", _leave_out_docstring)

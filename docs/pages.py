@@ -1,61 +1,78 @@
-"""Write the pages of the environments, games and detectors, docs/envs and docs/detector, from the docstrings.
-
-``python docs/pages.py`` writes the pages that differ. With ``--check`` it writes nothing, names the pages that differ,
-and exits with 1.
-"""
+"""Write docs/generated: the docstring of each environment and game as a page, and the tables of docs/field.md."""
 
 from __future__ import annotations
 
-import argparse
-import sys
+import dataclasses
+import importlib
+import inspect
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
-from detector_pages import detector_pages
-from environment_pages import environment_pages, game_pages
-
-__all__ = ["find_differing", "write_pages"]
-
-DOCS = Path(__file__).parent
-NOTICE = "<!-- Written by `python docs/pages.py` from the docstrings. Do not edit. -->\n\n"
-
-
-def find_differing(docs: Path | None = None) -> dict[Path, str | None]:
-    """The pages that are not what the docstrings say, and their text; ``None`` for a page that should not exist."""
-    docs = docs or DOCS
-    folders = {"envs": environment_pages() | game_pages(), "detector": detector_pages()}
-    wanted = {
-        docs / folder / f"{name}.md": NOTICE + text for folder, pages in folders.items() for name, text in pages.items()
-    }
-    known = [path for folder in folders for path in (docs / folder).glob("*.md")]
-    differing: dict[Path, str | None] = {path: None for path in known if path not in wanted}
-    for path, text in wanted.items():
-        if not path.exists() or path.read_text(encoding="utf-8") != text:
-            differing[path] = text
-    return differing
+import usnet_env.envs
+from usnet_env.envs import ENVIRONMENTS
+from usnet_env.multiagent import GAMES
+from usnet_env.swarm.follow import CONTROLS, FIELD_MODELS
+from usnet_env.swarm.kinematics import KINEMATICS
+from usnet_env.tracks.env import TracksEnv
 
 
-def write_pages(docs: Path | None = None) -> None:
+def write_pages(docs: Path) -> None:
     """Write the pages. Unchanged files are not touched, so that Sphinx does not read them again."""
-    for path, text in find_differing(docs).items():
-        if text is None:
-            path.unlink()
-            continue
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
+    folder = docs / "generated"
+    folder.mkdir(exist_ok=True)
+    for name, text in generate_pages().items():
+        path = folder / f"{name}.md"
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            path.write_text(text, encoding="utf-8")
 
 
-def main() -> int:
-    """Write or check."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--check", action="store_true", help="write nothing; exit with 1 if a page differs")
-    if not parser.parse_args().check:
-        write_pages()
-        return 0
-    differing = find_differing()
-    for path in differing:
-        print(f"{path.relative_to(DOCS.parent)} differs from the docstrings: run python docs/pages.py", file=sys.stderr)
-    return int(bool(differing))
+def generate_pages() -> dict[str, str]:
+    """Markdown of all pages, by file name without suffix."""
+    kinds = dict.fromkeys(kind for kind, _ in ENVIRONMENTS.values())
+    pages = {kind: _environment_page(kind) for kind in kinds}
+    pages["Tracks"] = _page("Tracks", TracksEnv, "It needs `path`, a file of tracks.")
+    for game in GAMES:
+        module = importlib.import_module(f"usnet_env.multiagent.{game}")
+        use = f"After `from usnet_env.multiagent import {game}`, `{game}.parallel_env()` creates it."
+        pages[game] = _page(game, module.parallel_env, use)
+    return pages | {
+        "field_models": _models_page(FIELD_MODELS),
+        "controls": _models_page(CONTROLS),
+        "kinematics": _models_page({name: part for name, part in KINEMATICS.items() if dataclasses.is_dataclass(part)}),
+    }
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def _environment_page(kind: str) -> str:
+    ids = {name: arguments for name, (of, arguments) in ENVIRONMENTS.items() if of == kind}
+    rows = [(f"`{name}`", _list_values(arguments)) for name, arguments in ids.items()]
+    ids_table = _table(("id", "arguments that it sets"), rows)
+    use = f"{ids_table}\n\n`gym.make_vec` creates {{class}}`usnet_env.envs.{kind}VectorEnv`."
+    return _page(kind, getattr(usnet_env.envs, f"{kind}Env"), use)
+
+
+def _page(title: str, described: type, use: str) -> str:
+    summary, _, sections = (inspect.getdoc(described) or "").partition("\n")
+    return f"# {title}\n\n{summary}\n\n{use}\n\n{sections.strip()}\n"
+
+
+def _models_page(models: Mapping[str, Any]) -> str:
+    """Two tables of parts of the simulator: what each breaks, and how it flies."""
+    breaks = [(f"`{name}`", part.breaks, getattr(part, "citation", "") or part.source) for name, part in models.items()]
+    flights = [(f"`{name}`", f"`{part.equation}`", _list_values(_parameters(part))) for name, part in models.items()]
+    assumptions = _table(("name", "breaks the assumption", "source"), breaks)
+    return f"{assumptions}\n\nThe equations:\n\n{_table(('name', 'equation', 'parameters'), flights)}\n"
+
+
+def _parameters(part: Any) -> dict[str, object]:
+    names = part.parameters if hasattr(part, "parameters") else [field.name for field in dataclasses.fields(part)]
+    return {name: getattr(part, name) for name in names}
+
+
+def _list_values(values: Mapping[str, object]) -> str:
+    return ", ".join(f"`{name}={value!r}`" for name, value in values.items()) or "none"
+
+
+def _table(headings: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
+    lines = [headings, ("---",) * len(headings), *rows]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
