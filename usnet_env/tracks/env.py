@@ -16,9 +16,8 @@ from usnet_env.config import ArgumentError, Config, list_arguments, optional_see
 from usnet_env.envs.game import Rules, check_options, parse_candidates
 from usnet_env.objectives import find_roots, group_leader_accuracy, hits_and_redundant
 from usnet_env.swarm import SwarmState
-from usnet_env.tracks.reading import read_tracks
-from usnet_env.tracks.tracks import Tracks
-from usnet_env.tracks.windows import TrackWindow
+from usnet_env.tracks.read import read_tracks
+from usnet_env.tracks.tracks import Tracks, TrackWindow
 
 
 class TracksArguments(Config):
