@@ -176,7 +176,7 @@ def find_leaders(
         stride: steps from the start of a window to the start of the next; ``None``: ``length``.
         seed: seeds the detector.
         confirm: whether to leave out candidates whose followers don't move like them later, or that follow another id
-            in half of the window, by the tests of :mod:`usnet_env.tracks.confirming`; their probability becomes 0.
+            in half of the window, by the tests of :mod:`usnet_env.tracks.confirm`; their probability becomes 0.
             So no candidate of a detector that says nothing about followers is confirmed.
         on_window: called with each window, the detector's answer and the leaders.
 

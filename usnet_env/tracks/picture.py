@@ -7,24 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from usnet_env.drawing import (
-    CLUSTER_COLORS,
-    FOLLOWER_MARK,
-    HEAD_MARK,
-    LINK_MARK,
-    TRACK_WORDS,
-    UNLED_MARK,
-    abbreviate,
-    annotate_points,
-    draw_legend,
-    draw_round,
-    escape_math,
-    last_seen_position,
-    limits_around,
-    new_figure,
-    round_marks,
-    text_size,
-)
+from usnet_env import drawing
 from usnet_env.tracks.leaders import DetectedWindow, FoundLeaders, find_date, format_time
 from usnet_env.tracks.tracks import Tracks, TrackWindow
 
@@ -40,7 +23,12 @@ _MOST_NAMES = 12  # leaders that a map names
 _MOST_REJECTED = 3  # candidates in the title of a map
 _LONGEST_TITLE = 40  # characters of a line
 _LONGEST_NAME = 24  # characters of an id
-_MARKS = (HEAD_MARK, FOLLOWER_MARK, LINK_MARK, UNLED_MARK)  # of the legend, in its order
+_MARKS = (
+    drawing.HEAD_MARK,
+    drawing.FOLLOWER_MARK,
+    drawing.LINK_MARK,
+    drawing.UNLED_MARK,
+)  # of the legend, in its order
 
 
 def draw_leaders(found: FoundLeaders, cuts: Iterable[TrackWindow], title: str, tracks: Tracks) -> Figure:
@@ -63,7 +51,7 @@ def draw_leaders(found: FoundLeaders, cuts: Iterable[TrackWindow], title: str, t
     chart = 1.1 + _ROW * max(bars, 1)
     width = max(columns * (_MAP + _GAP) + _LEGEND, 9.0)
     height = _HEADER + -(-len(chosen) // columns) * (_MAP + _GAP + _TITLES) + chart
-    figure = new_figure(width, height)
+    figure = drawing.new_figure(width, height)
     figure.text(0.5 / width, 1 - 0.25 / height, "Leaders and followers", fontsize=17, weight="bold", va="top")
     words = _Words(found, tracks)
     marks: dict[str, str] = {}
@@ -75,17 +63,17 @@ def draw_leaders(found: FoundLeaders, cuts: Iterable[TrackWindow], title: str, t
         marks |= _draw_map(maps[-1], cut, window, words, tracks)
         if k % columns:
             maps[-1].set_ylabel("")
-    draw_legend(maps[columns - 1], {mark: marks[mark] for mark in _MARKS if mark in marks})
+    drawing.draw_legend(maps[columns - 1], {mark: marks[mark] for mark in _MARKS if mark in marks})
     day = f" {words.date} (UTC)," if words.date else ""
     shown = f"{len(chosen)} of {len(found.windows)} windows, " if len(chosen) < len(found.windows) else ""
-    stars = " Stars are leaders." if HEAD_MARK in marks else ""
-    if LINK_MARK in marks:
+    stars = " Stars are leaders." if drawing.HEAD_MARK in marks else ""
+    if drawing.LINK_MARK in marks:
         stars = " Stars are leaders, lines connect followers to them."
     about = f"{title}:{day} {shown}by {found.detector}.{stars}"
-    figure.text(0.5 / width, 1 - 0.65 / height, escape_math(about), fontsize=10, va="top", color="#333333")
+    figure.text(0.5 / width, 1 - 0.65 / height, drawing.escape_math(about), fontsize=10, va="top", color="#333333")
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     _draw_times(axes, found, words)
-    names = max((text_size(label)[0] / figure.dpi for label in axes.get_yticklabels()), default=0.0)
+    names = max((drawing.text_size(label)[0] / figure.dpi for label in axes.get_yticklabels()), default=0.0)
     margin = max(1.9, names + 0.5)
     axes.set_position((margin / width, 0.55 / height, (width - margin - 0.5) / width, (chart - 1.0) / height))
     return figure
@@ -110,7 +98,7 @@ class _Words:
         named = [leader.id for leader in found.leaders]
         named += [name for window in found.windows for name in window.not_confirmed]
         ids = list(dict.fromkeys(map(str, named)))
-        self._short = dict(zip(ids, abbreviate(ids, _LONGEST_NAME), strict=True))
+        self._short = dict(zip(ids, drawing.abbreviate(ids, _LONGEST_NAME), strict=True))
 
     def name(self, who: str | int) -> str:
         """An id that leads, or is not confirmed, abbreviated if it is long."""
@@ -128,18 +116,25 @@ def _draw_map(axes: Axes, cut: TrackWindow, window: DetectedWindow, words: _Word
     origin = cut.origin + (tracks.origin if tracks.frame == "metres" else 0.0)
     position: Any = cut.window.position + origin  # in float64: coordinates may be large
     seen, alive = cut.window.seen, cut.window.alive
-    look: Any = {"axes": axes, "legend": False, "number": number, "limits": limits_around(position[seen], 0.08, 1e-6)}
-    draw_round(position, seen, alive, head, root, none, title=escape_math(_title_map(window, words)), **look)
-    place: Any = last_seen_position(position, seen)
+    look: Any = {
+        "axes": axes,
+        "legend": False,
+        "number": number,
+        "limits": drawing.limits_around(position[seen], 0.08, 1e-6),
+    }
+    drawing.draw_round(
+        position, seen, alive, head, root, none, title=drawing.escape_math(_title_map(window, words)), **look
+    )
+    place: Any = drawing.last_seen_position(position, seen)
     halo = [Stroke(linewidth=2.5, foreground="white"), Normal()]  # a name can be read where marks and tracks crowd
     named = [leader.id for leader in window.leaders[:_MOST_NAMES]]
     points = place[[cut.ids.index(name) for name in named], :2].reshape(-1, 2)
     style: Any = {"fontsize": 8, "weight": "bold", "zorder": 7, "path_effects": halo}
-    annotate_points(axes, points, [words.name(name) for name in named], **style)
-    present = round_marks(place, alive, head, root, none)
-    present[UNLED_MARK] = present[FOLLOWER_MARK] & ~present[LINK_MARK]
-    present[FOLLOWER_MARK] = present[LINK_MARK]  # those with a leader
-    return {mark: TRACK_WORDS.get(mark, mark) for mark, who in present.items() if who.any()}
+    drawing.annotate_points(axes, points, [words.name(name) for name in named], **style)
+    present = drawing.round_marks(place, alive, head, root, none)
+    present[drawing.UNLED_MARK] = present[drawing.FOLLOWER_MARK] & ~present[drawing.LINK_MARK]
+    present[drawing.FOLLOWER_MARK] = present[drawing.LINK_MARK]  # those with a leader
+    return {mark: drawing.TRACK_WORDS.get(mark, mark) for mark, who in present.items() if who.any()}
 
 
 def _title_map(window: DetectedWindow, words: _Words) -> str:
@@ -163,9 +158,13 @@ def _draw_times(axes: Axes, found: FoundLeaders, words: _Words) -> None:
             if (bar.id, bar.group) in {(leader.id, leader.group) for leader in window.leaders}
         ]
         axes.barh(
-            [row] * len(led), 1.0, left=led, height=0.7, color=CLUSTER_COLORS[(bar.group - 1) % len(CLUSTER_COLORS)]
+            [row] * len(led),
+            1.0,
+            left=led,
+            height=0.7,
+            color=drawing.CLUSTER_COLORS[(bar.group - 1) % len(drawing.CLUSTER_COLORS)],
         )
-    axes.set_yticks(range(len(bars)), [escape_math(words.name(bar.id)) for bar in bars], fontsize=8)
+    axes.set_yticks(range(len(bars)), [drawing.escape_math(words.name(bar.id)) for bar in bars], fontsize=8)
     times = [format_time(window.start, words.date) for window in found.windows]
     ticks = np.unique(np.linspace(0, count - 1, min(count, max(2, min(8, 80 // max(map(len, times)))))).astype(int))
     axes.set(xlim=(0, count), ylim=(max(len(bars), 1) - 0.5, -0.5))

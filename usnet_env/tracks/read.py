@@ -23,22 +23,8 @@ from pydantic import Field
 from usnet_env.arrays import Floats, Indices
 from usnet_env.config import ArgumentError, Config, how_to_install, quote
 from usnet_env.files import as_path
-from usnet_env.tracks.columns import (
-    NUMBERS,
-    OPTIONAL,
-    TIMES,
-    Role,
-    check_mapping,
-    choose_columns,
-    has_decimal_commas,
-    has_timestamps,
-    is_movebank,
-    read_marks,
-    read_numbers,
-    refuse_cell,
-    to_text,
-)
-from usnet_env.tracks.formats import Table, check_size, read_gpx, read_npz, read_parquet, read_ulog
+from usnet_env.tracks import columns as roles
+from usnet_env.tracks import formats
 from usnet_env.tracks.samples import Clock, is_epoch, match_leaders, sort_samples
 from usnet_env.tracks.tracks import Tracks
 
@@ -57,7 +43,7 @@ _TOGETHER = (["z"], ["vx", "vy", "vz"])  # the optional numbers; one without the
 class _Options(Config):
     """The arguments of :func:`read_tracks` but for the files."""
 
-    columns: dict[Role, str] | None
+    columns: dict[roles.Role, str] | None
     time_unit: Annotated[float, Field(ge=1e-12, le=1e9)] | None
     missing: Literal["refuse", "skip"]
     encoding: str
@@ -68,7 +54,7 @@ class _Options(Config):
 def read_tracks(
     path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     *,
-    columns: Mapping[Role, str] | None = None,
+    columns: Mapping[roles.Role, str] | None = None,
     time_unit: float | None = None,
     missing: Literal["refuse", "skip"] = "refuse",
     encoding: str = "utf-8",
@@ -110,7 +96,7 @@ def read_tracks(
     options = _Options(
         columns=columns, time_unit=time_unit, missing=missing, encoding=encoding, decimal=decimal, max_bytes=max_bytes
     )
-    check_mapping(options.columns or {})
+    roles.check_mapping(options.columns or {})
     given = [as_path("path", file) for file in (path if isinstance(path, list | tuple) else [path])]
     paths = list({file.resolve(): file for file in reversed(given)}.values())[::-1]  # two paths may be of one file
     where = ", ".join(quote(os.fspath(file)) for file in paths[:3])
@@ -130,27 +116,16 @@ def read_tracks(
 
 @dataclass
 class _Part:
-    """The rows of a file.
+    """The rows of a file: columns of numbers by role, and the labels in ``id`` and ``leader``, where ``""`` is none."""
 
-    Args:
-        names: the name of the column by role.
-        rows: the numbers by role, and the labels in ``id`` and ``leader``; ``""`` is none.
-        count: how many rows the file has.
-        marked: how many of them are marked as outliers.
-        skipped: how many others had no time, place or id.
-        timestamps: whether the times are timestamps, in microseconds since 1970.
-        commas: whether numbers had decimal commas.
-        for_itself: whether an id means nothing in another file.
-    """
-
-    names: dict[str, str]
+    names: dict[str, str]  # of the columns by role
     rows: pd.DataFrame
-    count: int
-    marked: int
-    skipped: int
-    timestamps: bool
-    commas: bool
-    for_itself: bool
+    count: int  # of all rows in the file
+    marked: int  # as outliers
+    skipped: int  # others without a time, place or id
+    timestamps: bool  # in microseconds since 1970
+    commas: bool  # are decimal signs
+    for_itself: bool  # an id means nothing in another file
 
 
 def _read_file(path: Path, options: _Options) -> _Part:
@@ -162,23 +137,25 @@ def _read_file(path: Path, options: _Options) -> _Part:
     where, mapping = quote(os.fspath(path)), options.columns or {}
     try:
         (header, read_columns), for_itself = _open_table(path, options)
-        names, marks = choose_columns(header, mapping, where)
+        names, marks = roles.choose_columns(header, mapping, where)
         table = read_columns(names | marks)
         count, decimal = len(table), table.attrs.get("decimal", ".")
         if marks:
-            table = table[~read_marks(table)]
+            table = table[~roles.read_marks(table)]
         rows = pd.DataFrame(index=table.index)
         for role in names:
             column = table[role].rename(names[role])
-            rows[role] = read_numbers(column, role, where, decimal) if role in NUMBERS else _clean_labels(column)
-        skip = options.missing == "skip" or is_movebank(header)
+            rows[role] = (
+                roles.read_numbers(column, role, where, decimal) if role in roles.NUMBERS else _clean_labels(column)
+            )
+        skip = options.missing == "skip" or roles.is_movebank(header)
         good = np.ones(len(rows), bool)
-        for role in names.keys() - ({*OPTIONAL} - ({"z"} if mapping.get("z") else set())):
+        for role in names.keys() - ({*roles.OPTIONAL} - ({"z"} if mapping.get("z") else set())):
             none = rows[role] == "" if role == "id" else rows[role].isna()
             if none.any() and not skip:
-                refuse_cell(role, table[role].rename(names[role]), "", where)
+                roles.refuse_cell(role, table[role].rename(names[role]), "", where)
             good &= ~none.to_numpy()
-        timestamps = any(has_timestamps(table[role]) for role in TIMES if role in names)
+        timestamps = any(roles.has_timestamps(table[role]) for role in roles.TIMES if role in names)
         skipped = len(rows) - int(good.sum())
         rows = rows[good] if skipped else rows
         return _Part(names, rows, count, count - len(table), skipped, timestamps, decimal == ",", for_itself)
@@ -193,18 +170,18 @@ def _read_file(path: Path, options: _Options) -> _Part:
         ) from error
 
 
-def _open_table(path: Path, options: _Options) -> tuple[Table, bool]:
+def _open_table(path: Path, options: _Options) -> tuple[formats.Table, bool]:
     """The table of a file, and whether its ids, such as the names of tracks, mean nothing in other files."""
     suffix, mapping = path.suffix.lower(), options.columns or {}
     if suffix in (".parquet", ".pq"):
-        return read_parquet(path, options.max_bytes), False
+        return formats.read_parquet(path, options.max_bytes), False
     if suffix == ".npz":
-        return read_npz(path, options.max_bytes, mapping), False
+        return formats.read_npz(path, options.max_bytes, mapping), False
     if suffix == ".ulg":
-        return read_ulog(path), True
+        return formats.read_ulog(path), True
     data, name = _expand(path, options.max_bytes)
     if name.lower().endswith(".gpx"):
-        return read_gpx(data, Path(name).stem), True
+        return formats.read_gpx(data, Path(name).stem), True
     return _read_csv(data, options), False
 
 
@@ -228,11 +205,11 @@ def _expand(path: Path, max_bytes: int | None) -> tuple[bytes, str]:
                 expanded, name = file.read(limit + 1), texts[0]
     else:
         return data, path.name
-    check_size(path, len(expanded), max_bytes)
+    formats.check_size(path, len(expanded), max_bytes)
     return expanded, name
 
 
-def _read_csv(data: bytes, options: _Options) -> Table:
+def _read_csv(data: bytes, options: _Options) -> formats.Table:
     """Read a CSV file with names in row 1, separated by commas, semicolons, tabs or bars."""
     encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else options.encoding
     with io.TextIOWrapper(io.BytesIO(data), encoding) as lines:
@@ -242,7 +219,7 @@ def _read_csv(data: bytes, options: _Options) -> Table:
 
     def read(names: Mapping[str, str]) -> pd.DataFrame:
         places = {header.index(name): role for role, name in names.items()}
-        numbers = [place for place, role in places.items() if role in NUMBERS]
+        numbers = [place for place, role in places.items() if role in roles.NUMBERS]
         form: dict[str, Any] = {
             "sep": delimiter, "encoding": encoding, "header": 0, "names": list(range(len(header))), "index_col": False,
             "skipinitialspace": True, "keep_default_na": False,
@@ -250,7 +227,7 @@ def _read_csv(data: bytes, options: _Options) -> Table:
         with warnings.catch_warnings():
             warnings.simplefilter("error", ParserWarning)  # a row has more cells than the header
             sample = pd.read_csv(io.BytesIO(data), nrows=_SAMPLE, dtype=str, **form)[numbers]
-        decimal = options.decimal or ("," if has_decimal_commas({*sample.to_numpy().ravel()}) else ".")
+        decimal = options.decimal or ("," if roles.has_decimal_commas({*sample.to_numpy().ravel()}) else ".")
         rows = pd.read_csv(
             io.BytesIO(data),
             dtype={place: "category" for place in range(len(header)) if place not in numbers},
@@ -273,7 +250,7 @@ def _clean_labels(column: pd.Series[Any]) -> pd.Categorical:
     labels = []
     for cell in pd.Series(cells).tolist():
         whole = isinstance(cell, int | float) and not isinstance(cell, bool) and float(cell).is_integer()
-        labels.append(int(cell) if whole else to_text(cell))
+        labels.append(int(cell) if whole else roles.to_text(cell))
     different = dict.fromkeys([*labels, ""])
     place = {label: k for k, label in enumerate(different)}
     return pd.Categorical.from_codes(np.array([place[label] for label in [*labels, ""]])[codes], list(different))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from decimal import Decimal
@@ -185,7 +185,9 @@ def match_leaders(
 
     Args:
         index: ``(S,)`` which of the labels names the leader of each sample.
-        labels: the different labels of leaders.
+        labels: the different labels of leaders. One names the id of the same text, or else of an equal number: ``0.0``,
+            which pandas writes for whole numbers in a column with gaps, is the id 0. A number that equals several ids,
+            such as 1 and 01, is none of them.
         codes: ``(S,)`` index of the id of each sample.
         ids: the N ids.
         where: names the column in a sentence, such as ``" in column leader"``.
@@ -194,7 +196,13 @@ def match_leaders(
         ``(S,)`` index of each sample's leader, -1 for none; ``None`` if none of those that are named has a track. And a
         sentence about each kind of leader that was not found.
     """
-    known, notes = _find_labels(labels, ids), []
+    same = {str(name): k for k, name in enumerate(ids)}
+    equal: dict[Decimal | None, int] = {}
+    for text, k in same.items():
+        equal[_to_number(text)] = -1 if _to_number(text) in equal else k
+    equal[None] = -1
+    texts = list(map(str, labels))
+    known, notes = np.array([same.get(text, equal.get(_to_number(text), -1)) for text in texts], np.int64), []
     unknown = [label for label, k in zip(labels, known, strict=True) if k < 0 and not is_none(label)]
     if unknown:
         notes.append(f"Leaders without a track: {len(unknown)} ({', '.join(map(str, unknown[:3]))}).")
@@ -214,21 +222,8 @@ def is_epoch(time: float, unit: float) -> bool:
     return _RECORDED[0] <= time * unit <= _RECORDED[1]
 
 
-def _find_labels(labels: Iterable[str | int], known: Sequence[str | int]) -> Indices:
-    """``(labels,)`` index of each label among those that are known, -1 for none.
-
-    A label is the same text, or else an equal number: ``0.0``, which pandas writes for whole numbers in a column with
-    gaps, is the label 0. A number that equals several known labels, such as 1 and 01, is none of them.
-    """
-    same = {str(name): k for k, name in enumerate(known)}
-    equal: dict[Decimal, int] = {}
-    for text, k in same.items():
-        if _DECIMAL.fullmatch(text):
-            equal[Decimal(text)] = -1 if Decimal(text) in equal else k
-    return np.array(
-        [same.get(text, equal.get(Decimal(text), -1) if _DECIMAL.fullmatch(text) else -1) for text in map(str, labels)],
-        np.int64,
-    )
+def _to_number(text: str) -> Decimal | None:
+    return Decimal(text) if _DECIMAL.fullmatch(text) else None
 
 
 def _count_decimals(number: float) -> int:
