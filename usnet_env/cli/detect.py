@@ -116,8 +116,6 @@ def detect(
     if record and out is None:
         raise click.UsageError("--record needs --out.")
     folder = None if out is None else as_path("out", out)
-    if folder is not None:
-        reserve_folder(folder)
     player = make_detector(detector)
     with progress_bar("rows") as progress:
         read = read_tracks(list(tracks), progress=lambda rows: progress(rows, rows), **reading)
@@ -136,6 +134,8 @@ def detect(
     needed = count * (window + 1) * len(even.ids) * 25  # two float32 vectors and a flag
     if record and needed > _LARGEST_RECORD:
         raise click.UsageError(f"--record needs {needed} bytes, more than {_LARGEST_RECORD}; a longer --stride less.")
+    if folder is not None:
+        reserve_folder(folder)
     kept: list[Kept] = []
     done, groups_given = 0, unconfirmed
     with progress_bar("windows") as progress:

@@ -17,7 +17,7 @@ from usnet_env.tracks.samples import is_none
 
 Role = Literal["id", "t", "frame", "lon", "lat", "x", "y", "z", "vx", "vy", "vz", "leader"]
 #: The roles of columns, with the names that are guessed, the preferred one first.
-ROLES: dict[Role, tuple[str, ...]] = {
+ROLES: dict[str, tuple[str, ...]] = {
     "id": (
         "individual-local-identifier", "id", "ids", "track_id", "trackid", "track", "animal", "animal_id", "agent",
         "agent_id", "uav", "uav_id", "drone", "drone_id", "vehicle", "vehicle_id", "individual", "individual_id",
@@ -57,7 +57,7 @@ _THOUSANDS = re.compile(r"\s*[+-]?[1-9]\d{0,2},\d{3}\s*")  # 1,234 may be a whol
 _TRUE, _FALSE = {"true", "t", "yes", "1", "1.0"}, {"false", "f", "no", "0", "0.0"}
 
 
-def check_mapping(columns: Mapping[Role, str]) -> None:
+def check_mapping(columns: Mapping[Any, str]) -> None:
     """Check that the columns that the caller has mapped to roles can be read together.
 
     Raises:
@@ -65,8 +65,7 @@ def check_mapping(columns: Mapping[Role, str]) -> None:
     """
     names = [name for name in columns.values() if name]
     both = any(
-        all(any(columns.get(role) for role in roles) for roles in alternatives)  # type: ignore[call-overload]
-        for alternatives in _ALTERNATIVES
+        all(any(columns.get(role) for role in roles) for roles in alternatives) for alternatives in _ALTERNATIVES
     )
     if both or len(set(names)) < len(names):
         raise ArgumentError(
@@ -76,7 +75,7 @@ def check_mapping(columns: Mapping[Role, str]) -> None:
 
 
 def choose_columns(
-    header: Sequence[str], mapping: Mapping[Role, str], where: str
+    header: Sequence[str], mapping: Mapping[Any, str], where: str
 ) -> tuple[dict[str, str], dict[str, str]]:
     """Choose the column of each role, and those in which Movebank marks outliers.
 
@@ -93,7 +92,7 @@ def choose_columns(
         ArgumentError: a column is missing, or its name stands twice in the header.
     """
     given = {role: name for role, name in mapping.items() if name}
-    found: dict[str, str] = {**given}
+    found: dict[str, str] = dict(given)
     plain = {_normalise(name): name for name in reversed(header)}
     for role, names in ROLES.items():
         guess = next((plain[name] for name in map(_normalise, names) if name in plain), None)
@@ -112,7 +111,7 @@ def choose_columns(
     if missing:
         raise ArgumentError(
             f"columns (--column) must name the columns of {where} for {', '.join(missing)}"
-            f"{' (or lon and lat)' if 'x' in missing else ''}; row 1 names {quote(list(header))}, of which "
+            f"{' (or lon and lat)' if {'x', 'y'} <= {*missing} else ''}; row 1 names {quote(list(header))}, of which "
             f"{quote(found)} {'are' if len(found) > 1 else 'is'} known."
         )
     for role, name in found.items():

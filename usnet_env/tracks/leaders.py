@@ -241,7 +241,7 @@ def _detect_window(
         followers = [members for members, kept in zip(followers, confirmed, strict=True) if kept]
     labels = _number_groups(
         [
-            (int(cut.rows[head]), {*cut.rows[[head, *members]].tolist()})
+            (int(cut.rows[head]), {int(cut.rows[i]) for i in (int(head), *members)})
             for head, members in zip(heads, followers, strict=True)
         ],
         groups,

@@ -43,7 +43,7 @@ _TOGETHER = (["z"], ["vx", "vy", "vz"])  # the optional numbers; one without the
 class _Options(Config):
     """The arguments of :func:`read_tracks` but for the files."""
 
-    columns: dict[roles.Role, str] | None
+    columns: Mapping[roles.Role, str] | None
     time_unit: Annotated[float, Field(ge=1e-12, le=1e9)] | None
     missing: Literal["refuse", "skip"]
     encoding: str
@@ -54,7 +54,7 @@ class _Options(Config):
 def read_tracks(
     path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     *,
-    columns: Mapping[roles.Role, str] | None = None,
+    columns: Mapping[str, str] | None = None,
     time_unit: float | None = None,
     missing: Literal["refuse", "skip"] = "refuse",
     encoding: str = "utf-8",
@@ -94,7 +94,12 @@ def read_tracks(
             an id has two places at one time, or there are fewer than two ids.
     """
     options = _Options(
-        columns=columns, time_unit=time_unit, missing=missing, encoding=encoding, decimal=decimal, max_bytes=max_bytes
+        columns=columns,  # type: ignore[arg-type]  # checked there
+        time_unit=time_unit,
+        missing=missing,
+        encoding=encoding,
+        decimal=decimal,
+        max_bytes=max_bytes,
     )
     roles.check_mapping(options.columns or {})
     given = [as_path("path", file) for file in (path if isinstance(path, list | tuple) else [path])]

@@ -91,7 +91,8 @@ class Tracks(Samples):
         places = frozen_array("position", position, np.float64, (None, 2 if shape[1:] == (2,) else 3))
         seconds = frozen_array("time", time, np.float64, (len(places),))
         codes, names = _read_ids("ids", ids, len(places))
-        leaders, notes = None, []
+        leaders: Indices | None = None
+        notes: list[str] = []
         if leader is not None:
             leaders, notes = match_leaders(*_read_ids("leader", leader, len(places)), codes, names)
         return cls(**sort_samples(names, codes, seconds, list(places.T), leader=leaders, notes=notes))
