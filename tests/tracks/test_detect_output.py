@@ -29,7 +29,7 @@ def test_a_folder_that_cannot_be_written_is_refused_before_the_work(run, tmp_pat
     for out in (taken, taken / "inside"):
         status, printed, err = run("detect", tracks, *QUICK, "--out", out)
         assert (status, printed) == (2, "")
-        assert err.startswith("usnet: --out must be a folder that can be written, got ")
+        assert err.startswith("usnet: out must be a folder that can be written, got ")
     assert taken.read_text() == "a file"
 
 
@@ -76,11 +76,8 @@ def test_the_picture_has_the_coordinates_and_times_of_the_file(tmp_path):
     from usnet_env.tracks.picture import draw_leaders
 
     tracks = read_tracks(flock(tmp_path / "flock.csv", shift=1_700_000_000.5, move=500_000.0)).resample()
-    maps = []
-    found = find_leaders(
-        tracks, "lagged-regression", on_window=lambda cut, _, each: maps.append((cut, np.full(12, -1), each))
-    )
-    axes = draw_leaders(found, maps[:1], "flock.csv", tracks).axes[0]
+    found = find_leaders(tracks, "lagged-regression")
+    axes = draw_leaders(found, tracks.windows(), "flock.csv", tracks).axes[0]
     low, high = axes.get_xlim()
     places = [row[2] + 500_000.0 for row in example().flock() if row[1] <= 100]
     assert low < min(places) < max(places) < high

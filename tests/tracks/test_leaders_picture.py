@@ -1,6 +1,5 @@
 """The picture of ``usnet detect``: titles, names and the legend."""
 
-import numpy as np
 import pytest
 from test_track_tables import flying, stamp
 from track_files import Sure, example, write_csv
@@ -12,17 +11,9 @@ from usnet_env.tracks.picture import draw_leaders
 
 
 def draw(tracks, detector, **options):
-    """The figure of all windows, in which all ids follow the first leader of a window."""
-    maps = []
-
-    def keep(cut, answer, found):
-        leader = np.full(len(cut.ids), cut.ids.index(found.leaders[0].id) if found.leaders else -1)
-        for each in found.leaders:
-            leader[cut.ids.index(each.id)] = cut.ids.index(each.id)
-        maps.append((cut, leader, found))
-
-    found = find_leaders(tracks, detector, on_window=keep, **options)
-    figure = draw_leaders(found, maps[:6], "tracks.csv", tracks)
+    """The figure of all windows."""
+    found = find_leaders(tracks, detector, **options)
+    figure = draw_leaders(found, tracks.windows(), "tracks.csv", tracks)
     figure.draw_without_rendering()
     return figure
 
