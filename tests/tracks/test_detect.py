@@ -26,14 +26,6 @@ def folder(tmp_path_factory):
     return place
 
 
-def test_the_example_says_what_it_wrote_in_plain_text(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    example().main()
-    printed = capsys.readouterr().out
-    assert "A flock in which all others follow bird-0 after 1 to 3 steps." in printed
-    assert "`" not in printed
-
-
 def leaders_by_window(found):
     return [[leader.id for leader in window.leaders] for window in found.windows]
 
@@ -179,21 +171,13 @@ def test_out_and_record_write_all_files(run, folder, tmp_path):
     np.testing.assert_allclose(record.position[1, 0, 0], tracks.position[100], atol=1e-3)
 
 
-def test_parquet_holds_the_same_rows(run, folder, tmp_path):
-    parquet = pytest.importorskip("pyarrow.parquet")
-    assert run("detect", folder / "flock.csv", *QUICK, "--out", tmp_path)[0] == 0
-    table = parquet.read_table(tmp_path / "windows.parquet").to_pylist()
-    assert [row["id"] for row in table] == ["bird-0"] * 5
-    assert len(table[0]["followers"]) == 11
-
-
 def test_missing_extras_leave_out_a_file_and_say_so(run, folder, tmp_path, monkeypatch):
     for name in ("matplotlib.figure", "matplotlib.backends.backend_agg", "rerun", "pyarrow"):
         monkeypatch.setitem(sys.modules, name, None)
     status, _, err = run("detect", folder / "flock.csv", *QUICK, "--out", tmp_path, "--record")
     assert status == 0
-    assert "'.[render]'" in err
-    assert "'.[replay]'" in err
+    assert "[render]" in err
+    assert "[replay]" in err
     written = {path.name for path in tmp_path.iterdir()}
     assert written == {"episode.npz", "leaders.csv", "leaders.json", "links.csv", "windows.csv"}
 
@@ -244,34 +228,24 @@ def test_a_leader_that_chance_may_have_made_is_called_so(folder):
 
     tracks = read_tracks(folder / "flock.csv").resample(0.5)
     (once,) = find_leaders(tracks, Once([1])).leaders
-    assert (
-        once.reason == "Leads group 1 in 1 of 5 windows. By chance, a group without a leader has a confirmed leader "
-        "in as many windows with probability 0.23."
-    )
+    assert once.reason.startswith("Leads group 1 in 1 of 5 windows. By chance, ")
+    assert once.reason.endswith("probability 0.23.")  # 1 - 0.95^5
     (always,) = find_leaders(tracks, Once(range(5))).leaders
     assert always.reason == "Leads group 1 in 5 of 5 windows."
 
 
-def test_a_recording_shows_what_was_found_and_no_truth(run, folder, tmp_path):
-    """The leaders that are not confirmed are no leaders in the replay, the animation and the page either."""
-    pytest.importorskip("matplotlib")
+def test_a_record_holds_what_was_found_and_no_truth(run, folder, tmp_path):
+    """The leaders that are not confirmed are no leaders in the record either."""
     out = tmp_path / "found"
     assert run("detect", folder / "shepherd.csv", *QUICK, "--step", "0.5", "--out", out, "--record")[0] == 0
     windows = json.loads((out / "leaders.json").read_text())["windows"]
     assert sum(bool(window["not_confirmed"]) for window in windows) >= 3
     record = EpisodeRecord.load(out / "episode.npz")
+    assert not record.labelled
     for window, candidates in zip(windows, record.candidates, strict=True):
         assert [each["id"] for each in window["leaders"]] == [
             record.config["ids"][i] for i in np.flatnonzero(candidates)
         ]
-    _, told, _ = run("replay", out, "--animation", out / "game.gif")
-    assert f"In 5 windows, {record.head.sum()} of 12 ids lead at least once" in told
-    assert "seed" not in told
-    assert run("report", out / "episode.npz", "--html", out / "page.html")[0] == 0
-    page = (out / "page.html").read_text()
-    assert "What it found" in page
-    assert "dog" in page
-    assert not [words for words in ("The truth<", "heads not found", "destroyed", "J =", "UAV 0") if words in page]
 
 
 def test_warnings_go_to_standard_error(run, folder, tmp_path):

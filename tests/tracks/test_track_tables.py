@@ -120,6 +120,20 @@ def test_a_delay_of_less_than_a_step_is_left_empty(run, tmp_path):
     assert "0.0" not in delays
 
 
+@pytest.mark.parametrize(
+    ("lag", "steps", "measured"), [(12, 100, True), (13, 100, False), (10, 40, True), (11, 40, False)]
+)
+def test_delays_are_measured_up_to_12_steps_and_a_quarter_of_the_window(lag, steps, measured):
+    rng = np.random.default_rng(0)
+    leader = rng.normal(0, 1, (2 * steps, 2))
+    velocity = np.stack([leader, np.roll(leader, lag, axis=0)], axis=1)[-steps - 1 :]
+    tracks = Tracks.from_samples(
+        ["a", "b"] * (steps + 1), np.repeat(np.arange(steps + 1.0), 2), np.cumsum(velocity, axis=0).reshape(-1, 2)
+    )
+    (window,) = find_leaders(tracks.resample(1.0), Sure(0), length=steps, confirm=False).windows
+    assert (window.links[0].delay == lag) == measured
+
+
 def test_tables_and_json_have_the_same_fields(run, tmp_path):
     places = flying(lag=2)
     rows = [["abc"[k], t * 0.5, *map(float, places[t, k])] for t in range(600) for k in range(3)]
