@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from scipy.stats import gumbel_r
-from track_files import Sure
+from track_files import Answers, Sure, answer_of
 
-from usnet_env import Detection, Window
+from usnet_env import Window
 from usnet_env.tracks import Tracks, find_leaders
 from usnet_env.tracks.confirm import LEVEL, find_alike, find_followers
 
@@ -58,22 +58,15 @@ def test_relays_opposite_velocities_and_independent_tracks_are_not_confirmed():
     assert sum(confirmed([wander(rng) for _ in range(UAVS)], head=k % UAVS) for k in range(20)) <= 4
 
 
-class NamesTheFirst:
+def names_the_first(leader_of_itself=0, followers=None):
     """Names the first id, and gives the next ones, and perhaps itself, the first or second id as leader."""
 
-    def __init__(self, leader_of_itself=0, followers=None):
-        self.leader_of_itself, self.followers = leader_of_itself, followers
+    def answer(uavs, _):
+        leader = np.where(np.arange(uavs) <= (uavs if followers is None else followers), 0, -1)
+        leader[0] = leader_of_itself
+        return answer_of(uavs, 0, leader)
 
-    def reset(self, seed=None):
-        pass
-
-    def detect(self, window):
-        leader = np.zeros(window.uavs, np.int64)
-        leader[0] = self.leader_of_itself
-        if self.followers is not None:
-            leader[1 + self.followers :] = -1
-        candidates = np.arange(window.uavs) == 0
-        return Detection(candidates, candidates.astype(float), leader=leader)
+    return Answers(answer)
 
 
 def walk(rng, steps):
@@ -93,7 +86,7 @@ def group(seed, followers, others, steps, shared):
 
 
 def test_an_independent_group_is_removed_from_the_followers():
-    windows = [w for seed in range(4) for w in find_leaders(group(seed, 4, 5, 402, True), NamesTheFirst()).windows]
+    windows = [w for seed in range(4) for w in find_leaders(group(seed, 4, 5, 402, True), names_the_first()).windows]
     named = [window.leaders[0].followers for window in windows if window.leaders]
     assert len(named) >= 0.7 * len(windows)
     assert sum(set(range(1, 5)) <= set(followers) for followers in named) >= 0.8 * len(named)
@@ -102,13 +95,13 @@ def test_an_independent_group_is_removed_from_the_followers():
 
 @pytest.mark.parametrize("leader_of_itself", [0, 1, -1])
 def test_a_candidate_with_a_leader_keeps_its_followers(leader_of_itself):
-    found = find_leaders(group(0, 4, 0, 402, True), NamesTheFirst(leader_of_itself))
+    found = find_leaders(group(0, 4, 0, 402, True), names_the_first(leader_of_itself))
     assert found.leaders[0].followers == (1, 2, 3, 4)
 
 
 def test_a_head_of_a_small_group_does_not_follow_independent_ids():
     """Among many independent ids, some are like the head by chance."""
-    found = [find_leaders(group(seed, 2, 300, 502, False), NamesTheFirst(followers=2)).windows for seed in range(3)]
+    found = [find_leaders(group(seed, 2, 300, 502, False), names_the_first(followers=2)).windows for seed in range(3)]
     assert sum(len(window.leaders) for windows in found for window in windows) >= 0.8 * sum(map(len, found))
 
 

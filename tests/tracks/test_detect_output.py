@@ -3,11 +3,9 @@
 import csv
 import json
 
-import numpy as np
 import pytest
-from track_files import example, write_csv
+from track_files import Answers, answer_of, example, write_csv
 
-from usnet_env import Detection
 from usnet_env.tracks import find_leaders, read_tracks
 
 QUICK = ("--detector", "lagged-regression")
@@ -90,23 +88,18 @@ def test_the_picture_has_the_coordinates_and_times_of_the_file(tmp_path):
     assert axes.get_title(loc="left").startswith("1700000000.5 to 17000000")
 
 
-class Names:
-    """A detector that names the first UAV, and says nothing about followers."""
-
-    def reset(self, seed=None):
-        pass
-
-    def detect(self, window):
-        candidates = np.arange(window.uavs) == 0
-        return Detection(candidates, candidates * 1.0)
-
-
 def test_a_detector_without_followers_has_no_confirmed_leaders(run, tmp_path):
     path = flock(tmp_path / "flock.csv")
-    found = find_leaders(read_tracks(path), Names())
+    found = find_leaders(read_tracks(path), Answers(lambda uavs, _: answer_of(uavs, 0)))
     assert not any(window.leaders for window in found.windows)
     assert {window.not_confirmed for window in found.windows} == {("bird-0",)}
-    assert find_leaders(read_tracks(path), Names(), confirm=False).windows[0].leaders[0].id == "bird-0"
+    assert (
+        find_leaders(read_tracks(path), Answers(lambda uavs, _: answer_of(uavs, 0)), confirm=False)
+        .windows[0]
+        .leaders[0]
+        .id
+        == "bird-0"
+    )
     _, out, err = run("detect", path, "--detector", "destroy-all", "--json")
     assert "the detector names no followers, so no leader is confirmed" in err
     assert not any(window["leaders"] for window in json.loads(out)["windows"])

@@ -38,23 +38,6 @@ def test_the_titles_of_a_picture_fit_their_maps(tmp_path):
     assert sum("2010-07-08" in each.get_text() for each in figure.texts) == 1
 
 
-@pytest.mark.parametrize(
-    ("column", "options", "title", "below"),
-    [
-        ("t", {}, "0 to 50 s", "time of their start in s below"),
-        ("t", {"time_unit": 0.001}, "0 to 50000 ms", "time of their start in ms below"),
-        ("frame", {"time_unit": 0.5}, "0 to 100 frames", "time of their start in frames below"),
-    ],
-)
-def test_times_of_a_picture_have_their_unit(tmp_path, column, options, title, below):
-    unit = options.get("time_unit", 1.0)
-    rows = [[row[0], round(row[1] / unit), *row[2:4]] if unit < 1 else row[:4] for row in example().flock()]
-    path = write_csv(tmp_path / "tracks.csv", rows, ["id", column, "x", "y"])
-    figure = draw(read_tracks(path, **options).resample(0.5), "lagged-regression")
-    assert figure.axes[0].get_title(loc="left") == title
-    assert figure.axes[-1].get_title(loc="left").endswith(below)
-
-
 def test_long_names_stay_apart_and_inside(tmp_path):
     """All ids are leaders; their names differ in the middle only, and are as wide as names are in some alphabets."""
     names = [f"WWWWWWWWWWWWWWWW female {k} MMMMMMMMMMMMMMMM" for k in range(12)]
@@ -85,3 +68,8 @@ def test_the_legend_names_what_is_shown(tmp_path):
     without = draw(read_tracks(write_csv(tmp_path / "none.csv", rows)), "none")
     assert legend_of(without) == ["other (no leader found)"]
     assert without.texts[1].get_text() == "tracks.csv: by none."
+    frames = [[row[0], round(2 * row[1]), *row[2:4]] for row in example().flock()]
+    path = write_csv(tmp_path / "frames.csv", frames, ["id", "frame", "x", "y"])
+    figure = draw(read_tracks(path, time_unit=0.5).resample(0.5), "lagged-regression")
+    assert figure.axes[0].get_title(loc="left") == "0 to 100 frames"
+    assert figure.axes[-1].get_title(loc="left").endswith("in frames below")

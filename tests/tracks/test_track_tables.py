@@ -55,7 +55,7 @@ def test_milliseconds_since_1970_are_exact(tmp_path):
     np.testing.assert_allclose(read.time, np.round(read.time, 3), atol=1e-12)
 
 
-@pytest.mark.parametrize(("unit", "number"), [(1e3, "0.001"), (1e6, "1e-6"), (1e9, "1e-9")])
+@pytest.mark.parametrize(("unit", "number"), [(1e3, "0.001"), (1e9, "1e-9")])
 @pytest.mark.parametrize(("name", "begin"), [("timestamp", 1714720000), ("t {}", 0), ("Time [{}]", 5)])
 def test_times_that_are_no_seconds_are_reported_and_not_changed(run, tmp_path, unit, number, name, begin):
     short = {1e3: "ms", 1e6: "us", 1e9: "ns"}[unit]
@@ -135,8 +135,8 @@ def test_delays_are_measured_up_to_12_steps_and_a_quarter_of_the_window(lag, ste
 
 
 def test_tables_and_json_have_the_same_fields(run, tmp_path):
-    places = flying(lag=2)
-    rows = [["abc"[k], t * 0.5, *map(float, places[t, k])] for t in range(600) for k in range(3)]
+    names, places = ["a", "b;c", "d\\"], flying(lag=2)
+    rows = [[names[k], t * 0.5, *map(float, places[t, k])] for t in range(600) for k in range(3)]
     path = write_csv(tmp_path / "tracks.csv", rows)
     status, out, _ = run("detect", path, *QUICK, "--step", "0.5", "--unconfirmed", "--out", tmp_path / "found")
     assert status == 0
@@ -146,23 +146,12 @@ def test_tables_and_json_have_the_same_fields(run, tmp_path):
         with open(tmp_path / "found" / f"{name}.csv", newline="", encoding="utf-8") as file:
             tables[name] = list(csv.DictReader(file))
     assert set(tables["leaders"][0]) == set(found["leaders"][0])
+    assert r"b\;c;d\\" in [row["followers"] for row in tables["windows"]]
     fields = {*found["windows"][0], *found["windows"][0]["leaders"][0]} - {"leaders", "links"}
     assert set(tables["windows"][0]) == fields
     led = sum(each["id"] == found["leaders"][0]["id"] for window in found["windows"] for each in window["leaders"])
     assert found["leaders"][0]["share"] == pytest.approx(led / len(found["windows"]))
     assert f"{led / len(found['windows']):.0%}" in out.partition("Over the file")[2]
-
-
-def test_ids_with_semicolons_can_be_read_from_a_cell(run, tmp_path):
-    names, places = ["a", "b;c", "d\\"], flying(lag=2)
-    rows = [[names[k], t * 0.5, *map(float, places[t, k])] for t in range(600) for k in range(3)]
-    words = ("--step", "0.5", "--unconfirmed", "--out", tmp_path)
-    assert run("detect", write_csv(tmp_path / "tracks.csv", rows), *QUICK, *words)[0] == 0
-    with open(tmp_path / "windows.csv", newline="", encoding="utf-8") as file:
-        cells = [row["followers"] for row in csv.DictReader(file) if row["id"] == "a"]
-    assert r"b\;c;d\\" in cells
-    ids = {tuple(re.sub(r"\\(.)", r"\1", each) for each in re.findall(r"(?:\\.|[^;\\])+", cell)) for cell in cells}
-    assert ("b;c", "d\\") in ids
 
 
 def test_a_date_that_all_times_share_is_printed_once(run, tmp_path):

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from track_files import example, straight, write_csv
 
-from usnet_env import ArgumentError, make_detector
+from usnet_env import ArgumentError
 from usnet_env.tracks import Tracks, read_tracks
 
 
@@ -147,21 +147,6 @@ def test_the_step_puts_the_delay_at_1_to_4_samples(delay):
     assert told == pytest.approx(delay * 0.5, abs=even.step / 4)
 
 
-@pytest.mark.parametrize("delay", [0.4, 2.0])
-def test_the_step_suits_the_movement_where_sampling_is_faster_than_it(delay):
-    """Two ids sampled at 25 Hz, of which one goes where the other was: their velocities change within seconds."""
-    rng = np.random.default_rng(4)
-    samples, shift = 12_000, round(delay * 25)
-    turn = np.convolve(rng.normal(0, 1, samples), np.ones(25) / 25, "same")
-    path = np.cumsum(0.2 * np.stack([np.cos(np.cumsum(turn) / 5), np.sin(np.cumsum(turn) / 5)], axis=1), axis=0)
-    places = np.stack([path, np.roll(path, shift, axis=0)], axis=1)[shift:]
-    places += rng.normal(0, 0.02, places.shape)  # a tenth of the movement in an interval
-    even = dense(np.concatenate([places, 0 * places[..., :1]], axis=2), step=0.04).resample()
-    assert delay / 4 <= even.step <= 2 * delay
-    answer = make_detector("follow-mixture(policy='map')").detect(next(even.windows(100)).window)
-    assert answer.candidates.tolist() == [True, False]
-
-
 def test_the_step_is_longer_where_positions_are_noisy():
     quiet, noisy = (dense(wandering(steps=1500, noise=noise)).resample() for noise in (0.0, 3.0))
     assert quiet.step == 0.5
@@ -205,7 +190,8 @@ def test_nothing_is_wrong_with_clean_tracks():
     report = dense(wandering()).report()
     assert report.warnings == ()
     assert "6 ids, 2400 samples from 0.0 to 199.5" in report.facts[0]
-    assert str(report).startswith(report.facts[0])
+    with pytest.raises(ValueError, match="read-only"):
+        dense(wandering()).position[0] = 0
 
 
 def test_gaps_jumps_and_uneven_sampling_are_reported():
@@ -311,10 +297,3 @@ def test_bad_windows_are_refused(name, value):
 def test_bad_samples_are_refused(name, arguments):
     with pytest.raises(ArgumentError, match=f"^{name} must"):
         Tracks.from_samples(*arguments).resample(1.0)
-
-
-def test_the_arrays_are_read_only():
-    tracks = dense(straight())
-    for each in (tracks, tracks.resample(0.5)):
-        with pytest.raises(ValueError, match="read-only"):
-            each.position[0] = 0

@@ -32,6 +32,25 @@ class Sure:
         )
 
 
+class Answers:
+    """A detector whose answer is a function of the number of UAVs and the number of the window, from 0."""
+
+    def __init__(self, answer):
+        self.answer, self.number = answer, -1
+
+    def reset(self, seed=None):
+        self.number += 1
+
+    def detect(self, window):
+        return self.answer(window.uavs, self.number)
+
+
+def answer_of(uavs, head, leader=None):
+    """An answer with one candidate, or none if it is -1."""
+    candidates = np.arange(uavs) == head
+    return Detection(candidates, candidates * 1.0, leader=leader)
+
+
 def straight(steps=20, uavs=3, height=False):
     """Positions ``(steps, uavs, 3)`` of straight flights from different places."""
     rng = np.random.default_rng(1)
