@@ -206,6 +206,11 @@ def test_tracks_of_one_name_in_several_gpx_files_are_several_ids(tmp_path):
     assert read_tracks([logs[1], tmp_path / "folder" / ".." / "log1.gpx"]).ids == ("ACTIVE LOG", "Rex")  # one file
     folders = [write_gpx(tmp_path / str(k) / "track.gpx", k, "") for k in range(2)]
     assert len(set(read_tracks(folders).ids)) == 2
+    twins = [
+        write_gpx(tmp_path / name, k, *names)
+        for k, (name, *names) in enumerate((("y.gpx", "A", "A (y.gpx)"), ("z.gpx", "A")))
+    ]
+    assert read_tracks(twins).ids == ("A (y.gpx) (y.gpx)", "A (y.gpx)", "A (z.gpx)")
 
 
 def test_files_with_other_columns_or_times_are_refused(tmp_path):

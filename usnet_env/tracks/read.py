@@ -31,7 +31,7 @@ from usnet_env.tracks.tracks import Tracks
 _DELIMITERS = ",;\t|"
 _TEXTS = (".csv", ".tsv", ".txt", ".gpx")  # in zip archives
 _SAMPLE = 50_000  # rows that tell whether commas are decimal signs
-_NO_NUMBER = sorted({form(word) for word in ("", "na", "n/a", "nan", "null", "none") for form in (str, str.upper)})
+_NO_NUMBER = ["", "NA", "na", "N/A", "n/a", "NaN", "nan", "NULL", "null", "None", "none"]  # others are read one by one
 _UNITS = {  # of times, in seconds, with the words that names of columns end with
     1e-3: {"ms", "msec", "msecs", "millis", "millisecond", "milliseconds"},
     1e-6: {"us", "µs", "usec", "usecs", "micros", "microsecond", "microseconds"},
@@ -113,10 +113,8 @@ def read_tracks(
                 progress(sum(part.count for part in parts))
         return _make_tracks(paths, parts, options, where)
     except ImportError as error:
-        raise ArgumentError(
-            f"path must be in a format that can be read, got {where}, which needs {error.name}; "
-            f"{how_to_install('tracks')}."
-        ) from None
+        needs = f"which needs {error.name}; {how_to_install('tracks')}"
+        raise ArgumentError(f"path must be in a format that can be read, got {where}, {needs}.") from None
 
 
 @dataclass
@@ -148,17 +146,17 @@ def _read_file(path: Path, options: _Options) -> _Part:
         if marks:
             table = table[~roles.read_marks(table)]
         rows = pd.DataFrame(index=table.index)
-        for role in names:
-            column = table[role].rename(names[role])
-            rows[role] = (
-                roles.read_numbers(column, role, where, decimal) if role in roles.NUMBERS else _clean_labels(column)
-            )
         skip = options.missing == "skip" or roles.is_movebank(header)
         good = np.ones(len(rows), bool)
-        for role in names.keys() - ({*roles.OPTIONAL} - ({"z"} if mapping.get("z") else set())):
-            none = rows[role] == "" if role == "id" else rows[role].isna()
+        for role, name in names.items():
+            column = table[role].rename(name)
+            is_number = role in roles.NUMBERS
+            rows[role] = roles.read_numbers(column, role, where, decimal) if is_number else _clean_labels(column)
+            if role in roles.OPTIONAL and not (role == "z" and mapping.get("z")):
+                continue
+            none = rows[role].isna() if is_number else rows[role] == ""
             if none.any() and not skip:
-                roles.refuse_cell(role, table[role].rename(names[role]), "", where)
+                roles.refuse_cell(role, column, "", where)
             good &= ~none.to_numpy()
         timestamps = any(roles.has_timestamps(table[role]) for role in roles.TIMES if role in names)
         skipped = len(rows) - int(good.sum())
@@ -202,10 +200,8 @@ def _expand(path: Path, max_bytes: int | None) -> tuple[bytes, str]:
             names = archive.namelist()
             texts = [name for name in names if name.lower().endswith(_TEXTS) and not name.startswith("__MACOSX/")]
             if len(texts) != 1:
-                raise ArgumentError(
-                    f"path must be a zip archive with one file of {', '.join(_TEXTS)}, got {quote(str(path))} with "
-                    f"{quote(names)}."
-                )
+                holds = f"got {quote(str(path))} with {quote(names)}"
+                raise ArgumentError(f"path must be a zip archive with one file of {', '.join(_TEXTS)}, {holds}.")
             with archive.open(texts[0]) as file:
                 expanded, name = file.read(limit + 1), texts[0]
     else:
@@ -309,18 +305,17 @@ def _make_tracks(paths: list[Path], parts: list[_Part], options: _Options, where
 
 def _name_tracks(paths: list[Path], parts: list[_Part]) -> None:
     """Add the name of the file to an id that other files have too, where ids of different files are different ids."""
-    labels = [set(part.rows["id"].unique()) if part.for_itself else set() for part in parts]
-    count = Counter(label for of_part in labels for label in of_part)
+    count = Counter(label for part in parts if part.for_itself for label in part.rows["id"].unique())
+    count.update({label for part in parts if not part.for_itself for label in part.rows["id"].unique()})
     taken = set(count)
-    for path, part, of_part in zip(paths, parts, labels, strict=True):
+    for path, part in zip(paths, parts, strict=True):
         ending = path.name if [file.name for file in paths].count(path.name) == 1 else path.as_posix()
         names = {}
-        for label in of_part:
-            name = label
-            while count[label] > 1 and name in taken:
-                name += f" ({ending})"
-            names[label] = name
-        taken |= {*names.values()}
+        for label in part.rows["id"].unique() if part.for_itself else ():
+            names[label] = label
+            while count[label] > 1 and names[label] in taken:
+                names[label] += f" ({ending})"
+            taken.add(names[label])
         if names:
             part.rows["id"] = part.rows["id"].cat.rename_categories(names)
 
