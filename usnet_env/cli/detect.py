@@ -159,13 +159,10 @@ def detect(
         for sentence in facts:
             click.echo(_plain(sentence))
         show(*_tables(found))
-    if folder is None:
-        return
-    title = ", ".join(Path(name).name for name in tracks)
-    _write_tables_and_picture(folder, found, even, even.windows(window, stride), title)
-    if record:
-        _write_record(folder, _make_record(even, kept, found, title, seed))
-    click.echo(f"{', '.join(sorted(path.name for path in folder.iterdir()))} are in {folder}.", err=True)
+    if folder is not None:
+        title = ", ".join(Path(name).name for name in tracks)
+        episode = _make_record(even, kept, found, title, seed) if record else None
+        _write_files(folder, found, even, even.windows(window, stride), title, episode)
 
 
 def _plain(text: Any) -> str:
@@ -226,11 +223,17 @@ def _make_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str
     return table
 
 
-def _write_tables_and_picture(
-    folder: Path, found: FoundLeaders, even: Tracks, cuts: Iterable[TrackWindow], title: str
+def _write_files(
+    folder: Path,
+    found: FoundLeaders,
+    even: Tracks,
+    cuts: Iterable[TrackWindow],
+    title: str,
+    episode: EpisodeRecord | None,
 ) -> None:
-    """Write the tables, the JSON and the picture, which is left out with a message if matplotlib is not installed."""
+    """Write all files; a picture or a replay whose extra is not installed is left out with a message."""
     from usnet_env.drawing import write_figure
+    from usnet_env.replay import write_recording
     from usnet_env.tracks.picture import draw_leaders
     from usnet_env.tracks.tables import write_tables
 
@@ -239,25 +242,21 @@ def _write_tables_and_picture(
     write_tables(found, folder, even.ids)
     with atomic_write(folder / "leaders.json") as aside:
         aside.write_text(_to_json(found) + "\n", encoding="utf-8")
-    try:
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
             write_figure(draw_leaders(found, cuts, title, even), folder / "picture.png")
-        for warning in caught:
-            print_message(f"warning: {warning.message}")
-    except MissingExtraError as error:
-        print_message(f"the picture is left out. {error}")
-
-
-def _write_record(folder: Path, record: EpisodeRecord) -> None:
-    """Write an episode file and a replay, which is left out with a message if Rerun is not installed."""
-    from usnet_env.replay import write_recording
-
-    record.save(folder / "episode.npz")
-    try:
-        write_recording(record, folder / "replay.rrd")
-    except MissingExtraError as error:
-        print_message(f"the replay is left out. {error}")
+        except MissingExtraError as error:
+            print_message(f"the picture is left out. {error}")
+    for warning in caught:
+        print_message(f"warning: {warning.message}")
+    if episode is not None:
+        episode.save(folder / "episode.npz")
+        try:
+            write_recording(episode, folder / "replay.rrd")
+        except MissingExtraError as error:
+            print_message(f"the replay is left out. {error}")
+    click.echo(f"{', '.join(sorted(path.name for path in folder.iterdir()))} are in {folder}.", err=True)
 
 
 def _make_record(even: Tracks, kept: Sequence[Kept], found: FoundLeaders, title: str, seed: int) -> EpisodeRecord:
@@ -265,10 +264,9 @@ def _make_record(even: Tracks, kept: Sequence[Kept], found: FoundLeaders, title:
     from usnet_env.provenance import versions
     from usnet_env.replay import EpisodeRecord
 
-    rounds, ids, steps = len(kept), len(even.ids), kept[0][0].window.observation_steps
-    position = np.zeros((rounds, steps + 1, ids, 3), np.float32)
-    velocity = np.zeros((rounds, steps, ids, 3), np.float32)
-    seen = np.zeros((rounds, steps + 1, ids), bool)
+    rounds, ids, instants = len(kept), len(even.ids), kept[0][0].window.observation_steps + 1
+    position, velocity = (np.zeros((rounds, length, ids, 3), np.float32) for length in (instants, instants - 1))
+    seen = np.zeros((rounds, instants, ids), bool)
     root, scores, reasons = np.full((rounds, ids), -1, np.int64), np.zeros((rounds, ids)), []
     for r, (cut, answer, detected) in enumerate(kept):
         rows, window = cut.rows, cut.window
@@ -278,6 +276,7 @@ def _make_record(even: Tracks, kept: Sequence[Kept], found: FoundLeaders, title:
         root[r, rows] = np.where(behind >= 0, rows[behind], -1)
         reasons.append({str(rows[cut.ids.index(leader.id)]): leader.reason for leader in detected.leaders})
     candidates = root == np.arange(ids)  # confirmed ones only
+    times = {end: [getattr(window, end) for window in found.windows] for end in ("start", "end")}
     return EpisodeRecord(
         position=position,
         velocity=velocity,
@@ -296,14 +295,7 @@ def _make_record(even: Tracks, kept: Sequence[Kept], found: FoundLeaders, title:
         env_id=title,
         detector=found.detector,
         detector_seed=seed,
-        config={
-            "ids": list(even.ids),
-            "step": even.step,
-            "frame": even.frame,
-            "origin": even.origin.tolist(),
-            "start": [window.start for window in found.windows],
-            "end": [window.end for window in found.windows],
-        },
+        config={"ids": [*even.ids], "step": even.step, "frame": even.frame, "origin": even.origin.tolist(), **times},
         versions=versions(),
         labelled=False,
     )
