@@ -21,7 +21,7 @@ from usnet_env.detection import fit_window
 from usnet_env.objectives import find_roots, group_leader_accuracy, leader_accuracy
 from usnet_env.plugins import detector_label
 from usnet_env.tracks import read_tracks
-from usnet_env.tracks.confirming import confirm_leaders
+from usnet_env.tracks.confirm import confirm_leaders
 
 LENGTH, MOST, STEP = 100, 12, 0.5
 DETECTORS = (

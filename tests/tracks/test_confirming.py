@@ -1,10 +1,13 @@
-"""Confirmed leaders, through ``find_leaders``: a lead counts, and what happens at the same time doesn't."""
+"""Confirmed leaders: a lead counts, what happens at the same time doesn't, and groups hold what moves alike."""
 
 import numpy as np
 import pytest
-from track_files import Sure
+from scipy.stats import gumbel_r
+from track_files import Answers, Sure, answer_of
 
+from usnet_env import Window
 from usnet_env.tracks import Tracks, find_leaders
+from usnet_env.tracks.confirm import LEVEL, find_alike, find_followers
 
 STEPS, UAVS = 200, 6
 
@@ -28,41 +31,13 @@ def followers_of(rng, leader, delay, gain=1.0, noise=0.3):
 
 
 @pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("delay", [1, 4])
-def test_a_leader_is_confirmed_at_every_delay_of_the_test(seed, delay):
-    rng = np.random.default_rng(seed)
-    leader = wander(rng)
-    assert confirmed([leader, *followers_of(rng, leader, delay)]) == 2
-
-
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("delay", [0, -2])
-def test_one_that_moves_at_the_same_time_or_later_is_not(seed, delay):
+@pytest.mark.parametrize("delay", [-2, 0, 1, 4])
+def test_a_leader_is_confirmed_at_every_delay_of_the_test_and_only_there(seed, delay):
     rng = np.random.default_rng(seed)
     leader = wander(rng)
     velocities = [leader, *followers_of(rng, leader, delay)]
-    assert confirmed(velocities) == 0
+    assert confirmed(velocities) == (2 if delay > 0 else 0)
     assert confirmed(velocities, confirm=False) == 2
-
-
-def test_one_that_others_follow_the_other_way_is_not():
-    """Its followers repeat its velocity with the opposite sign."""
-    rng = np.random.default_rng(0)
-    leader = wander(rng)
-    assert confirmed([leader, *followers_of(rng, leader, 2, gain=-1.0)]) == 0
-
-
-def test_a_relay_is_not():
-    """UAV 1 leads all others after it, but follows UAV 0."""
-    rng = np.random.default_rng(1)
-    leader = wander(rng)
-    relay = np.roll(leader, 2, axis=0) + rng.normal(0, 0.1, leader.shape)
-    assert confirmed([leader, relay, *followers_of(rng, relay, 1)[1:]], head=1) == 0
-
-
-def test_independent_tracks_are_rarely_confirmed():
-    rng = np.random.default_rng(2)
-    assert sum(confirmed([wander(rng) for _ in range(UAVS)], head=k % UAVS) for k in range(20)) <= 4
 
 
 def test_gaps_and_a_leader_that_comes_late_do_not_matter():
@@ -72,3 +47,115 @@ def test_gaps_and_a_leader_that_comes_late_do_not_matter():
     seen[:30, 0] = False
     seen[0] = seen[-1] = True
     assert confirmed([leader, *followers_of(rng, leader, 2)], seen=seen) == 2
+
+
+def test_relays_opposite_velocities_and_independent_tracks_are_not_confirmed():
+    rng = np.random.default_rng(1)
+    leader = wander(rng)
+    assert confirmed([leader, *followers_of(rng, leader, 2, gain=-1.0)]) == 0
+    relay = np.roll(leader, 2, axis=0) + rng.normal(0, 0.1, leader.shape)
+    assert confirmed([leader, relay, *followers_of(rng, relay, 1)[1:]], head=1) == 0
+    assert sum(confirmed([wander(rng) for _ in range(UAVS)], head=k % UAVS) for k in range(20)) <= 4
+
+
+def names_the_first(leader_of_itself=0, followers=None):
+    """Names the first id, and gives the next ones, and perhaps itself, the first or second id as leader."""
+
+    def answer(uavs, _):
+        leader = np.where(np.arange(uavs) <= (uavs if followers is None else followers), 0, -1)
+        leader[0] = leader_of_itself
+        return answer_of(uavs, 0, leader)
+
+    return Answers(answer)
+
+
+def walk(rng, steps):
+    course = np.cumsum(rng.normal(0, 0.25, steps))
+    return np.stack([np.cos(course), np.sin(course)], axis=1)
+
+
+def group(seed, followers, others, steps, shared):
+    """``followers`` copy id 0 after 1 to 3 steps; ``others`` share a route of their own, or have one each."""
+    rng = np.random.default_rng(seed)
+    head, route = walk(rng, steps), walk(rng, steps)
+    velocity = [head, *(np.roll(head, 1 + k % 3, axis=0) for k in range(followers))]
+    velocity += [route if shared else walk(rng, steps) for _ in range(others)]
+    place = np.cumsum(np.array(velocity) + rng.normal(0, 0.1, (len(velocity), steps, 2)), axis=1) / 2
+    ids, time = np.repeat(np.arange(len(place)), steps), np.tile(np.arange(steps) / 2, len(place))
+    return Tracks.from_samples(ids, time, place.reshape(-1, 2)).resample(0.5)
+
+
+def test_an_independent_group_is_removed_from_the_followers():
+    windows = [w for seed in range(4) for w in find_leaders(group(seed, 4, 5, 402, True), names_the_first()).windows]
+    named = [window.leaders[0].followers for window in windows if window.leaders]
+    assert len(named) >= 0.7 * len(windows)
+    assert sum(set(range(1, 5)) <= set(followers) for followers in named) >= 0.8 * len(named)
+    assert sum(max(followers) > 4 for followers in named) <= 0.2 * len(named)
+
+
+@pytest.mark.parametrize("leader_of_itself", [0, 1, -1])
+def test_a_candidate_with_a_leader_keeps_its_followers(leader_of_itself):
+    found = find_leaders(group(0, 4, 0, 402, True), names_the_first(leader_of_itself))
+    assert found.leaders[0].followers == (1, 2, 3, 4)
+
+
+def test_a_head_of_a_small_group_does_not_follow_independent_ids():
+    """Among many independent ids, some are like the head by chance."""
+    found = [find_leaders(group(seed, 2, 300, 502, False), names_the_first(followers=2)).windows for seed in range(3)]
+    assert sum(len(window.leaders) for windows in found for window in windows) >= 0.8 * sum(map(len, found))
+
+
+def make_window(velocity):
+    """A window of velocities ``(N, T, 2)``."""
+    velocity = np.concatenate([velocity, 0 * velocity[..., :1]], axis=2).transpose(1, 0, 2).astype(np.float32)
+    position = np.concatenate([0 * velocity[:1], np.cumsum(velocity, axis=0)])
+    return Window(position, velocity, np.ones(position.shape[:2], bool), np.ones(velocity.shape[1], bool), step=1.0)
+
+
+def test_a_uav_that_follows_one_outside_its_group_is_rejected_at_any_lead():
+    """UAV 0 follows UAV 1 in the first half, and UAV 2 in the second; a member of its own group needs a clear lead."""
+    outside = inside = 0
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        first, second = walk(rng, 100), walk(rng, 100)
+        head = np.concatenate([np.roll(first, 1, axis=0)[:50], np.roll(second, 1, axis=0)[50:]])
+        velocity = np.array([head, first, second, np.roll(head, 1, axis=0), np.roll(head, 2, axis=0)])
+        window = make_window(velocity + rng.normal(0, 0.3, velocity.shape))
+        outside += find_followers(window, [0], [[3, 4]])[0]
+        inside += find_followers(window, [0], [[1, 2, 3, 4]])[0]
+    assert outside >= 34
+    assert inside <= 20
+
+
+def correlation(one, other):
+    """Fisher's z of the largest correlation of two velocities ``(T, 2)`` at any lag up to 4, slowly."""
+    one, other = one - one.mean(axis=0), other - other.mean(axis=0)
+    size = np.sqrt((one**2).sum() * (other**2).sum())
+    lags = [
+        (one[max(0, k) : len(one) + min(0, k)] * other[max(0, -k) : len(one) - max(0, k)]).sum() for k in range(-4, 5)
+    ]
+    return np.arctanh(max(lags) / size)
+
+
+@pytest.mark.parametrize("begin", [0, 50])
+def test_those_alike_exceed_a_quantile_of_maxima(begin):
+    """The limit is the quantile of a Gumbel distribution with the moments of the largest z at nine other times."""
+    named = 0
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        head = walk(rng, 100)
+        mixed = [share * np.roll(head, 1, axis=0) + (1 - share) * walk(rng, 100) for share in np.linspace(0.2, 0.8, 8)]
+        velocity = np.array([head, *mixed])
+        found = find_alike(make_window(velocity), np.array([0]), slice(begin, begin + 50))[0]
+        starts = np.linspace(12, 50, 9).astype(int) if begin == 0 else 50 - np.linspace(12, 50, 9).astype(int)
+        now, *maxima = (
+            [correlation(velocity[0, begin : begin + 50], other[start : start + 50]) for other in velocity[1:]]
+            for start in (begin, *starts)
+        )
+        largest = np.max(maxima, axis=1, initial=0.0)
+        scale = largest.std() * np.sqrt(6) / np.pi
+        limit = gumbel_r(largest.mean() - np.euler_gamma * scale, scale).ppf(1 - LEVEL / 2)
+        expected = [1 + k for k in np.argsort(-np.array(now))[:5] if now[k] > limit]
+        assert found == expected
+        named += len(found)
+    assert 12 <= named <= 55

@@ -1,6 +1,5 @@
 """The picture of ``usnet detect``: titles, names and the legend."""
 
-import numpy as np
 import pytest
 from test_track_tables import flying, stamp
 from track_files import Sure, example, write_csv
@@ -12,17 +11,9 @@ from usnet_env.tracks.picture import draw_leaders
 
 
 def draw(tracks, detector, **options):
-    """The figure of all windows, in which all ids follow the first leader of a window."""
-    maps = []
-
-    def keep(cut, answer, found):
-        leader = np.full(len(cut.ids), cut.ids.index(found.leaders[0].id) if found.leaders else -1)
-        for each in found.leaders:
-            leader[cut.ids.index(each.id)] = cut.ids.index(each.id)
-        maps.append((cut, leader, found))
-
-    found = find_leaders(tracks, detector, on_window=keep, **options)
-    figure = draw_leaders(found, maps[:6], "tracks.csv", tracks)
+    """The figure of all windows."""
+    found = find_leaders(tracks, detector, **options)
+    figure = draw_leaders(found, tracks.windows(), "tracks.csv", tracks)
     figure.draw_without_rendering()
     return figure
 
@@ -45,23 +36,6 @@ def test_the_titles_of_a_picture_fit_their_maps(tmp_path):
     width = figure.axes[0].get_window_extent().width
     assert max(box.width for box in boxes.values()) < width + 0.5 * figure.dpi
     assert sum("2010-07-08" in each.get_text() for each in figure.texts) == 1
-
-
-@pytest.mark.parametrize(
-    ("column", "options", "title", "below"),
-    [
-        ("t", {}, "0 to 50 s", "time of their start in s below"),
-        ("t", {"time_unit": 0.001}, "0 to 50000 ms", "time of their start in ms below"),
-        ("frame", {"time_unit": 0.5}, "0 to 100 frames", "time of their start in frames below"),
-    ],
-)
-def test_times_of_a_picture_have_their_unit(tmp_path, column, options, title, below):
-    unit = options.get("time_unit", 1.0)
-    rows = [[row[0], round(row[1] / unit), *row[2:4]] if unit < 1 else row[:4] for row in example().flock()]
-    path = write_csv(tmp_path / "tracks.csv", rows, ["id", column, "x", "y"])
-    figure = draw(read_tracks(path, **options).resample(0.5), "lagged-regression")
-    assert figure.axes[0].get_title(loc="left") == title
-    assert figure.axes[-1].get_title(loc="left").endswith(below)
 
 
 def test_long_names_stay_apart_and_inside(tmp_path):
@@ -94,3 +68,8 @@ def test_the_legend_names_what_is_shown(tmp_path):
     without = draw(read_tracks(write_csv(tmp_path / "none.csv", rows)), "none")
     assert legend_of(without) == ["other (no leader found)"]
     assert without.texts[1].get_text() == "tracks.csv: by none."
+    frames = [[row[0], round(2 * row[1]), *row[2:4]] for row in example().flock()]
+    path = write_csv(tmp_path / "frames.csv", frames, ["id", "frame", "x", "y"])
+    figure = draw(read_tracks(path, time_unit=0.5).resample(0.5), "lagged-regression")
+    assert figure.axes[0].get_title(loc="left") == "0 to 100 frames"
+    assert figure.axes[-1].get_title(loc="left").endswith("in frames below")

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from track_files import example, straight
+from track_files import example, straight, write_csv
 
-from usnet_env import ArgumentError, make_detector
+from usnet_env import ArgumentError
 from usnet_env.tracks import Tracks, read_tracks
 
 
@@ -96,10 +96,19 @@ def test_windows_overlap_by_the_stride_and_leave_out_where_too_few_are_seen():
     even = dense(wandering(), keep=keep).resample(0.5)
     starts = [cut.start for cut in even.windows(50, 25)]
     assert starts == [12.5 * k for k in (0, 1, 2, 7, 8, 9, 10, 11, 12, 13)]  # 75 to 174 see one id in most steps
-    with pytest.raises(ArgumentError, match=r"^length must be at most 399, the number of steps"):
+    with pytest.raises(ArgumentError, match=r"^length must be at most 399"):
         even.windows(500)
-    with pytest.raises(ArgumentError, match=r"^step must be shorter: the tracks last less than two steps, got 400 s"):
-        dense(wandering()).resample(400.0).windows(50)
+
+
+def test_a_grid_time_has_the_leader_of_the_nearest_sample():
+    leaders = ["b", "c", "c", "b", "c"]
+    ids, time = ["a"] * 5 + ["b"] * 5 + ["c"] * 5, np.tile(np.arange(5.0), 3)
+    tracks = Tracks.from_samples(ids, time, np.arange(30.0).reshape(15, 2), [*leaders, *[""] * 10])
+    even = tracks.resample(0.4)
+    first = slice(*even.offsets[:2])
+    expected = [leaders[round(t)] for t in even.time[first]]
+    assert len(expected) == 11
+    assert [even.ids[k] for k in even.leader[first]] == expected
 
 
 def test_a_leader_column_becomes_indices_in_the_window():
@@ -119,10 +128,8 @@ def followed(ids, leader):
 
 def test_leaders_are_matched_to_ids_as_in_files():
     assert followed([1, "a"], [1, 1])[1] == [None, "1"]
-    assert followed(np.array([1, "a"], object), np.array([1, 1]))[1] == [None, "1"]
     assert followed([1, 2], ["", "1"])[1] == [None, 1]
     assert followed(["1", "2"], [2, 2])[1] == ["2", None]
-    assert followed([1, 2], [1, 2])[1] == [None, None]
     made, leaders = followed([1, 2], [7, 1])
     assert leaders == [None, 1]
     assert made.notes == ("Leaders without a track: 1 (7).",)
@@ -131,7 +138,7 @@ def test_leaders_are_matched_to_ids_as_in_files():
     assert made.notes[1] == "No leader has a track: it is not known who leads."
 
 
-@pytest.mark.parametrize("delay", [1, 2, 3, 12, 30])
+@pytest.mark.parametrize("delay", [1, 3, 30])
 def test_the_step_puts_the_delay_at_1_to_4_samples(delay):
     tracks = dense(wandering(steps=1500, delay=delay))
     even = tracks.resample()
@@ -140,35 +147,12 @@ def test_the_step_puts_the_delay_at_1_to_4_samples(delay):
     assert told == pytest.approx(delay * 0.5, abs=even.step / 4)
 
 
-@pytest.mark.parametrize("delay", [0.4, 2.0])
-def test_the_step_suits_the_movement_where_sampling_is_faster_than_it(delay):
-    """Two ids sampled at 25 Hz, of which one goes where the other was: their velocities change within seconds."""
-    rng = np.random.default_rng(4)
-    samples, shift = 12_000, round(delay * 25)
-    turn = np.convolve(rng.normal(0, 1, samples), np.ones(25) / 25, "same")
-    path = np.cumsum(0.2 * np.stack([np.cos(np.cumsum(turn) / 5), np.sin(np.cumsum(turn) / 5)], axis=1), axis=0)
-    places = np.stack([path, np.roll(path, shift, axis=0)], axis=1)[shift:]
-    places += rng.normal(0, 0.02, places.shape)  # a tenth of the movement in an interval
-    even = dense(np.concatenate([places, 0 * places[..., :1]], axis=2), step=0.04).resample()
-    assert delay / 4 <= even.step <= 2 * delay
-    answer = make_detector("follow-mixture(policy='map')").detect(next(even.windows(100)).window)
-    assert answer.candidates.tolist() == [True, False]
-
-
 def test_the_step_is_longer_where_positions_are_noisy():
     quiet, noisy = (dense(wandering(steps=1500, noise=noise)).resample() for noise in (0.0, 3.0))
     assert quiet.step == 0.5
     assert noisy.step > 1
     assert "about 3 m" in noisy.notes[0]
     assert "Warning: the step is this long because of the noise" in noisy.notes[-1]
-
-
-@pytest.mark.parametrize("factor", [1, 440, 86400])
-def test_seconds_have_no_exponent(factor):
-    tracks = dense(wandering(noise=0.2), step=0.5 * factor)
-    even = tracks.resample()
-    assert f"after about {factor} s (median" in even.notes[-1].replace("86000", "86400")  # two digits
-    assert not re.search(r"\de[+-]", " ".join([*even.notes, str(tracks.report())]))
 
 
 def test_where_no_id_follows_the_sampling_interval_stays():
@@ -206,7 +190,8 @@ def test_nothing_is_wrong_with_clean_tracks():
     report = dense(wandering()).report()
     assert report.warnings == ()
     assert "6 ids, 2400 samples from 0.0 to 199.5" in report.facts[0]
-    assert str(report).startswith(report.facts[0])
+    with pytest.raises(ValueError, match="read-only"):
+        dense(wandering()).position[0] = 0
 
 
 def test_gaps_jumps_and_uneven_sampling_are_reported():
@@ -263,21 +248,15 @@ def test_ids_have_another_rate_only_if_their_scattered_intervals_show_it():
     report = random_intervals([0.4] * 7 + [0.5]).report()
     assert "1 id is sampled at another rate than every 0." in str(report)
     assert "uav-7." in str(report)
+    assert "The ids are sampled at different rates, every 0." in str(random_intervals([0.2, 0.4, 0.6, 0.8]).report())
 
 
-@pytest.mark.parametrize(
-    ("factor", "expected"), [(1.0, None), (3.6, "another unit"), (-1.0, "contradict"), (0.0, "contradict")]
-)
+@pytest.mark.parametrize(("factor", "expected"), [(1.0, None), (3.6, "another unit"), (0.0, "contradict")])
 def test_velocities_that_contradict_positions_are_reported(tmp_path, factor, expected):
     places = wandering()
     velocity = np.gradient(places, 0.5, axis=0) * factor
-    lines = ["id,t,x,y,vx,vy"]
-    lines += [
-        f"{i},{t * 0.5},{places[t, i, 0]},{places[t, i, 1]},{velocity[t, i, 0]},{velocity[t, i, 1]}"
-        for t in range(400)
-        for i in range(6)
-    ]
-    (tmp_path / "tracks.csv").write_text("\n".join(lines))
+    rows = [[i, t / 2, *places[t, i, :2], *velocity[t, i, :2]] for t in range(400) for i in range(6)]
+    write_csv(tmp_path / "tracks.csv", rows, ["id", "t", "x", "y", "vx", "vy"])
     report = read_tracks(tmp_path / "tracks.csv").report()
     if expected is None:
         assert not report.warnings
@@ -292,21 +271,16 @@ def test_degrees_that_are_called_metres_are_reported():
     assert "degrees" in kinds(dense(places))
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("step", 0), ("step", -1), ("step", "fast"), ("step", 1e-9), ("max_gap", 0), ("max_gap", np.nan)],
-)
+@pytest.mark.parametrize(("name", "value"), [("step", 0), ("step", "fast"), ("step", 1e-9), ("max_gap", np.nan)])
 def test_a_bad_resampling_is_refused(name, value):
-    tracks = dense(straight())
     with pytest.raises(ArgumentError, match=f"^{name} must be"):
-        tracks.resample(**{"step": 1.0, name: value})
+        dense(straight()).resample(**{"step": 1.0, name: value})
 
 
 @pytest.mark.parametrize(("name", "value"), [("length", 0), ("stride", 0), ("least_steps", 0), ("length", 1.5)])
 def test_bad_windows_are_refused(name, value):
-    even = dense(straight()).resample(0.5)
     with pytest.raises(ArgumentError, match=f"^{name} must be"):
-        even.windows(**{"length": 10, name: value})
+        dense(straight()).resample(0.5).windows(**{"length": 10, name: value})
 
 
 @pytest.mark.parametrize(
@@ -317,15 +291,9 @@ def test_bad_windows_are_refused(name, value):
         ("time", (["a", "a"], [0.0, 0.0], [[0, 0], [1, 1]])),
         ("position", (["a", "b"], [0.0, 1.0], [[0, 0], [1, np.nan]])),
         ("position", (["a", "b"], [0.0, 1.0], [0, 1])),
+        ("tracks", (["a", "b"], [0.0, 1.0], [[0, 0], [1, 1]])),
     ],
 )
 def test_bad_samples_are_refused(name, arguments):
     with pytest.raises(ArgumentError, match=f"^{name} must"):
-        Tracks.from_samples(*arguments)
-
-
-def test_the_arrays_are_read_only():
-    tracks = dense(straight())
-    for each in (tracks, tracks.resample(0.5)):
-        with pytest.raises(ValueError, match="read-only"):
-            each.position[0] = 0
+        Tracks.from_samples(*arguments).resample(1.0)

@@ -8,8 +8,10 @@ from pathlib import Path
 from types import ModuleType
 
 import numpy as np
+import pytest
 
-from usnet_env import Detection
+from usnet_env import ArgumentError, Detection
+from usnet_env.tracks import read_tracks
 
 HEADER = ["id", "t", "x", "y"]
 
@@ -28,6 +30,25 @@ class Sure:
         return Detection(
             candidates, candidates * 1.0, leader=np.full(window.uavs, self.head), extras={"probability": candidates}
         )
+
+
+class Answers:
+    """A detector whose answer is a function of the number of UAVs and the number of the window, from 0."""
+
+    def __init__(self, answer):
+        self.answer, self.number = answer, -1
+
+    def reset(self, seed=None):
+        self.number += 1
+
+    def detect(self, window):
+        return self.answer(window.uavs, self.number)
+
+
+def answer_of(uavs, head, leader=None):
+    """An answer with one candidate, or none if it is -1."""
+    candidates = np.arange(uavs) == head
+    return Detection(candidates, candidates * 1.0, leader=leader)
 
 
 def straight(steps=20, uavs=3, height=False):
@@ -63,3 +84,35 @@ def example() -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+def write_parquet(path, rows, **columns):
+    """Write rows id, t, x, y as Parquet, with some columns replaced."""
+    pyarrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    values = {name: [row[k] for row in rows] for k, name in enumerate(HEADER)} | columns
+    parquet.write_table(pyarrow.table(values), path)
+    return path
+
+
+def write_gpx(path, north, *names, height=None):
+    """Write tracks of four points each, some of them without a name."""
+    ele = "" if height is None else "<ele>{}</ele>"
+    points = "".join(
+        f'<trkpt lat="{50 + north * 1e-4}" lon="{10 + 1e-5 * k}">{ele.format((height or 0) + k)}'
+        f"<time>2024-05-01T00:00:0{k}Z</time></trkpt>"
+        for k in range(4)
+    )
+    tracks = [f"<trk>{f'<name>{name}</name>' if name else ''}<trkseg>{points}</trkseg></trk>" for name in names]
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(f'<?xml version="1.0"?><gpx xmlns="http://x">{"".join(tracks)}</gpx>')
+    return path
+
+
+def refusal(path, **options):
+    """The sentence with which a file is refused."""
+    with pytest.raises(ArgumentError) as caught:
+        read_tracks(path, **options)
+    sentence = str(caught.value)
+    assert sentence.count("\n") == 0
+    assert sentence.endswith(".")
+    return sentence

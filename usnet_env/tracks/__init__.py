@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from usnet_env.tracks.findings import Finding, TrackReport
-from usnet_env.tracks.leaders import DetectedWindow, FoundLeaders, Leader, find_leaders
-from usnet_env.tracks.links import Link
-from usnet_env.tracks.reading import read_tracks
-from usnet_env.tracks.tracks import Clock, Tracks
-from usnet_env.tracks.windows import TrackWindow
+from usnet_env.tracks.leaders import DetectedWindow, FoundLeaders, Leader, Link, find_leaders
+from usnet_env.tracks.read import read_tracks
+from usnet_env.tracks.report import Finding, TrackReport
+from usnet_env.tracks.samples import Clock
+from usnet_env.tracks.tracks import Tracks, TrackWindow
 
 __all__ = [
     "Clock",

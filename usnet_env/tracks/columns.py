@@ -1,15 +1,21 @@
-"""Which column of a file has which role: mapped by the caller, or guessed where the names are plain."""
+"""Columns of files: which one has which role, mapped by the caller or guessed by its name, and the numbers in it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+import math
+import re
+from collections.abc import Collection, Mapping, Sequence
+from datetime import UTC, datetime, timedelta
+from typing import Any, Literal, NoReturn
 
 import numpy as np
+import pandas as pd
 
-from usnet_env.arrays import Mask
-from usnet_env.config import ArgumentError, quote, unknown_name
+from usnet_env.arrays import Floats, Mask
+from usnet_env.config import ArgumentError, quote
+from usnet_env.tracks.samples import is_none
 
+Role = Literal["id", "t", "frame", "lon", "lat", "x", "y", "z", "vx", "vy", "vz", "leader"]
 #: The roles of columns, with the names that are guessed, the preferred one first.
 ROLES: dict[str, tuple[str, ...]] = {
     "id": (
@@ -33,87 +39,49 @@ ROLES: dict[str, tuple[str, ...]] = {
     "leader": ("leader", "leader_id", "head", "follows"),
 }  # fmt: skip
 #: The roles that tracks can be without.
-_VELOCITIES = ("vx", "vy", "vz")
 OPTIONAL = ("z", "vx", "vy", "vz", "leader")
-_PAIRS = (("x", "y"), ("lon", "lat"))
-_ALTERNATIVES = (_PAIRS, (("t",), ("frame",)))
+TIMES = ("t", "frame")
+NUMBERS = (*TIMES, "x", "y", "lon", "lat", "z", "vx", "vy", "vz")
+_VELOCITIES = {"vx", "vy", "vz"}
+_ALTERNATIVES = (("x", "y"), ("lon", "lat")), (("t",), ("frame",))
 _OUTLIERS = ("algorithm_marked_outlier", "import_marked_outlier", "manually_marked_outlier")
+_MARKS = ("visible", *_OUTLIERS, "manually_marked_valid")
 _MOVEBANK = {"individual_local_identifier", "tag_local_identifier", *_OUTLIERS}  # one of these is in each of its files
+_LARGEST = 1e15  # of a number in a file: float64 has no fractions beyond
+_LIMITS = {"lon": 360.0, "lat": 90.0, "t": 1e19, "frame": 1e19}  # degrees; nanoseconds since 1970 until 2286
+_EPOCH, _MICROSECOND = datetime(1970, 1, 1, tzinfo=UTC), timedelta(microseconds=1)
+_SWAP = str.maketrans(",.", ".,")
+_COMMA = re.compile(r"\s*[+-]?(\d*,\d+|\d+,)([eE][+-]?\d+)?\s*")
+_POINT = re.compile(r"\s*[+-]?(\d*\.\d+|\d+\.)([eE][+-]?\d+)?\s*")
+_THOUSANDS = re.compile(r"\s*[+-]?[1-9]\d{0,2},\d{3}\s*")  # 1,234 may be a whole number with a separator
 _TRUE, _FALSE = {"true", "t", "yes", "1", "1.0"}, {"false", "f", "no", "0", "0.0"}
-_NUMBER_SIGNS = set("0123456789.+-eE \t")
 
 
-def check_mapping(columns: Any) -> dict[str, str]:
-    """Check the argument ``columns``, which maps roles to names of columns; ``""`` leaves a role out.
-
-    Raises:
-        ArgumentError: it is no mapping of known roles to texts, gives two roles one column, or names columns of which
-            only some can be read.
-    """
-    if columns is None:
-        return {}
-    if not isinstance(columns, Mapping) or not all(isinstance(each, str) for each in columns.values()):
-        raise ArgumentError(f"columns must map roles to names of columns, got {quote(columns)}.")
-    role_of: dict[str, str] = {}
-    for role, name in columns.items():
-        if role not in ROLES:
-            raise unknown_name("columns", role, ROLES)
-        if name and role_of.setdefault(name, role) != role:
-            raise ArgumentError(
-                f"columns must give each role a column of its own, got {quote(name)} for {role_of[name]} and {role}."
-            )
-    for one, other in _ALTERNATIVES:
-        named = [
-            [f"{quote(columns[role])} for {role}" for role in roles if columns.get(role)] for roles in (one, other)
-        ]
-        if all(named):
-            raise ArgumentError(
-                f"columns must name {' and '.join(one)} or {' and '.join(other)}, not both, got "
-                f"{', '.join(named[0] + named[1])}."
-            )
-    return dict(columns)
-
-
-def check_names(header: Sequence[str], mapping: Mapping[str, str], where: str) -> dict[str, str]:
-    """The columns that the caller has mapped, by role, without the roles that are left out.
+def check_mapping(columns: Mapping[Any, str]) -> None:
+    """Check that the columns that the caller has mapped to roles can be read together.
 
     Raises:
-        ArgumentError: a column is not in the file.
+        ArgumentError: two roles have one column, or both of two alternatives are mapped.
     """
-    for role, name in mapping.items():
-        if name and name not in header:
-            raise ArgumentError(
-                f"columns must name a column of {where} for {role}, got {quote(name)}; it has {quote(list(header))}."
-            )
-    return {role: name for role, name in mapping.items() if name}
-
-
-def keep_fixed(names: Mapping[str, str], mapping: Mapping[str, str], where: str) -> dict[str, str]:
-    """The columns of a format in which each has its role, without those that the caller leaves out.
-
-    Args:
-        names: the names of the columns by role.
-        mapping: roles that the caller has given.
-        where: the file, for messages.
-
-    Raises:
-        ArgumentError: the caller gives a role another column, or leaves out a role that the tracks need.
-    """
-    for role, name in mapping.items():
-        if name != names.get(role, "") and (name or role not in OPTIONAL):
-            have = ", ".join(f"{each} = {column}" for each, column in names.items())
-            raise ArgumentError(f"columns must fit those of {where} ({have}), got {quote(name)} for {role}.")
-    return {role: name for role, name in names.items() if mapping.get(role, name)}
+    names = [name for name in columns.values() if name]
+    both = any(
+        all(any(columns.get(role) for role in roles) for roles in alternatives) for alternatives in _ALTERNATIVES
+    )
+    if both or len(set(names)) < len(names):
+        raise ArgumentError(
+            "columns (--column) must give each role a column of its own, and name x and y or lon and lat, and t or "
+            f"frame, not both, got {quote(dict(columns))}."
+        )
 
 
 def choose_columns(
-    header: Sequence[str], mapping: Mapping[str, str], where: str
+    header: Sequence[str], mapping: Mapping[Any, str], where: str
 ) -> tuple[dict[str, str], dict[str, str]]:
     """Choose the column of each role, and those in which Movebank marks outliers.
 
     Args:
         header: the names of the columns.
-        mapping: roles that the caller has given.
+        mapping: the names of columns by role that the caller has given; ``""`` leaves out a role.
         where: the file, for messages.
 
     Returns:
@@ -121,67 +89,66 @@ def choose_columns(
         name of the column by mark, with underscores; none in a file that is not of Movebank.
 
     Raises:
-        ArgumentError: a column is missing, and the sentence lists those that are there, or another one has its name.
+        ArgumentError: a column is missing, or its name stands twice in the header.
     """
-    numbers = sum(bool(name.strip()) and set(name.strip()) <= _NUMBER_SIGNS for name in header)
-    if numbers > 1 and numbers >= len(header) - 1:  # all but the id are numbers: a row of values
-        raise ArgumentError(f"path must name its columns in row 1, got {where}, whose row 1 is {quote(list(header))}.")
-    given = check_names(header, mapping, where)
-    found = dict(given)
+    given = {role: name for role, name in mapping.items() if name}
+    found: dict[str, str] = dict(given)
     plain = {_normalise(name): name for name in reversed(header)}
     for role, names in ROLES.items():
         guess = next((plain[name] for name in map(_normalise, names) if name in plain), None)
         if role not in mapping and guess is not None and guess not in found.values():
             found[role] = guess
     pair = _choose_pair(found, given)
-    unused = {*_PAIRS[0], *_PAIRS[1]} - {*pair}
+    unused = {"x", "y", "lon", "lat"} - {*pair}
     if "t" in found and "frame" in found:
-        unused.add("t" if "frame" in given and "t" not in given else "frame")
-    moves = [role for role in _VELOCITIES if role in given]  # of two velocities, one tells nothing without the other
+        unused.add("t" if "frame" in given else "frame")
+    moves = bool(_VELOCITIES & given.keys())  # of two velocities, one tells nothing without the other
     if not {"vx", "vy"} <= found.keys() and not moves:
-        unused |= {*_VELOCITIES}
+        unused |= _VELOCITIES
     found = {role: name for role, name in found.items() if role not in unused}
-    needed = ["id", *([] if "frame" in found else ["t"]), *(("vx", "vy") if moves else ()), *pair]
-    if missing := [role for role in needed if role not in found]:
-        raise _missing(missing, where, header, mapping)
-    marks = ("visible", *_OUTLIERS, "manually_marked_valid") if is_movebank(header) else ()
-    spelled = {_normalise(name): name for name in header}
-    marked = {mark: spelled[mark] for mark in marks if mark in spelled}
-    for role, name in (found | marked).items():
-        if header.count(name) > 1:
+    needed = ["id", "frame" if "frame" in found else "t", *(("vx", "vy") if moves else ()), *pair]
+    missing = ["t (or frame)" if role == "t" else role for role in needed if role not in found]
+    if missing:
+        raise ArgumentError(
+            f"columns (--column) must name the columns of {where} for {', '.join(missing)}"
+            f"{' (or lon and lat)' if {'x', 'y'} <= {*missing} else ''}; row 1 names {quote(list(header))}, of which "
+            f"{quote(found)} {'are' if len(found) > 1 else 'is'} known."
+        )
+    for role, name in found.items():
+        if header.count(name) != 1:
             raise ArgumentError(
-                f"path must name each column once, got {where} with {header.count(name)} columns {quote(name)} for "
-                f"{role}."
+                f"columns (--column) must name a column that {where} has once for {role}, got {quote(name)}; it has "
+                f"{quote(list(header))}."
             )
-    return found, marked
+    return found, {mark: plain[mark] for mark in _MARKS if mark in plain} if is_movebank(header) else {}
 
 
-def _choose_pair(found: Mapping[str, str], given: Mapping[str, str]) -> tuple[str, str]:
+def _choose_pair(found: Collection[str], given: Collection[str]) -> tuple[str, str]:
     """The coordinates to read: those that the caller has given, or degrees, which name their datum, or x and y."""
-    planar, geographic = _PAIRS
-    if {*planar} & given.keys():
-        return planar
-    return geographic if {*geographic} & given.keys() or {*geographic} <= found.keys() else planar
+    if "x" in given or "y" in given:
+        return "x", "y"
+    geographic = "lon" in given or "lat" in given or ("lon" in found and "lat" in found)
+    return ("lon", "lat") if geographic else ("x", "y")
 
 
-def is_movebank(header: Iterable[str]) -> bool:
+def is_movebank(header: Sequence[str]) -> bool:
     """Whether the names of the columns are those of Movebank."""
     return bool(_MOVEBANK & set(map(_normalise, header)))
 
 
-def read_marks(values: Mapping[str, Iterable[Any]], rows: int) -> Mask:
+def read_marks(rows: pd.DataFrame) -> Mask:
     """Which of some rows of a Movebank file are marked as outliers, ``(rows,)`` bool.
 
     By Movebank's attribute dictionary, ``visible`` is false where one of the outlier columns is true, unless
     ``manually_marked_valid`` is true. A file may hold some of these columns only; an empty cell marks nothing.
 
     Args:
-        values: the values by the names of the marks, and others.
-        rows: number of rows.
+        rows: the marks by their names with underscores, and other columns.
     """
 
     def says(name: str, words: set[str]) -> Mask:
-        return np.array([str(each).strip().lower() in words for each in values.get(name, ())] or [False] * rows, bool)
+        cells = rows.get(name, pd.Series("", rows.index)).astype(str)
+        return np.asarray(cells.str.strip().str.lower().isin(words))
 
     outlier = says("visible", _FALSE)
     for name in _OUTLIERS:
@@ -193,22 +160,91 @@ def _normalise(name: str) -> str:
     return name.strip().lower().replace(" ", "_").replace("-", "_")
 
 
-def _missing(roles: Sequence[str], where: str, header: Sequence[str], mapping: Mapping[str, str]) -> ArgumentError:
-    """The error for a file in which no column has these roles."""
-    for role in roles:
-        if role in mapping:
-            return ArgumentError(f"columns must not leave out {role}, which is needed, got '' for {role}.")
-    words = ["t (or frame)" if role == "t" else role for role in roles]
-    named = " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
-    if {*_PAIRS[0]} <= {*roles}:
-        named += " (or lon and lat)"
-    what, them = ("column", "it") if len(roles) == 1 else ("columns", "them")
-    free = [name for name in header if name not in mapping.values()]
-    known = {_normalise(each) for names in ROLES.values() for each in names}
-    unknown = [name for name in free if name and _normalise(name) not in known]
-    example = f", such as columns={{{roles[0]!r}: {unknown[0]!r}}}" if unknown else ""
-    given = ", ".join(f"{quote(name)} is given to {role}" for role, name in mapping.items() if name in header)
-    return ArgumentError(
-        f"columns must name the {what} of {where} for {named}{example}; no name among {quote(free)} is known for {them}"
-        f"{f', because {given}' if given else ''}."
-    )
+def has_decimal_commas(cells: Collection[Any]) -> bool:
+    """Whether the commas in cells of numbers or times can only be decimal signs.
+
+    They can where no number has a point, and one of them has another number of digits than 3 after its comma, or more
+    than 3 digits or a 0 before it.
+    """
+    texts = set(map(str, cells))
+    commas = [text for text in texts if "," in text and _COMMA.fullmatch(text)]
+    sure = any(not _THOUSANDS.fullmatch(text) for text in commas)
+    return sure and not any(_POINT.fullmatch(text) for text in texts if "." in text)
+
+
+def read_numbers(column: pd.Series[Any], role: str, where: str, decimal: str = ".") -> Floats:
+    """The numbers of a column, ``(rows,)``, or its timestamps as microseconds since 1970; NaN where there is none.
+
+    Args:
+        column: what the file holds; its name is that of the column.
+        role: of the column.
+        where: the file, for messages.
+        decimal: the decimal sign in texts.
+
+    Raises:
+        ArgumentError: a value is no number, or too large.
+    """
+    if column.dtype.kind == "M":
+        moments = pd.to_datetime(column, utc=True).dt.tz_localize(None).to_numpy()
+        rounded = (moments + np.timedelta64(500, "ns")).astype("datetime64[us]").astype(np.float64)
+        return np.where(np.isnat(moments), math.nan, rounded)
+    dated = role in TIMES and has_timestamps(column)
+    if column.dtype.kind in "fiu":
+        numbers = column.to_numpy(np.float64)
+    else:
+        codes, cells = pd.factorize(column)
+        parsed = [_parse_timestamp(to_text(cell)) if dated else _parse(to_text(cell), decimal) for cell in cells]
+        if None in parsed:
+            refuse_cell(role, column, cells[parsed.index(None)], where)
+        numbers = np.array([*parsed, math.nan], np.float64)[codes]
+    wild = np.abs(numbers) > (math.inf if dated else _LIMITS.get(role, _LARGEST))
+    if wild.any():
+        refuse_cell(role, column, numbers[wild][0], where)
+    return numbers
+
+
+def has_timestamps(column: pd.Series[Any]) -> bool:
+    """Whether a column of times holds timestamps: its first value is no number."""
+    if column.dtype.kind in "fiuM":
+        return bool(column.dtype.kind == "M")
+    return _parse(to_text(next((cell for cell in column if not is_none(cell)), "0")), ".") is None
+
+
+def to_text(cell: Any) -> str:
+    """A cell as a text without spaces around it; some formats hold texts as bytes."""
+    return (cell.decode("utf-8", "backslashreplace") if isinstance(cell, bytes) else str(cell)).strip()
+
+
+def _parse(text: str, decimal: str) -> float | None:
+    """The number in a cell: NaN if it is empty, ``None`` if it is something else."""
+    try:
+        return math.nan if is_none(text) else float(text.translate(_SWAP) if decimal == "," else text)
+    except ValueError:
+        return None
+
+
+def _parse_timestamp(text: str) -> float | None:
+    """The microseconds from 1970 to an ISO 8601 timestamp, in UTC if it has no time zone; NaN and ``None`` as above."""
+    try:
+        moment = datetime.fromisoformat(text)
+        return ((moment if moment.tzinfo else moment.replace(tzinfo=UTC)) - _EPOCH) // _MICROSECOND
+    except ValueError:
+        return math.nan if is_none(text) else None
+
+
+def refuse_cell(role: str, column: pd.Series[Any], cell: Any, where: str) -> NoReturn:
+    """Refuse a value of a column.
+
+    Raises:
+        ArgumentError: always; the sentence says what the values must be, and which option may help.
+    """
+    limit = _LIMITS.get(role, _LARGEST)
+    must = "a text or a number" if role == "id" else f"a number from {-limit:g} to {limit:g}"
+    if role in TIMES:
+        must += ", or an ISO 8601 timestamp throughout,"
+    got, hint = quote(cell), ""
+    if is_none(cell):
+        got, hint = "none", " (missing='skip', or --skip-missing, skips such rows)"
+    elif _COMMA.fullmatch(str(cell)):
+        hint = " (decimal=',', or --decimal , reads decimal commas)"
+    raise ArgumentError(f"{role} must be {must} in every row of {where}, got {got} in column {column.name!r}{hint}.")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from hashlib import sha256
 from typing import Annotated, Any, ClassVar
 
 import gymnasium as gym
@@ -16,9 +15,8 @@ from usnet_env.config import ArgumentError, Config, list_arguments, optional_see
 from usnet_env.envs.game import Rules, check_options, parse_candidates
 from usnet_env.objectives import find_roots, group_leader_accuracy, hits_and_redundant
 from usnet_env.swarm import SwarmState
-from usnet_env.tracks.reading import read_tracks
-from usnet_env.tracks.tracks import Tracks
-from usnet_env.tracks.windows import TrackWindow
+from usnet_env.tracks.read import read_tracks
+from usnet_env.tracks.tracks import TrackWindow
 
 
 class TracksArguments(Config):
@@ -83,9 +81,7 @@ class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
     @takes_arguments(TracksArguments)
     def __init__(self, arguments: TracksArguments) -> None:
         self.config = arguments
-        tracks = read_tracks(arguments.path, columns=arguments.columns)
-        self.recording = _hash_tracks(tracks)  # identifies a run: the file of a path may change
-        self.tracks: Tracks = tracks.resample(arguments.step)
+        self.tracks = read_tracks(arguments.path, columns=arguments.columns).resample(arguments.step)
         self.windows = list(self.tracks.windows(arguments.window, arguments.stride))
         if not self.windows:
             raise ArgumentError(
@@ -215,14 +211,3 @@ class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
             "start": self.tracks.file_time(self.cut.start),
             "end": self.tracks.file_time(self.cut.end),
         }
-
-
-def _hash_tracks(tracks: Tracks) -> str:
-    """SHA-256 of the ids, times, places and leaders that were read, as 64 hexadecimal digits.
-
-    The file itself is not hashed: a pipe can be read only once.
-    """
-    found = sha256(ascii(tracks.ids).encode())
-    for values in (tracks.offsets, tracks.time, tracks.origin, tracks.position, tracks.leader):
-        found.update(b"none" if values is None else np.ascontiguousarray(values).data)
-    return found.hexdigest()

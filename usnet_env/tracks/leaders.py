@@ -3,32 +3,51 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.special import bdtrc
 
-from usnet_env.arrays import Indices
+from usnet_env.arrays import Floats, Indices
 from usnet_env.config import ArgumentError, format_count, quote, whole_number
 from usnet_env.detection import Detection, fit_window
 from usnet_env.objectives import list_followers
-from usnet_env.parts import describe_error
 from usnet_env.plugins import DetectorLike, detector_label, make_detector
-from usnet_env.tracks.confirming import LEVEL, confirm_leaders
-from usnet_env.tracks.links import Link, find_links
-from usnet_env.tracks.tracks import Tracks
-from usnet_env.tracks.windows import TrackWindow
+from usnet_env.parts import describe_error
+from usnet_env.tracks.confirm import LEVEL, confirm_leaders
+from usnet_env.tracks.tracks import Tracks, TrackWindow
 
 DEFAULT_DETECTOR = "follow-mixture(policy='map')"
 _SAME_GROUP = 0.25  # two groups are one if they share this part of all their members
 _SAME_LEADER = 0.25
 _UNLIKELY = 0.01  # a leader in as many windows is called chance if that is more probable than this
+_MOST_LAG = 12  # steps
+_DIGITS = 9  # decimals of a delay
+_LEAST_STEPS = 4  # of the window for each step of the longest lag
 
 Group = tuple[int, set[int]]  # the row of its leader in ``Tracks.ids``, and those of its members
+
+
+@dataclass(frozen=True)
+class Link:
+    """A follower and the id that it follows directly.
+
+    Args:
+        follower: as in the file.
+        leader: the id that it follows directly: a head, or a relay that follows the head itself.
+        head: the leader of the whole group.
+        delay: seconds, a whole number of steps, after which the velocity of the follower agrees best with that of the
+            leader. ``None``: no delay of a step or more fits better than none, or one of the two does not change its
+            velocity while both are seen.
+    """
+
+    follower: str | int
+    leader: str | int
+    head: str | int
+    delay: float | None
 
 
 @dataclass(frozen=True)
@@ -55,13 +74,6 @@ class Leader:
     score: float
     share: float | None = None
 
-    def as_dict(self) -> dict[str, Any]:
-        """Plain values for JSON; only a leader over the file has a share."""
-        values = {**vars(self), "followers": list(self.followers)}
-        if self.share is None:
-            del values["share"]
-        return values
-
 
 @dataclass(frozen=True, eq=False)
 class DetectedWindow:
@@ -83,16 +95,15 @@ class DetectedWindow:
     links: tuple[Link, ...] = ()
     left_out: tuple[str | int, ...] = ()
 
-    def as_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return {
-            "start": self.start,
-            "end": self.end,
-            "leaders": [leader.as_dict() for leader in self.leaders],
-            "not_confirmed": list(self.not_confirmed),
-            "links": [link.as_dict() for link in self.links],
-            "left_out": list(self.left_out),
-        }
+    def roots(self, ids: Sequence[str | int]) -> Indices:
+        """``(N,)`` index of the leader of each of the window's ids; a leader has its own index, -1: none."""
+        place = {name: i for i, name in enumerate(ids)}
+        root = np.full(len(ids), -1, np.int64)
+        for leader in self.leaders:
+            root[[place[name] for name in leader.followers]] = place[leader.id]
+        for leader in self.leaders:
+            root[place[leader.id]] = place[leader.id]
+        return root
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,37 +121,36 @@ class FoundLeaders:
     detector: str
 
     def as_dict(self) -> dict[str, Any]:
-        """The windows and the leaders over the file as plain values for JSON."""
-        return {
-            "windows": [each.as_dict() for each in self.windows],
-            "leaders": [leader.as_dict() for leader in self.leaders],
-        }
+        """The windows and the leaders over the file as plain values for JSON; only those over the file have a share."""
+        values = {"windows": [asdict(window) for window in self.windows], "leaders": [*map(asdict, self.leaders)]}
+        for window in values["windows"]:
+            for leader in window["leaders"]:
+                del leader["share"]
+        return values
 
     def rows(self) -> list[dict[str, Any]]:
         """A row for each leader of each window; a window without leaders has one row without an id."""
-        rows = []
-        for each in self.windows:
-            for leader in each.leaders or (None,):
-                rows.append(
-                    {
-                        "start": each.start,
-                        "end": each.end,
-                        "group": leader and leader.group,
-                        "id": leader and leader.id,
-                        "probability": leader and leader.probability,
-                        "score": leader and leader.score,
-                        "followers": [] if leader is None else list(leader.followers),
-                        "reason": leader and leader.reason,
-                        "not_confirmed": list(each.not_confirmed),
-                        "left_out": list(each.left_out),
-                    }
-                )
-        return rows
+        return [
+            {
+                "start": window.start,
+                "end": window.end,
+                "group": leader and leader.group,
+                "id": leader and leader.id,
+                "probability": leader and leader.probability,
+                "score": leader and leader.score,
+                "followers": leader.followers if leader else (),
+                "reason": leader and leader.reason,
+                "not_confirmed": window.not_confirmed,
+                "left_out": window.left_out,
+            }
+            for window in self.windows
+            for leader in window.leaders or (None,)
+        ]
 
     def link_rows(self) -> list[dict[str, Any]]:
         """A row for each follower of each window: its direct leader, its head, and the delay in seconds."""
         return [
-            {"start": each.start, "end": each.end, **link.as_dict()} for each in self.windows for link in each.links
+            {"start": window.start, "end": window.end, **vars(link)} for window in self.windows for link in window.links
         ]
 
 
@@ -166,7 +176,7 @@ def find_leaders(
         stride: steps from the start of a window to the start of the next; ``None``: ``length``.
         seed: seeds the detector.
         confirm: whether to leave out candidates whose followers don't move like them later, or that follow another id
-            in half of the window, by the tests of :mod:`usnet_env.tracks.confirming`; their probability becomes 0.
+            in half of the window, by the tests of :mod:`usnet_env.tracks.confirm`; their probability becomes 0.
             So no candidate of a detector that says nothing about followers is confirmed.
         on_window: called with each window, the detector's answer and the leaders.
 
@@ -176,66 +186,23 @@ def find_leaders(
     Raises:
         ArgumentError: an argument is refused, the tracks hold no window, or the detector fails in one.
     """
-    if not isinstance(tracks, Tracks):
-        raise ArgumentError(f"tracks must be Tracks, got {quote(tracks)}.")
     player = make_detector(detector) if isinstance(detector, str) else detector
-    if isinstance(player, type) or not isinstance(player, DetectorLike):
-        raise ArgumentError(f"detector must have the methods detect(window) and reset(seed), got {quote(player)}.")
     seed = whole_number("seed", seed, 0)
-    if not isinstance(confirm, bool):
-        raise ArgumentError(f"confirm must be True or False, got {quote(confirm)}.")
-    if on_window is not None and not callable(on_window):
-        raise ArgumentError(f"on_window must be a function or None, got {quote(on_window)}.")
     groups: list[Group] = []
-    windows = []
-    seen, sure = np.zeros(len(tracks.ids), np.int64), True
+    windows: list[DetectedWindow] = []
+    seen, gives_probabilities = np.zeros(len(tracks.ids), np.int64), True
     for number, cut in enumerate(tracks.windows(length, stride)):
         start, end = tracks.file_time(cut.start), tracks.file_time(cut.end)
         detection = _answer(player, cut, seed, number, f"from {start} to {end}")
-        heads = np.flatnonzero(detection.candidates)
-        heads = heads[np.argsort(-detection.scores[heads], kind="stable")]
-        followers = [list_followers(detection, int(head)) for head in heads]
-        rejected = heads[:0]
-        if confirm:
-            confirmed, followers = confirm_leaders(cut.window, heads, followers)
-            rejected, heads = heads[~confirmed], heads[confirmed]
-            followers = [led for led, kept in zip(followers, confirmed, strict=True) if kept]
-        groups_here = [
-            (int(cut.rows[head]), {int(cut.rows[i]) for i in (int(head), *led)})
-            for head, led in zip(heads, followers, strict=True)
-        ]
-        labels = _number_groups(groups_here, groups)
-        given = detection.extras.get("probability")
-        probability = None if given is None else np.array(given, np.float64)
-        if probability is not None:
-            probability[rejected] = 0.0
-        reasons = _reasons(detection, heads, followers, len(cut.ids))
-        found = DetectedWindow(
-            start,
-            end,
-            tuple(
-                Leader(
-                    cut.ids[head],
-                    None if probability is None else float(probability[head]),
-                    tuple(cut.ids[i] for i in led),
-                    reason,
-                    label,
-                    float(detection.scores[head]),
-                )
-                for head, led, reason, label in zip(heads, followers, reasons, labels, strict=True)
-            ),
-            tuple(cut.ids[head] for head in rejected),
-            find_links(cut, detection, heads.tolist(), followers),
-            cut.left_out,
-        )
+        found = _detect_window(cut, detection, confirm, groups, (start, end))
         windows.append(found)
         seen[cut.rows] += 1
-        sure = sure and probability is not None
+        gives_probabilities &= "probability" in detection.extras
         if on_window is not None:
             on_window(cut, detection, found)
     if not windows:
         raise ArgumentError("tracks must hold a window in which at least 2 ids are seen together; no window does.")
-    leaders = _summarise(windows, tracks.ids, seen if confirm else None, sure)
+    leaders = _summarise(windows, tracks.ids, seen if confirm else None, gives_probabilities)
     return FoundLeaders(tuple(windows), leaders, detector_label(player))
 
 
@@ -248,30 +215,96 @@ def _answer(player: DetectorLike, cut: TrackWindow, seed: int, number: int, when
     try:
         player.reset(int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1)[0]))
         detection = player.detect(fit_window(player, cut.window))
+        if len(detection.candidates) == len(cut.ids):
+            return detection
+        problem = f"an answer for {len(detection.candidates)} of {len(cut.ids)} UAVs"
     except ArgumentError:
         raise
     except Exception as error:  # a detector may raise anything
-        raise ArgumentError(
-            f"detector must answer every window, got {describe_error(error)} from {detector_label(player)} in the "
-            f"window {when}."
-        ) from error
-    if not isinstance(detection, Detection) or len(detection.candidates) != len(cut.ids):
-        raise ArgumentError(f"detector must answer a Detection for {len(cut.ids)} UAVs, got {quote(detection)}.")
-    return detection
+        problem = describe_error(error)
+    raise ArgumentError(
+        f"detector must answer every window, got {problem} from {quote(detector_label(player))} in the window {when}."
+    )
 
 
-def _reasons(detection: Detection, heads: NDArray[np.intp], followers: list[list[int]], uavs: int) -> list[str]:
+def _detect_window(
+    cut: TrackWindow, detection: Detection, confirm: bool, groups: list[Group], times: tuple[Any, Any]
+) -> DetectedWindow:
+    """The leaders that an answer names in a window; their groups update those of earlier windows."""
+    heads = np.flatnonzero(detection.candidates)
+    heads = heads[np.argsort(-detection.scores[heads], kind="stable")]
+    followers = [list_followers(detection, int(head)) for head in heads]
+    rejected = heads[:0]
+    if confirm:
+        confirmed, followers = confirm_leaders(cut.window, heads, followers)
+        rejected, heads = heads[~confirmed], heads[confirmed]
+        followers = [members for members, kept in zip(followers, confirmed, strict=True) if kept]
+    labels = _number_groups(
+        [
+            (int(cut.rows[head]), {int(cut.rows[i]) for i in (int(head), *members)})
+            for head, members in zip(heads, followers, strict=True)
+        ],
+        groups,
+    )
+    probability = detection.extras.get("probability")
+    reasons = _reasons(detection, heads, followers)
+    leaders = tuple(
+        Leader(
+            cut.ids[head],
+            None if probability is None else float(probability[head]),
+            tuple(cut.ids[i] for i in members),
+            reason,
+            label,
+            float(detection.scores[head]),
+        )
+        for head, members, reason, label in zip(heads, followers, reasons, labels, strict=True)
+    )
+    links = _find_links(cut, detection, heads, followers)
+    return DetectedWindow(*times, leaders, tuple(cut.ids[head] for head in rejected), links, cut.left_out)
+
+
+def _find_links(
+    cut: TrackWindow, detection: Detection, heads: Indices, followers: Sequence[Sequence[int]]
+) -> tuple[Link, ...]:
+    """The direct leader of each follower of some heads, which is the head if the answer has none, and the delay."""
+    links = []
+    for head, members in zip(heads, followers, strict=True):
+        for i in members:
+            ahead = int(head) if detection.leader is None else int(detection.leader[i])
+            links.append(Link(cut.ids[i], cut.ids[ahead], cut.ids[head], _measure_delay(cut, i, ahead)))
+    return tuple(links)
+
+
+def _measure_delay(cut: TrackWindow, follower: int, leader: int) -> float | None:
+    """The lag, in seconds, at which the follower's velocity is most correlated with the leader's earlier velocity.
+
+    ``None`` if this lag is 0: the delay is shorter than the step, or there is none.
+    """
+    window = cut.window
+    seen = window.velocity_seen[:, [leader, follower]]
+    both = seen.all(axis=1)
+    if not both.any():
+        return None
+    velocity = window.velocity[:, [leader, follower]].astype(np.float64)  # (T, 2, 3)
+    centred: Floats = np.where(seen[..., None], velocity - velocity[both].mean(axis=0), 0.0)
+    ahead, behind = centred[:, 0], centred[:, 1]
+    most = min(_MOST_LAG, len(centred) // _LEAST_STEPS)
+    curve = np.array([(ahead[: len(ahead) - lag] * behind[lag:]).sum() for lag in range(most + 1)])
+    lag = int(curve.argmax())
+    return round(lag * cut.step, _DIGITS) if lag else None
+
+
+def _reasons(detection: Detection, heads: Indices, followers: list[list[int]]) -> list[str]:
     """A sentence for each head: the detector's own if it gives one, otherwise the rank of its score."""
-    named, given = detection.extras.get("heads"), detection.extras.get("reasons")
-    own: dict[int, str] = {}
-    if named is not None and given is not None and len(named) == len(given):
-        own = {int(head): str(reason) for head, reason in zip(named, given, strict=True)}
-    ranks = {int(i): rank for rank, i in enumerate(np.argsort(-detection.scores, kind="stable"), start=1)}
+    named, given = detection.extras.get("heads", ()), detection.extras.get("reasons", ())
+    reasons = {int(head): str(reason) for head, reason in zip(named, given, strict=False)}
+    scores = detection.scores
+    ranks = np.argsort(np.argsort(-scores, kind="stable"), kind="stable") + 1
     return [
-        own.get(int(head))
-        or f"Has score {detection.scores[head]:.3g}, rank {ranks[int(head)]} of {uavs}, and "
-        f"{format_count(len(led), 'follower')}."
-        for head, led in zip(heads, followers, strict=True)
+        reasons.get(int(head))
+        or f"Has score {scores[head]:.3g}, rank {ranks[head]} of {len(scores)}, and "
+        f"{format_count(len(members), 'follower')}."
+        for head, members in zip(heads, followers, strict=True)
     ]
 
 

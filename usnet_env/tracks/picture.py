@@ -2,39 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from usnet_env.drawing import (
-    CLUSTER_COLORS,
-    FOLLOWER_MARK,
-    HEAD_MARK,
-    LINK_MARK,
-    TRACK_WORDS,
-    UNLED_MARK,
-    abbreviate,
-    annotate_points,
-    draw_legend,
-    draw_round,
-    escape_math,
-    last_seen_position,
-    limits_around,
-    new_figure,
-    round_marks,
-    text_size,
-)
+from usnet_env import drawing
 from usnet_env.tracks.leaders import DetectedWindow, FoundLeaders, find_date, format_time
-from usnet_env.tracks.tracks import Tracks
-from usnet_env.tracks.windows import TrackWindow
+from usnet_env.tracks.tracks import Tracks, TrackWindow
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MOST_MAPS, _COLUMNS = 6, 3
+_MOST_MAPS, _COLUMNS = 6, 3
 _MAP, _GAP, _LEGEND, _HEADER = 4.6, 0.75, 2.7, 1.3  # inches
 _TITLES = 0.4  # inches between rows of maps, for titles of two lines
 _MOST_ROWS, _ROW = 16, 0.27  # of the lower chart; inches
@@ -42,114 +23,118 @@ _MOST_NAMES = 12  # leaders that a map names
 _MOST_REJECTED = 3  # candidates in the title of a map
 _LONGEST_TITLE = 40  # characters of a line
 _LONGEST_NAME = 24  # characters of an id
-_MARGIN = 1.9  # inches at the left of the lower chart, or more for its names
-_MARKS = (HEAD_MARK, FOLLOWER_MARK, LINK_MARK, UNLED_MARK)  # of the legend, in its order
-#: A window of a map, its leader by index ``(N,)`` (-1: none; a leader has its own index), and the leaders.
-Map = tuple[TrackWindow, NDArray[np.int64], DetectedWindow]
+_MARKS = (
+    drawing.HEAD_MARK,
+    drawing.FOLLOWER_MARK,
+    drawing.LINK_MARK,
+    drawing.UNLED_MARK,
+)  # of the legend, in its order
 
 
-def draw_leaders(found: FoundLeaders, maps: Sequence[Map], title: str, tracks: Tracks) -> Figure:
+def draw_leaders(found: FoundLeaders, cuts: Iterable[TrackWindow], title: str, tracks: Tracks) -> Figure:
     """Draw up to six windows as maps from above, and below them the windows in which each id leads.
 
     Long ids are abbreviated in the middle, in all places alike.
 
     Args:
         found: the leaders.
-        maps: the windows to draw.
+        cuts: all windows; up to six are drawn, evenly spread, those with leaders first.
         title: what the tracks are.
         tracks: the tracks, which say where their origin is and the unit of their times.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
     """
-    columns = min(max(len(maps), 1), _COLUMNS)
-    lines = -(-len(maps) // columns)
-    bars = found.leaders[:_MOST_ROWS]
-    chart = 1.1 + _ROW * max(len(bars), 1)
+    chosen = _choose_windows(found)
+    columns = min(len(chosen), _COLUMNS)
+    bars = min(len(found.leaders), _MOST_ROWS)
+    chart = 1.1 + _ROW * max(bars, 1)
     width = max(columns * (_MAP + _GAP) + _LEGEND, 9.0)
-    height = _HEADER + lines * (_MAP + _GAP + _TITLES) + chart
-    figure = new_figure(width, height)
+    height = _HEADER + -(-len(chosen) // columns) * (_MAP + _GAP + _TITLES) + chart
+    figure = drawing.new_figure(width, height)
     figure.text(0.5 / width, 1 - 0.25 / height, "Leaders and followers", fontsize=17, weight="bold", va="top")
-    shown = f"{len(maps)} of {len(found.windows)} windows, " if len(maps) < len(found.windows) else ""
     words = _Words(found, tracks)
     marks: dict[str, str] = {}
-    beside: Axes | None = None
-    for k, (cut, leader, window) in enumerate(maps):
+    drawn = ((cut, window) for k, (cut, window) in enumerate(zip(cuts, found.windows, strict=True)) if k in chosen)
+    maps = []
+    for k, (cut, window) in enumerate(drawn):
         left, top = 0.7 + k % columns * (_MAP + _GAP), _HEADER + k // columns * (_MAP + _GAP + _TITLES)
-        axes = figure.add_axes((left / width, 1 - (top + _MAP) / height, _MAP / width, _MAP / height))
-        marks |= _draw_map(axes, cut, leader, window, words, tracks)
+        maps.append(figure.add_axes((left / width, 1 - (top + _MAP) / height, _MAP / width, _MAP / height)))
+        marks |= _draw_map(maps[-1], cut, window, words, tracks)
         if k % columns:
-            axes.set_ylabel("")
-        if k == columns - 1:
-            beside = axes
-    if beside is not None:
-        draw_legend(beside, {mark: marks[mark] for mark in _MARKS if mark in marks})
+            maps[-1].set_ylabel("")
+    drawing.draw_legend(maps[columns - 1], {mark: marks[mark] for mark in _MARKS if mark in marks})
     day = f" {words.date} (UTC)," if words.date else ""
-    stars = " Stars are leaders." if HEAD_MARK in marks else ""
-    if LINK_MARK in marks:
+    shown = f"{len(chosen)} of {len(found.windows)} windows, " if len(chosen) < len(found.windows) else ""
+    stars = " Stars are leaders." if drawing.HEAD_MARK in marks else ""
+    if drawing.LINK_MARK in marks:
         stars = " Stars are leaders, lines connect followers to them."
     about = f"{title}:{day} {shown}by {found.detector}.{stars}"
-    figure.text(0.5 / width, 1 - 0.65 / height, escape_math(about), fontsize=10, va="top", color="#333333")
-    bottom = 0.55
-    axes = figure.add_axes((_MARGIN / width, bottom / height, (width - _MARGIN - 0.5) / width, (chart - 1.0) / height))
+    figure.text(0.5 / width, 1 - 0.65 / height, drawing.escape_math(about), fontsize=10, va="top", color="#333333")
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     _draw_times(axes, found, words)
-    names = max((text_size(each)[0] / figure.dpi for each in axes.get_yticklabels()), default=0.0)
-    margin = max(_MARGIN, names + 0.5)
-    axes.set_position((margin / width, bottom / height, (width - margin - 0.5) / width, (chart - 1.0) / height))
+    names = max((drawing.text_size(label)[0] / figure.dpi for label in axes.get_yticklabels()), default=0.0)
+    margin = max(1.9, names + 0.5)
+    axes.set_position((margin / width, 0.55 / height, (width - margin - 0.5) / width, (chart - 1.0) / height))
     return figure
 
 
-class _Words:
-    """How times and ids are written in the picture.
+def _choose_windows(found: FoundLeaders) -> set[int]:
+    """The numbers of up to six windows, evenly spread, those with leaders first."""
+    chosen: set[int] = set()
+    for with_leaders in (True, False):
+        places = [k for k, window in enumerate(found.windows) if bool(window.leaders) == with_leaders]
+        most = min(len(places), _MOST_MAPS - len(chosen))
+        chosen |= {places[int(k)] for k in np.linspace(0, len(places) - 1, most)}
+    return chosen
 
-    Args:
-        found: the leaders.
-        tracks: the tracks.
-    """
+
+class _Words:
+    """How times and ids are written in the picture."""
 
     def __init__(self, found: FoundLeaders, tracks: Tracks) -> None:
         self.date = find_date(found)
         self.unit = tracks.clock.unit_name
-        named = [leader.id for leader in found.leaders] + [each for one in found.windows for each in one.not_confirmed]
+        named = [leader.id for leader in found.leaders]
+        named += [name for window in found.windows for name in window.not_confirmed]
         ids = list(dict.fromkeys(map(str, named)))
-        self._short = dict(zip(ids, abbreviate(ids, _LONGEST_NAME), strict=True))
+        self._short = dict(zip(ids, drawing.abbreviate(ids, _LONGEST_NAME), strict=True))
 
     def name(self, who: str | int) -> str:
         """An id that leads, or is not confirmed, abbreviated if it is long."""
         return self._short[str(who)]
 
 
-def _draw_map(
-    axes: Axes, cut: TrackWindow, leader: NDArray[np.int64], window: DetectedWindow, words: _Words, tracks: Tracks
-) -> dict[str, str]:
+def _draw_map(axes: Axes, cut: TrackWindow, window: DetectedWindow, words: _Words, tracks: Tracks) -> dict[str, str]:
     """Draw one window; returns the marks that it shows, for the legend."""
     from matplotlib.patheffects import Normal, Stroke
 
-    uavs = len(cut.ids)
-    groups = {each.id: each.group - 1 for each in window.leaders}
-    head = np.array([each in groups for each in cut.ids])
-    number = np.array([groups.get(each, 0) for each in cut.ids])  # a group has one colour in all windows
-    none = np.zeros(uavs, bool)
+    root = window.roots(cut.ids)
+    groups = {leader.id: leader.group - 1 for leader in window.leaders}
+    head, none = np.array([name in groups for name in cut.ids]), np.zeros(len(cut.ids), bool)
+    number = np.array([groups.get(name, 0) for name in cut.ids])  # a group has one colour in all windows
     origin = cut.origin + (tracks.origin if tracks.frame == "metres" else 0.0)
     position: Any = cut.window.position + origin  # in float64: coordinates may be large
-    title = escape_math(_title_map(window, words))
-    draw_round(
-        position, cut.window.seen, cut.window.alive, head, leader, none,
-        axes=axes, title=title, legend=False, limits=limits_around(position[cut.window.seen], 0.08, 1e-6),
-        number=number,
-    )  # fmt: skip
-    place = last_seen_position(position, cut.window.seen)
-    names = {each: i for i, each in enumerate(cut.ids)}
-    halo = [Stroke(linewidth=2.5, foreground="white"), Normal()]  # a name can be read where marks and tracks crowd
-    named = window.leaders[:_MOST_NAMES]
-    points: Any = place[[names[each.id] for each in named], :2].reshape(-1, 2)
-    annotate_points(
-        axes, points, [words.name(each.id) for each in named], fontsize=8, weight="bold", zorder=7, path_effects=halo
+    seen, alive = cut.window.seen, cut.window.alive
+    look: Any = {
+        "axes": axes,
+        "legend": False,
+        "number": number,
+        "limits": drawing.limits_around(position[seen], 0.08, 1e-6),
+    }
+    drawing.draw_round(
+        position, seen, alive, head, root, none, title=drawing.escape_math(_title_map(window, words)), **look
     )
-    present = round_marks(place, cut.window.alive, head, leader, none)
-    present[UNLED_MARK] = present[FOLLOWER_MARK] & ~present[LINK_MARK]
-    present[FOLLOWER_MARK] = present[LINK_MARK]  # those with a leader
-    return {mark: TRACK_WORDS.get(mark, mark) for mark, who in present.items() if who.any()}
+    place: Any = drawing.last_seen_position(position, seen)
+    halo = [Stroke(linewidth=2.5, foreground="white"), Normal()]  # a name can be read where marks and tracks crowd
+    named = [leader.id for leader in window.leaders[:_MOST_NAMES]]
+    points = place[[cut.ids.index(name) for name in named], :2].reshape(-1, 2)
+    style: Any = {"fontsize": 8, "weight": "bold", "zorder": 7, "path_effects": halo}
+    drawing.annotate_points(axes, points, [words.name(name) for name in named], **style)
+    present = drawing.round_marks(place, alive, head, root, none)
+    present[drawing.UNLED_MARK] = present[drawing.FOLLOWER_MARK] & ~present[drawing.LINK_MARK]
+    present[drawing.FOLLOWER_MARK] = present[drawing.LINK_MARK]  # those with a leader
+    return {mark: drawing.TRACK_WORDS.get(mark, mark) for mark, who in present.items() if who.any()}
 
 
 def _title_map(window: DetectedWindow, words: _Words) -> str:
@@ -165,27 +150,29 @@ def _title_map(window: DetectedWindow, words: _Words) -> str:
 
 def _draw_times(axes: Axes, found: FoundLeaders, words: _Words) -> None:
     """Draw a row for each leader over the file, with a bar for each window in which it leads."""
-    bars = found.leaders[:_MOST_ROWS]
-    for row, each in enumerate(bars):
+    bars, count = found.leaders[:_MOST_ROWS], len(found.windows)
+    for row, bar in enumerate(bars):
         led = [
             k
             for k, window in enumerate(found.windows)
-            if any(leader.id == each.id and leader.group == each.group for leader in window.leaders)
+            if (bar.id, bar.group) in {(leader.id, leader.group) for leader in window.leaders}
         ]
-        color = CLUSTER_COLORS[(each.group - 1) % len(CLUSTER_COLORS)]
-        axes.barh([row] * len(led), [1.0] * len(led), left=led, height=0.7, color=color)
-    axes.set_yticks(range(len(bars)), [escape_math(words.name(each.id)) for each in bars], fontsize=8)
-    axes.set_ylim(max(len(bars), 1) - 0.5, -0.5)
-    count = len(found.windows)
-    longest = max(len(format_time(window.start, words.date)) for window in found.windows)
-    ticks = np.unique(np.linspace(0, count - 1, min(count, max(2, min(8, 80 // longest)))).astype(int))
-    axes.set_xlim(0, count)
-    axes.set_xticks(ticks, [format_time(found.windows[k].start, words.date) for k in ticks], fontsize=8)
+        axes.barh(
+            [row] * len(led),
+            1.0,
+            left=led,
+            height=0.7,
+            color=drawing.CLUSTER_COLORS[(bar.group - 1) % len(drawing.CLUSTER_COLORS)],
+        )
+    axes.set_yticks(range(len(bars)), [drawing.escape_math(words.name(bar.id)) for bar in bars], fontsize=8)
+    times = [format_time(window.start, words.date) for window in found.windows]
+    ticks = np.unique(np.linspace(0, count - 1, min(count, max(2, min(8, 80 // max(map(len, times)))))).astype(int))
+    axes.set(xlim=(0, count), ylim=(max(len(bars), 1) - 0.5, -0.5))
+    axes.set_xticks(ticks, [times[k] for k in ticks], fontsize=8)
     more = f", {len(bars)} of {len(found.leaders)} leaders" if len(bars) < len(found.leaders) else ""
     unit = f" in {words.unit}" if words.unit else ""
     heading = f"Windows in which each id leads (colour = group){more}; time of their start{unit} below"
     axes.set_title(heading, fontsize=10, loc="left")
     if not bars:
         axes.text(0.5, 0.5, "No leader was found.", transform=axes.transAxes, ha="center", va="center", color="#555555")
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+    axes.spines[["top", "right"]].set_visible(False)

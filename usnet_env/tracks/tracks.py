@@ -1,72 +1,57 @@
-"""Recorded tracks: positions of several animals or vehicles over time, with times and ids as in their file."""
+"""Recorded tracks of several animals or vehicles: what they hold, their resampling, and windows for detectors."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime, timedelta
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from usnet_env.arrays import Floats, Indices, Mask
+from usnet_env.arrays import Floats, Indices
 from usnet_env.config import ArgumentError, format_number, quote, real_number, whole_number
-from usnet_env.tracks.findings import TrackReport, find_problems
-from usnet_env.tracks.jumps import leave_out_spikes
-from usnet_env.tracks.labels import match_leaders
-from usnet_env.tracks.resampling import choose_step, resample_positions
-from usnet_env.tracks.windows import TrackWindow, cut_windows
-from usnet_env.window import as_array, frozen_array
+from usnet_env.tracks.report import TrackReport, find_problems
+from usnet_env.tracks.resample import choose_step, leave_out_spikes, resample_positions
+from usnet_env.tracks.samples import Samples, match_leaders, sort_samples
+from usnet_env.window import Window, as_array, frozen_array
 
-_DIGITS = 9  # decimals of a time that is written as a number, where float64 has as many
-_EPOCH = datetime(1970, 1, 1)
-_UNIT_NAMES = {1.0: "s", 1e-3: "ms", 1e-6: "µs", 1e-9: "ns", 60.0: "min", 3600.0: "h"}
 _SHORTEST_STEP, _LONGEST_STEP = 1e-9, 1e9  # seconds
 
 
-@dataclass(frozen=True)
-class Clock:
-    """How seconds of :class:`Tracks` are written as times of the file.
+@dataclass(frozen=True, eq=False)
+class TrackWindow:
+    """A window of recorded tracks, with what a :class:`usnet_env.Window` doesn't hold.
 
     Args:
-        origin: the file's time at second 0: a number in units of the file, or seconds since 1970-01-01 UTC.
-        unit: seconds in one unit of the file's times; 1 for timestamps.
-        timestamps: whether the file's times are dates with a time of day; they are written as ISO 8601 in UTC.
-        whole: whether the file's times are whole numbers.
-        frames: whether the file's times are numbers of frames.
-        likely_unit: 0.001, 1e-6 or 1e-9 seconds, if the times were read as seconds because no unit was given, but their
-            numbers or the name of their column say this unit; otherwise ``None``.
+        window: what a detector takes. Its velocities are the differences of the positions, metres per step, and its
+            ``step`` is in seconds.
+        ids: the ids of the N UAVs of the window, as in the file.
+        rows: ``(N,)`` int64, index of each in ``Tracks.ids``.
+        start: seconds of the first instant after the start of the tracks.
+        end: seconds of the last instant.
+        step: seconds between instants.
+        origin: ``(3,)`` metres; add it to the window's positions to get those of the tracks.
+        leader: ``(N,)`` int64, index in the window of the id that each follows through most of the window (-1: none or
+            one that is not in the window), or ``None`` if the file has no leaders.
+        left_out: the ids that are seen in the window, but in too few of its steps.
     """
 
-    origin: float = 0.0
-    unit: float = 1.0
-    timestamps: bool = False
-    whole: bool = False
-    frames: bool = False
-    likely_unit: float | None = None
-
-    @property
-    def unit_name(self) -> str:
-        """The unit of the file's times, such as ``"s"`` or ``"frames"``; nothing for timestamps."""
-        if self.timestamps or self.frames:
-            return "frames" if self.frames else ""
-        return _UNIT_NAMES.get(self.unit, f"units of {format_number(self.unit)} s")
-
-    def file_time(self, seconds: float) -> float | int | str:
-        """Write ``seconds`` after the start as a time of the file."""
-        if self.timestamps:
-            moment = _EPOCH + timedelta(milliseconds=round(1000 * (self.origin + seconds)))
-            return moment.isoformat(timespec="milliseconds") + "Z"
-        number = self.origin + seconds / self.unit
-        number = round(number, _count_decimals(number))
-        return int(number) if self.whole and number.is_integer() else number
+    window: Window
+    ids: tuple[str | int, ...]
+    rows: Indices
+    start: float
+    end: float
+    step: float
+    origin: Floats
+    leader: Indices | None = None
+    left_out: tuple[str | int, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class Tracks:
+class Tracks(Samples):
     """The tracks of N ids: S samples, sorted by id and then by time. All arrays are read-only.
+
+    :func:`usnet_env.tracks.read_tracks` and :meth:`from_samples` make them; the constructor checks nothing.
 
     Args:
         ids: the N ids as in the file, texts or whole numbers.
@@ -83,47 +68,7 @@ class Tracks:
         frame: what the positions are, in words.
         notes: what the reader decided or found, a sentence each.
         step: seconds between the samples if they lie on the common grid of :meth:`resample`, otherwise ``None``.
-
-    Raises:
-        ArgumentError: an array has another shape, values that are not finite, or samples in another order.
     """
-
-    ids: tuple[str | int, ...]
-    offsets: Indices
-    time: Floats
-    position: Floats
-    origin: Floats
-    velocity: Floats | None = None
-    leader: Indices | None = None
-    clock: Clock = Clock()
-    frame: str = "metres"
-    notes: tuple[str, ...] = ()
-    step: float | None = None
-
-    def __post_init__(self) -> None:
-        def put(name: str, dtype: type, shape: tuple[int | None, ...]) -> Any:
-            value = getattr(self, name)
-            if not _is_frozen(value, dtype, shape):  # a second copy of large files would double the memory
-                value = frozen_array(name, value, dtype, shape)
-            object.__setattr__(self, name, value)
-            return value
-
-        if len(set(self.ids)) != len(self.ids) or not self.ids:
-            raise ArgumentError(f"ids must be different and at least one, got {quote(self.ids)}.")
-        time = put("time", np.float64, (None,))
-        offsets = put("offsets", np.int64, (len(self.ids) + 1,))
-        if offsets[0] != 0 or offsets[-1] != len(time) or (np.diff(offsets) < 0).any():
-            raise ArgumentError(f"offsets must rise from 0 to the {len(time)} samples, got {quote(offsets)}.")
-        put("position", np.float64, (len(time), 3))
-        put("origin", np.float64, (3,))
-        if self.velocity is not None:
-            put("velocity", np.float64, (len(time), 3))
-        if self.leader is not None:
-            leader = put("leader", np.int64, (len(time),))
-            if not ((leader >= -1) & (leader < len(self.ids))).all():
-                raise ArgumentError(f"leader must hold indices from -1 to {len(self.ids) - 1}, got {quote(leader)}.")
-        if (np.diff(time)[self.inner_steps] <= 0).any():
-            raise ArgumentError("time must rise strictly within each id; it does not.")
 
     @classmethod
     def from_samples(
@@ -142,42 +87,15 @@ class Tracks:
         Raises:
             ArgumentError: lengths differ, values are not finite numbers, or an id has two samples at one time.
         """
-        places = as_array("position", position)
-        if places.ndim != 2 or places.shape[1] not in (2, 3):
-            raise ArgumentError(f"position must have shape (any, 2) or (any, 3), got {places.shape}.")
-        samples = len(places)
-        places = frozen_array("position", places, np.float64, (samples, places.shape[1]))
-        seconds = frozen_array("time", time, np.float64, (samples,))
-        codes, names = _read_ids("ids", ids, samples)
-        led: Indices | None = None
+        shape = as_array("position", position).shape
+        places = frozen_array("position", position, np.float64, (None, 2 if shape[1:] == (2,) else 3))
+        seconds = frozen_array("time", time, np.float64, (len(places),))
+        codes, names = _read_ids("ids", ids, len(places))
+        leaders: Indices | None = None
         notes: list[str] = []
         if leader is not None:
-            led, notes = match_leaders(*_read_ids("leader", leader, samples), codes, names)
-        return assemble(names, codes, seconds, list(places.T), None, led, Clock(), "metres", tuple(notes))
-
-    @property
-    def samples(self) -> int:
-        """S, the number of samples."""
-        return len(self.time)
-
-    @property
-    def dimensions(self) -> int:
-        """2 if all heights are equal, otherwise 3."""
-        height = self.position[:, 2]
-        return 3 if len(height) and (height != height[0]).any() else 2
-
-    @property
-    def duration(self) -> float:
-        """Seconds from the earliest to the latest sample."""
-        return float(self.time.max(initial=0.0))
-
-    @property
-    def inner_steps(self) -> Mask:
-        """``(S - 1,)`` bool: whether sample s and s + 1 belong to the same id."""
-        inner = np.ones(max(len(self.time) - 1, 0), bool)
-        edges = self.offsets[1:-1]
-        inner[edges[(edges > 0) & (edges < len(self.time))] - 1] = False
-        return inner
+            leaders, notes = match_leaders(*_read_ids("leader", leader, len(places)), codes, names)
+        return cls(**sort_samples(names, codes, seconds, list(places.T), leader=leaders, notes=notes))
 
     def report(self) -> TrackReport:
         """What the tracks hold, and what is doubtful about them: nothing of it is repaired."""
@@ -201,24 +119,22 @@ class Tracks:
             keep_spikes: whether to keep spikes.
 
         Raises:
-            ArgumentError: ``step`` or ``max_gap`` is not a positive number, ``keep_spikes`` is not a truth value, or no
-                id has two samples.
+            ArgumentError: ``step`` or ``max_gap`` is not a positive number, or no id has two samples.
         """
         if max_gap is not None:
             max_gap = real_number("max_gap", max_gap, _SHORTEST_STEP, _LONGEST_STEP)
-        if not isinstance(keep_spikes, bool):
-            raise ArgumentError(f"keep_spikes must be True or False, got {quote(keep_spikes)}.")
+        if step is not None:
+            step = real_number("step", step, _SHORTEST_STEP, _LONGEST_STEP)
+        if (np.diff(self.offsets) < 2).all():
+            raise ArgumentError("tracks must hold an id with at least 2 samples; each id has only one.")
         tracks = self if keep_spikes else leave_out_spikes(self)
-        spikes = self.samples - tracks.samples
+        why: tuple[str, ...] = () if step is None else (f"The step of {format_number(step)} s was given.",)
         if step is None:
             step, why = choose_step(tracks)
-        else:
-            step = real_number("step", step, _SHORTEST_STEP, _LONGEST_STEP)
-            why = (f"The step of {format_number(step)} s was given.",)
         offsets, time, position, leader = resample_positions(tracks, step, max_gap)
-        if spikes:
+        if spikes := self.samples - tracks.samples:
             left_out = "1 spike was" if spikes == 1 else f"{spikes} spikes were"
-            why = (*why, f"{left_out} left out, unless keep_spikes=True is given.")
+            why = (*why, f"{left_out} left out, unless keep_spikes (--keep-spikes) is given.")
         return replace(
             self,
             offsets=offsets,
@@ -250,11 +166,22 @@ class Tracks:
         stride = length if stride is None else whole_number("stride", stride, 1, 10**9)
         least_steps = -(-length // 2) if least_steps is None else whole_number("least_steps", least_steps, 1, length)
         even = self if self.step is not None else self.resample()
-        return cut_windows(even, length, stride, least_steps)
+        count = even.count_windows(length, stride)
+        if not count:
+            raise ArgumentError(
+                f"length must be at most {round(even.duration / (even.step or 1.0))}, the number of steps of "
+                f"{even.step:g} s in the tracks, got {quote(length)} (--window sets it)."
+            )
+        number = np.round(even.time / (even.step or 1.0)).astype(np.int64)
+        known, starts = np.unique(number), np.arange(count) * stride
+        filled = np.searchsorted(known, starts + length, side="right") > np.searchsorted(known, starts)
+        cuts = (_cut(even, number, int(first), length, least_steps) for first in starts[filled])
+        return (cut for cut in cuts if cut is not None)
 
-    def file_time(self, seconds: float) -> float | int | str:
-        """Write ``seconds`` after the start as a time of the file."""
-        return self.clock.file_time(seconds)
+    def count_windows(self, length: int, stride: int) -> int:
+        """Number of windows of ``length`` steps, every ``stride`` steps, in resampled tracks."""
+        steps = round(self.duration / (self.step or 1.0))
+        return 0 if steps < length else (steps - length) // stride + 1
 
 
 def _read_ids(name: str, value: Any, samples: int) -> tuple[Indices, tuple[str | int, ...]]:
@@ -264,110 +191,62 @@ def _read_ids(name: str, value: Any, samples: int) -> tuple[Indices, tuple[str |
         ArgumentError: there are none, another number of them, or other values among them.
     """
     ids = as_array(name, value)
-    if ids.shape != (samples,) or not samples:
-        raise ArgumentError(f"{name} must name each of the {samples} samples, at least one, got {quote(value)}.")
     plain = ids.tolist()
-    if not all(isinstance(each, str | int) and not isinstance(each, bool) for each in plain):
-        raise ArgumentError(f"{name} must hold texts or whole numbers, got {quote(value)}.")
-    if len({isinstance(each, str) for each in plain}) > 1:  # NumPy makes texts of them, too, unless they are objects
-        plain = [str(each) for each in plain]
+    if ids.shape != (samples,) or not samples or not all(isinstance(label, str | int) for label in plain):
+        raise ArgumentError(f"{name} must hold a text or a whole number for {samples} samples, got {quote(value)}.")
+    if any(isinstance(label, str) for label in plain):  # NumPy makes texts of all, too, unless they are objects
+        plain = [str(label) for label in plain]
     code: dict[str | int, int] = {}
-    return np.array([code.setdefault(each, len(code)) for each in plain], np.int64), tuple(code)
+    return np.array([code.setdefault(label, len(code)) for label in plain], np.int64), tuple(code)
 
 
-def assemble(
-    ids: tuple[str | int, ...],
-    codes: NDArray[np.integer[Any]],
-    time: Floats,
-    position: list[Floats],
-    velocity: Floats | None,
-    leader: Indices | None,
-    clock: Clock,
-    frame: str,
-    notes: tuple[str, ...],
-    origin: Floats | None = None,
-    name_places: Callable[[int, int], str] = lambda *both: f"samples {min(both)} and {max(both)}",
-) -> Tracks:
-    """Sort samples by id and time, and move the origin of time and space to the first sample and the middle.
+def _cut(tracks: Tracks, number: Indices, first: int, length: int, least_steps: int) -> TrackWindow | None:
+    """Cut the window that begins at grid time ``first``; ``None`` if fewer than two ids are seen long enough.
 
-    The arguments are those of :class:`Tracks`, but for ``codes`` ``(S,)``, index of the id of each sample in the order
-    of the file; ``time`` ``(S,)`` in the clock's unit, or in seconds for timestamps; ``position``, the two or three
-    coordinates ``(S,)``, a list that is emptied to free their memory; ``origin``, if the positions are relative to it
-    already; and ``name_places``, which names where two samples stand, counted in the order of the file.
-
-    Raises:
-        ArgumentError: two samples of an id have one time and different places; the sentence names their rows.
+    Args:
+        tracks: the resampled tracks.
+        number: ``(S,)`` the grid time of each sample, in steps.
+        first: the grid time of the first instant.
+        length: steps of the window.
+        least_steps: steps in which an id must be seen.
     """
-    start = float(time.min())
-    latest = max(abs(start), abs(float(time.max())))
-    time = time - start
-    if _count_decimals(latest) < _DIGITS:  # seconds since 1970: the difference of two has as few decimals
-        time = np.round(time, _count_decimals(latest))
-    time *= clock.unit
-    clock = replace(clock, origin=clock.origin + start)
-    order: Any = slice(None)
-    if not _is_sorted(codes, time):
-        order = np.lexsort((time, codes))
-        codes, time = codes[order], time[order]
-    places = np.zeros((len(time), 3))
-    for axis in reversed(range(len(position))):
-        places[:, axis] = position.pop()[order]
-    same = (np.diff(codes) == 0) & (np.diff(time) <= 0)
-    if same.any():
-        rows = np.arange(len(time))[order]
-        doubled = np.flatnonzero(same)
-        differ = (places[doubled] != places[doubled + 1]).any(axis=1)
-        if differ.any():
-            k = int(doubled[np.flatnonzero(differ)[0]])
-            moment = clock.file_time(float(time[k]))
-            raise ArgumentError(
-                f"time must differ between the samples of an id, got {quote(moment)} with two places for id "
-                f"{quote(ids[int(codes[k])])} in {name_places(int(rows[k]), int(rows[k + 1]))}."
-            )
-        notes = (
-            *notes,
-            f"Left out as repetitions (same id, time and place): {len(doubled)} sample{'s' * (len(doubled) > 1)}.",
-        )
-        keep = np.append(True, ~same)
-        places, time, codes, order = places[keep], time[keep], codes[keep], rows[keep]
-    if origin is None:
-        origin = np.round((places.min(axis=0) + places.max(axis=0)) / 2)
-        places -= origin
-    for array in (time, places):
-        array.setflags(write=False)
-    return Tracks(
-        ids=ids,
-        offsets=np.searchsorted(codes, np.arange(len(ids) + 1)),
-        time=time,
-        position=places,
+    step = float(tracks.step or 0.0)
+    inside = np.flatnonzero((number >= first) & (number <= first + length))
+    owner = np.searchsorted(tracks.offsets, inside, side="right") - 1
+    rows, column = np.unique(owner, return_inverse=True)
+    seen = np.zeros((length + 1, len(rows)), bool)
+    seen[number[inside] - first, column] = True
+    enough = (seen[1:] & seen[:-1]).sum(axis=0) >= least_steps
+    if enough.sum() < 2:
+        return None
+    kept = enough[column]
+    left_out = tuple(tracks.ids[i] for i in rows[~enough])
+    inside, column = inside[kept], (np.cumsum(enough) - 1)[column[kept]]
+    rows, seen = rows[enough].astype(np.int64), seen[:, enough]
+    origin = tracks.position[inside].mean(axis=0)
+    position = np.zeros((length + 1, len(rows), 3))
+    position[number[inside] - first, column] = tracks.position[inside] - origin
+    velocity = np.where((seen[1:] & seen[:-1])[..., None], np.diff(position, axis=0), 0.0)
+    places, moves, alive = position.astype(np.float32), velocity.astype(np.float32), np.ones(len(rows), bool)
+    return TrackWindow(
+        window=Window(places, moves, seen, alive, step=step),
+        ids=tuple(tracks.ids[i] for i in rows),
+        rows=rows,
+        start=first * step,
+        end=(first + length) * step,
+        step=step,
         origin=origin,
-        velocity=None if velocity is None else velocity[order],
-        leader=None if leader is None else leader[order],
-        clock=clock,
-        frame=frame,
-        notes=notes,
+        leader=None if tracks.leader is None else _usual_leaders(tracks.leader[inside], column, rows),
+        left_out=left_out,
     )
 
 
-def _count_decimals(number: float) -> int:
-    """How many decimals float64 has at this size, at most 9; -3 if it has whole thousands."""
-    return min(_DIGITS, math.floor(-np.log10(np.spacing(abs(number)))))
-
-
-def _is_frozen(value: Any, dtype: type, shape: tuple[int | None, ...]) -> bool:
-    """Whether ``value`` is what ``frozen_array`` would return a copy of: read-only, its own, finite, of this type."""
-    return (
-        isinstance(value, np.ndarray)
-        and value.dtype == dtype
-        and value.flags.owndata
-        and not value.flags.writeable
-        and value.ndim == len(shape)
-        and all(want in (None, has) for want, has in zip(shape, value.shape, strict=True))
-        and bool(np.isfinite(value).all())
-    )
-
-
-def _is_sorted(codes: NDArray[Any], time: Floats) -> bool:
-    """Whether samples are sorted by id and time already; then their order takes no memory."""
-    step = np.diff(codes)
-    return bool((step >= 0).all() and (np.diff(time)[step == 0] >= 0).all())
+def _usual_leaders(leader: Indices, column: Indices, rows: Indices) -> Indices:
+    """The leader that each of the window's UAVs has in most of its samples, as an index in the window."""
+    pairs, counts = np.unique(np.stack([column, leader], axis=1), axis=0, return_counts=True)
+    order = np.lexsort((-counts, pairs[:, 0]))
+    first = np.unique(pairs[order, 0], return_index=True)[1]
+    usual = pairs[order][first, 1]
+    place = np.searchsorted(rows, usual)
+    known = (usual >= 0) & (place < len(rows))
+    return np.where(known & (rows[np.minimum(place, len(rows) - 1)] == usual), place, -1).astype(np.int64)

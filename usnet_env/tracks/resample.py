@@ -1,19 +1,20 @@
-"""Put tracks on one grid of times: choose the step, and fit or interpolate the positions at the grid's times."""
+"""Put tracks on one grid of times: leave out spikes, choose the step, and fit or interpolate the positions."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import replace
+from typing import NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from usnet_env.arrays import Floats, Indices
 from usnet_env.config import ArgumentError, format_number, quote
-from usnet_env.tracks.findings import typical_intervals
-from usnet_env.tracks.jumps import close_jumps
+from usnet_env.tracks.samples import Samples
 
-if TYPE_CHECKING:
-    from usnet_env.tracks.tracks import Tracks
+SamplesT = TypeVar("SamplesT", bound=Samples)
+
+JUMP = 5.0  # a jump is faster than this many times the speed that 95 % of the steps don't exceed
+_GROSS = 20.0  # times the usual speed; such a jump has the squared length of more than 400 steps
 
 _LEAST_FIT = 3  # samples within a grid step from which a straight line is fitted
 _SNAP = 1e-6  # grid steps; times that differ by less are the same
@@ -34,8 +35,74 @@ _SHORT_LAG = 0.75  # steps; a delay that is shorter is none of one step
 _LARGEST_SCALE = 64  # samples; the noise asks for no longer step
 
 
+def typical_intervals(tracks: Samples) -> Floats:
+    """``(N,)`` median interval between the samples of each id, seconds; NaN for an id with fewer than two samples."""
+    typical = np.full(len(tracks.ids), np.nan)
+    for i, (first, last) in enumerate(zip(tracks.offsets[:-1], tracks.offsets[1:], strict=True)):
+        if last - first > 1:
+            typical[i] = np.median(np.diff(tracks.time[first:last]))
+    return typical
+
+
+class Jumps(NamedTuple):
+    """The jumps of some tracks.
+
+    Args:
+        steps: indices of the samples after which a track jumps.
+        spikes: indices of the samples to and from which a track jumps, although the way past them is no jump.
+        speed: ``(S - 1,)`` metres per second from each sample to the next of its id; 0 between ids.
+        usual: the speed that 95 % of the steps of moving ids don't exceed.
+    """
+
+    steps: Indices
+    spikes: Indices
+    speed: Floats
+    usual: float
+
+
+def find_jumps(tracks: Samples) -> Jumps:
+    """Find the steps that are more than 5 times as fast as 95 % of the steps, and the single samples off the track."""
+    squares = np.zeros(max(tracks.samples - 1, 0))
+    for axis in range(3):
+        squares += np.diff(tracks.position[:, axis]) ** 2
+    speed = np.sqrt(squares) / np.where(tracks.inner_steps, np.diff(tracks.time), np.inf)
+    moving = speed[speed > 0]
+    usual = float(np.quantile(moving, 0.95)) if len(moving) else 0.0
+    fast = speed > JUMP * usual
+    between = np.flatnonzero(fast[:-1] & fast[1:]) + 1
+    past = np.linalg.norm(tracks.position[between + 1] - tracks.position[between - 1], axis=1)
+    returns = past <= JUMP * usual * (tracks.time[between + 1] - tracks.time[between - 1])
+    return Jumps(np.flatnonzero(fast), between[returns], speed, usual)
+
+
+def leave_out_spikes(tracks: SamplesT) -> SamplesT:
+    """The tracks without the single samples that lie off them."""
+    spikes = find_jumps(tracks).spikes
+    if not len(spikes):
+        return tracks
+    return replace(
+        tracks,
+        offsets=tracks.offsets - np.searchsorted(spikes, tracks.offsets),
+        time=np.delete(tracks.time, spikes),
+        position=np.delete(tracks.position, spikes, axis=0),
+        velocity=None,
+        leader=None if tracks.leader is None else np.delete(tracks.leader, spikes),
+    )
+
+
+def close_jumps(tracks: SamplesT) -> SamplesT:
+    """The tracks with gross jumps, 20 times as fast as usual, of no length: each goes on from where it was before."""
+    found = find_jumps(tracks)
+    jumps = found.steps[found.speed[found.steps] > _GROSS * found.usual]
+    moved = np.zeros_like(tracks.position)
+    moved[jumps + 1] = tracks.position[jumps + 1] - tracks.position[jumps]
+    moved = np.cumsum(moved, axis=0)  # within an id: all jumps up to a sample, less those of the ids before
+    first = np.repeat(tracks.offsets[:-1], np.diff(tracks.offsets))
+    return replace(tracks, position=tracks.position - (moved - moved[first])) if len(jumps) else tracks
+
+
 def resample_positions(
-    tracks: Tracks, step: float, max_gap: float | None
+    tracks: Samples, step: float, max_gap: float | None
 ) -> tuple[Indices, Floats, Floats, Indices | None]:
     """Resample all tracks to the times 0, ``step``, 2 ``step``, ...; see :meth:`Tracks.resample`.
 
@@ -43,37 +110,34 @@ def resample_positions(
         The offsets ``(N + 1,)``, times ``(G,)``, positions ``(G, 3)`` and leaders ``(G,)`` or ``None`` of the result.
 
     Raises:
-        ArgumentError: the step is so short that the result has more than 10⁸ samples, or no id has two samples.
+        ArgumentError: the step is so short that the result has more than 10⁸ samples.
     """
-    first, last = tracks.offsets[:-1], tracks.offsets[1:]
-    filled = last - first > 1
-    if not filled.any():
-        raise ArgumentError("tracks must hold an id with at least 2 samples; each id has only one.")
-    counts = np.zeros(len(tracks.ids), np.int64)
-    for i in np.flatnonzero(filled):
-        counts[i] = int(_grid_numbers(tracks.time[first[i] : last[i]] / step, step, max_gap)[1].sum())
+    parts = [slice(int(first), int(last)) for first, last in zip(tracks.offsets[:-1], tracks.offsets[1:], strict=True)]
+    filled = [i for i, part in enumerate(parts) if part.stop - part.start > 1]
+    counts = np.zeros(len(parts), np.int64)
+    for i in filled:
+        counts[i] = int(_grid_numbers(tracks.time[parts[i]] / step, step, max_gap)[1].sum())
     total = int(counts.sum())
     if total > _MOST_GRID:
         raise ArgumentError(
             f"step must be at least {step * total / _MOST_GRID:.3g} s, or the result has more than {_MOST_GRID:g} "
             f"samples, got {quote(step)}."
         )
-    times, places, leaders, end = np.empty(total), np.empty((total, 3)), [], 0
-    for i in np.flatnonzero(filled):
-        part = slice(int(first[i]), int(last[i]))
-        number, place, nearest = _resample_one(tracks.time[part], tracks.position[part], step, max_gap)
-        begin, end = end, end + len(number)
-        times[begin:end], places[begin:end] = number * step, place
-        if tracks.leader is not None:
-            leaders.append(tracks.leader[part][nearest])
-    for array in (times, places):
-        array.setflags(write=False)
-    return np.concatenate([[0], np.cumsum(counts)]), times, places, np.concatenate(leaders) if leaders else None
+    offsets = np.concatenate([[0], np.cumsum(counts)])
+    times, places = np.empty(total), np.empty((total, 3))
+    leaders = None if tracks.leader is None else np.empty(total, np.int64)
+    for i in filled:
+        grid = slice(*offsets[i : i + 2])
+        number, places[grid], nearest = _resample_one(tracks.time[parts[i]], tracks.position[parts[i]], step, max_gap)
+        times[grid] = number * step
+        if leaders is not None and tracks.leader is not None:
+            leaders[grid] = tracks.leader[parts[i]][nearest]
+    return offsets, times, places, leaders
 
 
 def _resample_one(
     time: Floats, position: Floats, step: float, max_gap: float | None
-) -> tuple[Indices, Floats, NDArray[np.intp]]:
+) -> tuple[Indices, Floats, Indices]:
     """Resample one track ``(S,)``, ``(S, 3)``.
 
     Returns:
@@ -139,7 +203,7 @@ class _Lead(NamedTuple):
     followers: int
 
 
-def choose_step(tracks: Tracks) -> tuple[float, tuple[str, ...]]:
+def choose_step(tracks: Samples) -> tuple[float, tuple[str, ...]]:
     """Choose the step of the grid: the shortest at which the changes of velocity tell clearly who follows.
 
     The noise of the positions is white, so it adds -σ² to the covariance of successive steps and nothing to later ones:
@@ -154,56 +218,50 @@ def choose_step(tracks: Tracks) -> tuple[float, tuple[str, ...]]:
     mean lead over the ids is small if the step is much shorter than the delays or than the time between turns, or much
     longer than the delays. The shortest step with 80 % of the largest mean lead is chosen.
 
+    Args:
+        tracks: tracks of which an id has two samples.
+
     Returns:
         The step in seconds, and why: a sentence each.
-
-    Raises:
-        ArgumentError: no id has two samples.
     """
-    typical = typical_intervals(tracks)
-    if not np.isfinite(typical).any():
-        raise ArgumentError("tracks must hold an id with at least 2 samples; each id has only one.")
-    interval = float(f"{np.nanmedian(typical):.9g}")  # differences of times have rounding errors
+    interval = float(f"{np.nanmedian(typical_intervals(tracks)):.9g}")  # differences of times have rounding errors
     tracks = close_jumps(tracks)
     noise, needed = _noise(_sample_velocities(tracks, interval))
     factors = _step_factors(needed, tracks.duration / interval)
     leads = [_measure_leads(_sample_velocities(tracks, factor * interval)) for factor in factors]
     largest = max(lead.mean for lead in leads)
-    best = next(k for k, lead in enumerate(leads) if lead.mean >= _NEARLY * largest) if largest else 0
-    factor, lead = factors[best], leads[best]
-    step = factor * interval
-    sampled = "the sampling interval"
-    if factor > 1:
-        sampled = f"{factor:g} sampling intervals of {format_number(interval)} s"
+    best = next(k for k, lead in enumerate(leads) if lead.mean >= _NEARLY * largest)
+    lead, step = leads[best], factors[best] * interval
     reasons = []
     noisy = f"the noise of the positions is about {format_number(noise, 2)} m"
     if needed > 1:
         reasons.append(f"{noisy}, and the movement exceeds it twice in {format_number(needed * interval)} s")
     elif noise:
         reasons.append(f"{noisy}, less than half of the movement in a step")
+    warnings = []
     if not largest:
         reasons.append("no id follows another with a significant delay, so delays have no part in the choice")
-        return step, (f"The step is {format_number(step)} s, {sampled}: {'; '.join(reasons)}.",)
-    reasons.append(
-        "it is the shortest that shows clearly who follows: an id follows another after about "
-        f"{format_number(lead.lag * step, 2)} s (median of {lead.followers})"
-    )
-    sentences = [f"The step is {format_number(step)} s, {sampled}: {'; '.join(reasons)}."]
-    if lead.lag < _SHORT_LAG:
-        sentences.append(
-            "Warning: this delay is shorter than the step, so direct leaders and delays can't be told; a shorter step= "
-            "and longer windows may show them."
-        )
-    if best == len(factors) - 1 and len(factors) > 1:
-        sentences.append(
-            f"Warning: it is the longest step that was tried, since the tracks should have at least {_LEAST_STEPS} "
-            "steps; a longer step may suit them better."
-        )
-    if best == 0 and needed > 1:
-        sentences.append(
-            "Warning: the step is this long because of the noise; ids that follow after much less time may be missed."
-        )
-    return step, tuple(sentences)
+    else:
+        after = f"{format_number(lead.lag * step, 2)} s (median of {lead.followers})"
+        reasons.append(f"it is the shortest that shows clearly who follows: an id follows another after about {after}")
+        if lead.lag < _SHORT_LAG:
+            warnings.append(
+                "Warning: this delay is shorter than the step, so direct leaders and delays can't be told; a shorter "
+                "step and longer windows may show them."
+            )
+        if best == len(factors) - 1 and len(factors) > 1:
+            warnings.append(
+                f"Warning: it is the longest step that was tried, since the tracks should have at least {_LEAST_STEPS} "
+                "steps; a longer step may suit them better."
+            )
+        if best == 0 and needed > 1:
+            warnings.append(
+                "Warning: the step is this long because of the noise; ids that follow after much less time may be "
+                "missed."
+            )
+    factor = f"{factors[best]:g} sampling intervals of {format_number(interval)} s"
+    sampled = factor if factors[best] > 1 else "the sampling interval"
+    return step, (f"The step is {format_number(step)} s, {sampled}: {'; '.join(reasons)}.", *warnings)
 
 
 def _step_factors(shortest: int, samples: float) -> list[int]:
@@ -212,7 +270,7 @@ def _step_factors(shortest: int, samples: float) -> list[int]:
     return sorted({round(shortest * _GROWTH**k) for k in range(count)})
 
 
-def _sample_velocities(tracks: Tracks, interval: float) -> Floats:
+def _sample_velocities(tracks: Samples, interval: float) -> Floats:
     """Velocities of a part of the tracks at steps of ``interval``, ``(T, n, 3)`` metres per step; NaN where unseen.
 
     The part is the stretch of 2048 steps in which most samples lie, and its longest tracks.
@@ -222,8 +280,7 @@ def _sample_velocities(tracks: Tracks, interval: float) -> Floats:
     counts = np.histogram(tracks.time, edges)[0] if len(edges) > 1 else np.ones(1)
     pairs = counts[:-1] + counts[1:] if len(counts) > 1 else counts
     begin = float(edges[int(pairs.argmax())])
-    low = np.empty(len(tracks.ids), np.int64)
-    high = np.empty(len(tracks.ids), np.int64)
+    low, high = np.empty((2, len(tracks.ids)), np.int64)
     for i, (first, last) in enumerate(zip(tracks.offsets[:-1], tracks.offsets[1:], strict=True)):
         low[i], high[i] = first + np.searchsorted(tracks.time[first:last], (begin, begin + length))
     longest = np.argsort(low - high, kind="stable")[:_POOL]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.arrays import Floats, Mask
+from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.window import Window
 
 _LAGS = 4  # steps; the step of resampled tracks puts delays at 1 to 4 of them
@@ -100,13 +100,8 @@ def find_followers(
 
     If groups change within a window, a UAV that follows one head after another moves like neither of them through the
     whole window, and may look like a head. In one of the halves it follows one head for most of the time. In each half,
-    those 5 UAVs are tested whose velocities are most correlated with its own, at any lag up to 4, if the correlation is
-    significant: it follows one if :func:`confirm_lead`'s test says so. The level is 0.05 for all five; for a UAV
-    outside of its group, which should not move like its head at all, any lead is enough.
-
-    A correlation is significant if Fisher's z of it exceeds a quantile of the Gumbel distribution, that of maxima. Its
-    mean and standard deviation are those of the largest z of the other UAVs in parts of the window that begin at 9
-    other times; unlike circular shifts, these have no jumps. The level is 0.05 for all leaders and both halves.
+    the UAVs of :func:`find_alike` are tested: it follows one if :func:`confirm_lead`'s test says so. The level is 0.05
+    for all five; for a UAV outside of its group, which should not move like its head at all, any lead is enough.
 
     Args:
         window: the window.
@@ -119,30 +114,41 @@ def find_followers(
     steps, follows, uavs = window.observation_steps, np.zeros(len(leaders), bool), np.asarray(leaders, np.int64)
     if steps < 2 * LEAST_STEPS or not len(uavs):
         return follows
-    half = steps // 2
-    quantile = -np.log(-np.log1p(-LEVEL / (2 * len(uavs))))  # of the standard Gumbel distribution
-    late = np.linspace(min(_LEAST_SHIFT, half), steps - half, _SHIFTS).astype(int)
-    for begin, shifts in ((0, late), (steps - half, -late)):
-        velocity, seen = window.velocity[begin : begin + half], window.velocity_seen[begin : begin + half]
-        unit = _scale(velocity, seen)
-        parts = [slice(start, start + half) for start in (begin, *(begin + shifts))]
-        like = np.stack(
-            [_correlate(unit[:, uavs], _scale(window.velocity[each], window.velocity_seen[each])) for each in parts]
-        )
-        like[:, np.arange(len(uavs)), uavs] = 0.0
-        like = np.arctanh(np.minimum(like, _MOST_ALIKE))
-        by_chance = like[1:].max(axis=2)
-        scale = by_chance.std(axis=0) * np.sqrt(6) / np.pi
-        limit = by_chance.mean(axis=0) + scale * (quantile - np.euler_gamma)
-        best = like[0]
-        for c in map(int, np.flatnonzero(~follows)):
-            for other in np.argsort(-best[c], kind="stable")[:_NEAREST]:
-                if best[c, other] <= limit[c]:
-                    break
-                own, ahead = velocity[:, uavs[c]].astype(np.float64), velocity[:, other].astype(np.float64)
+    for begin in (0, steps - steps // 2):
+        half = slice(begin, begin + steps // 2)
+        velocity, seen = window.velocity[half].astype(np.float64), window.velocity_seen[half]
+        for c, alike in enumerate(find_alike(window, uavs, half)):
+            for other in () if follows[c] else alike:
                 level = LEVEL / _NEAREST if other in followers[c] else _LEVEL_OUTSIDE
-                follows[c] |= _is_ahead(own, ahead, seen[:, uavs[c]] & seen[:, other], level)
+                both = seen[:, uavs[c]] & seen[:, other]
+                follows[c] |= _is_ahead(velocity[:, uavs[c]], velocity[:, other], both, level)
     return follows
+
+
+def find_alike(window: Window, uavs: Indices, half: slice) -> list[list[int]]:
+    """Those UAVs, up to 5 for each of some, that are more like it in a half of a window than chance allows.
+
+    The likeness is Fisher's z of the largest correlation of both velocities at any lag up to 4. It must exceed a
+    quantile of the Gumbel distribution, that of maxima. Its mean and standard deviation are those of the largest z of
+    the other UAVs in parts of the window that begin at 9 other times; unlike circular shifts, these have no jumps. The
+    level is 0.05 for all of the c ``uavs`` and both halves.
+
+    Returns:
+        For each of the ``uavs`` the indices of these, the most similar one first.
+    """
+    length, last = half.stop - half.start, window.observation_steps - (half.stop - half.start)
+    quantile = -np.log(-np.log1p(-LEVEL / (2 * len(uavs))))  # of the standard Gumbel distribution
+    late = np.linspace(min(_LEAST_SHIFT, length), last, _SHIFTS).astype(int)
+    starts = [half.start, *(late if half.start == 0 else half.start - late)]
+    parts = [_scale(window.velocity[k : k + length], window.velocity_seen[k : k + length]) for k in starts]
+    like = np.stack([_correlate(parts[0][:, uavs], part) for part in parts])
+    like[:, np.arange(len(uavs)), uavs] = 0.0
+    like = np.arctanh(np.minimum(like, _MOST_ALIKE))
+    by_chance = like[1:].max(axis=2)
+    scale = by_chance.std(axis=0) * np.sqrt(6) / np.pi
+    limit = by_chance.mean(axis=0) + scale * (quantile - np.euler_gamma)
+    nearest = np.argsort(-like[0], axis=1, kind="stable")[:, :_NEAREST]
+    return [[int(k) for k in near if like[0, c, k] > limit[c]] for c, near in enumerate(nearest)]
 
 
 def _is_ahead(group: Floats, ahead: Floats, both: Mask, level: float) -> bool:

@@ -1,0 +1,231 @@
+"""Samples of recorded tracks, sorted by id and time, and the clock that writes their times as the file does."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+from decimal import Decimal
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usnet_env.arrays import Floats, Indices, Mask
+from usnet_env.config import ArgumentError, format_number, quote
+
+_DIGITS = 9  # decimals of a time that is written as a number, where float64 has as many
+_EPOCH = datetime(1970, 1, 1)
+_UNIT_NAMES = {1.0: "s", 1e-3: "ms", 1e-6: "µs", 1e-9: "ns", 60.0: "min", 3600.0: "h"}
+_NO_VALUE = {"", "na", "n/a", "nan", "null", "none", "nat"}
+_RECORDED = (315_532_800, 4_102_444_800)  # seconds from 1970 to 1980 and to 2100
+_DECIMAL = re.compile(r"[+-]?[0-9]+(\.[0-9]*)?")
+
+
+@dataclass(frozen=True)
+class Clock:
+    """How seconds of :class:`Tracks` are written as times of the file.
+
+    Args:
+        origin: the file's time at second 0: a number in units of the file, or seconds since 1970-01-01 UTC.
+        unit: seconds in one unit of the file's times; 1 for timestamps.
+        timestamps: whether the file's times are dates with a time of day; they are written as ISO 8601 in UTC.
+        whole: whether the file's times are whole numbers.
+        frames: whether the file's times are numbers of frames.
+        likely_unit: 0.001, 1e-6 or 1e-9 seconds, if the times were read as seconds because no unit was given, but their
+            numbers or the name of their column say this unit; otherwise ``None``.
+    """
+
+    origin: float = 0.0
+    unit: float = 1.0
+    timestamps: bool = False
+    whole: bool = False
+    frames: bool = False
+    likely_unit: float | None = None
+
+    @property
+    def unit_name(self) -> str:
+        """The unit of the file's times, such as ``"s"`` or ``"frames"``; nothing for timestamps."""
+        if self.timestamps or self.frames:
+            return "frames" if self.frames else ""
+        return _UNIT_NAMES.get(self.unit, f"units of {format_number(self.unit)} s")
+
+    def file_time(self, seconds: float) -> float | int | str:
+        """Write ``seconds`` after the start as a time of the file."""
+        if self.timestamps:
+            moment = _EPOCH + timedelta(milliseconds=round(1000 * (self.origin + seconds)))
+            return moment.isoformat(timespec="milliseconds") + "Z"
+        number = self.origin + seconds / self.unit
+        number = round(number, _count_decimals(number))
+        return int(number) if self.whole and number.is_integer() else number
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """The fields of :class:`usnet_env.tracks.Tracks`, which describes them; the arrays become read-only."""
+
+    ids: tuple[str | int, ...]
+    offsets: Indices
+    time: Floats
+    position: Floats
+    origin: Floats
+    velocity: Floats | None = None
+    leader: Indices | None = None
+    clock: Clock = Clock()
+    frame: str = "metres"
+    notes: tuple[str, ...] = ()
+    step: float | None = None
+
+    def __post_init__(self) -> None:
+        for values in vars(self).values():
+            if isinstance(values, np.ndarray):
+                values.setflags(write=False)
+
+    @property
+    def samples(self) -> int:
+        """S, the number of samples."""
+        return len(self.time)
+
+    @property
+    def dimensions(self) -> int:
+        """2 if all heights are equal, otherwise 3."""
+        return 3 if (self.position[:, 2] != self.position[:1, 2]).any() else 2
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the earliest to the latest sample."""
+        return float(self.time.max(initial=0.0))
+
+    @property
+    def inner_steps(self) -> Mask:
+        """``(S - 1,)`` bool: whether sample s and s + 1 belong to the same id."""
+        owner = np.repeat(np.arange(len(self.ids)), np.diff(self.offsets))
+        return np.asarray(owner[1:] == owner[:-1])
+
+    def file_time(self, seconds: float) -> float | int | str:
+        """Write ``seconds`` after the start as a time of the file."""
+        return self.clock.file_time(seconds)
+
+
+def sort_samples(
+    ids: tuple[str | int, ...],
+    codes: NDArray[np.integer[Any]],
+    time: Floats,
+    axes: list[Floats],
+    *,
+    clock: Clock = Clock(),
+    origin: Floats | None = None,
+    velocity: Floats | None = None,
+    leader: Indices | None = None,
+    notes: Sequence[str] = (),
+) -> dict[str, Any]:
+    """Sort samples by id and time, and move the origin of time and space to the first sample and the middle.
+
+    The arguments are those of :class:`Samples`, but for ``codes`` ``(S,)``, index of the id of each sample; ``time``
+    ``(S,)`` in the clock's unit, or in seconds for timestamps; ``axes``, the two or three coordinates ``(S,)``; and
+    ``origin``, if the positions are relative to it already.
+
+    Returns:
+        The fields of :class:`Samples` but for ``frame`` and ``step``. Repeated samples are left out, with a note.
+
+    Raises:
+        ArgumentError: two samples of an id have one time and different places.
+    """
+    start = float(time.min())
+    latest = max(abs(start), abs(float(time.max())))
+    time = time - start
+    if _count_decimals(latest) < _DIGITS:  # seconds since 1970: the difference of two has as few decimals
+        time = np.round(time, _count_decimals(latest))
+    time *= clock.unit
+    clock = replace(clock, origin=clock.origin + start)
+    order = np.lexsort((time, codes))
+    codes, time = codes[order], time[order]
+    position = np.zeros((len(time), 3))
+    for axis, values in enumerate(axes):
+        position[:, axis] = values[order]
+    doubled = np.flatnonzero((np.diff(codes) == 0) & (np.diff(time) <= 0))
+    if len(doubled):
+        differ = doubled[(position[doubled] != position[doubled + 1]).any(axis=1)]
+        if len(differ):
+            moment, who = clock.file_time(float(time[differ[0]])), ids[codes[differ[0]]]
+            raise ArgumentError(
+                f"time must differ between the samples of an id, got {quote(moment)} with two places for id "
+                f"{quote(who)}; {len(differ)} samples are at a time that their id has already."
+            )
+        plural = "s" * (len(doubled) > 1)
+        notes = [*notes, f"Left out as repetitions (same id, time and place): {len(doubled)} sample{plural}."]
+        order = np.delete(order, doubled + 1)
+        codes, time, position = (np.delete(values, doubled + 1, axis=0) for values in (codes, time, position))
+    if origin is None:
+        origin = np.round((position.min(axis=0) + position.max(axis=0)) / 2)
+        position -= origin
+    return {
+        "ids": ids,
+        "offsets": np.searchsorted(codes, np.arange(len(ids) + 1)),
+        "time": time,
+        "position": position,
+        "origin": origin,
+        "velocity": None if velocity is None else velocity[order],
+        "leader": None if leader is None else leader[order],
+        "clock": clock,
+        "notes": tuple(notes),
+    }
+
+
+def match_leaders(
+    index: NDArray[np.integer[Any]],
+    labels: Sequence[str | int],
+    codes: NDArray[np.integer[Any]],
+    ids: Sequence[str | int],
+    where: str = "",
+) -> tuple[Indices | None, list[str]]:
+    """Which id each sample follows.
+
+    Args:
+        index: ``(S,)`` which of the labels names the leader of each sample.
+        labels: the different labels of leaders. One names the id of the same text, or else of an equal number: ``0.0``,
+            which pandas writes for whole numbers in a column with gaps, is the id 0. A number that equals several ids,
+            such as 1 and 01, is none of them.
+        codes: ``(S,)`` index of the id of each sample.
+        ids: the N ids.
+        where: names the column in a sentence, such as ``" in column leader"``.
+
+    Returns:
+        ``(S,)`` index of each sample's leader, -1 for none; ``None`` if none of those that are named has a track. And a
+        sentence about each kind of leader that was not found.
+    """
+    same = {str(name): k for k, name in enumerate(ids)}
+    equal: dict[Decimal | None, int] = {}
+    for text, k in same.items():
+        equal[_to_number(text)] = -1 if _to_number(text) in equal else k
+    equal[None] = -1
+    texts = list(map(str, labels))
+    known, notes = np.array([same.get(text, equal.get(_to_number(text), -1)) for text in texts], np.int64), []
+    unknown = [label for label, k in zip(labels, known, strict=True) if k < 0 and not is_none(label)]
+    if unknown:
+        notes.append(f"Leaders without a track: {len(unknown)} ({', '.join(map(str, unknown[:3]))}).")
+        if (known < 0).all():
+            return None, [*notes, f"No leader{where} has a track: it is not known who leads."]
+    leader = known[index]
+    return np.where(leader == codes, -1, leader), notes
+
+
+def is_none(value: Any) -> bool:
+    """Whether a cell holds no value, as files write it: empty, ``NA``, ``nan`` and the like."""
+    return str(value).strip().lower() in _NO_VALUE
+
+
+def is_epoch(time: float, unit: float) -> bool:
+    """Whether ``time`` units of ``unit`` seconds after 1970 are a date from 1980 to 2100."""
+    return _RECORDED[0] <= time * unit <= _RECORDED[1]
+
+
+def _to_number(text: str) -> Decimal | None:
+    return Decimal(text) if _DECIMAL.fullmatch(text) else None
+
+
+def _count_decimals(number: float) -> int:
+    """How many decimals float64 has at this size, at most 9; -3 if it has whole thousands."""
+    return min(_DIGITS, math.floor(-np.log10(np.spacing(abs(number)))))
