@@ -18,10 +18,10 @@ import click
 
 from usnet_env.cli.commands import CommandGroup
 from usnet_env.cli.detect import detect
-from usnet_env.cli.evaluation import evaluate
+from usnet_env.cli.evaluation import evaluate, report
 from usnet_env.cli.list_parts import list_
 from usnet_env.cli.output import print_message
-from usnet_env.cli.replay import compare, demo, replay, report
+from usnet_env.cli.replay import compare, demo, replay
 from usnet_env.config import ArgumentError
 
 __all__ = ["main"]

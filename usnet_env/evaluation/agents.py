@@ -35,10 +35,6 @@ class Answer:
     seconds: float
 
 
-class RefusedArgumentError(ArgumentError):
-    """A detector refused an argument of its constructor when it was reset for the first time."""
-
-
 class Agent(Protocol):
     """What the evaluator needs of a detector or a policy."""
 
@@ -68,11 +64,9 @@ class DetectorAgent:
         begin = time.perf_counter()
         detection = self.detector.detect(window)
         seconds = time.perf_counter() - begin
-        if not isinstance(detection, Detection):
-            raise ArgumentError(f"detect must return a usnet_env.Detection, got {quote(detection)}.")
-        if len(detection.candidates) != window.uavs:
+        if not isinstance(detection, Detection) or len(detection.candidates) != window.uavs:
             raise ArgumentError(
-                f"detect must answer for all {window.uavs} UAVs, got candidates for {len(detection.candidates)}."
+                f"detect must return a usnet_env.Detection for all {window.uavs} UAVs, got {quote(detection)}."
             )
         return Answer(detection.candidates, detection.scores, detection.clusters, seconds)
 
@@ -83,10 +77,7 @@ class DetectorAgent:
         except Exception:  # it cannot be copied; its reset must then discard what it learns here
             detector = self.detector
         agent = DetectorAgent(detector)
-        try:
-            agent.reset(0)
-        except ArgumentError as error:  # a detector checks its arguments here: they are refused, nothing has failed
-            raise RefusedArgumentError(str(error)) from error
+        agent.reset(0)
         agent.answer(observation)
 
 
@@ -102,33 +93,30 @@ class PolicyAgent:
     def __init__(self, policy: Any) -> None:
         self.policy = policy
         self._masked = "action_masks" in named_parameters(policy.predict)
-        self._normaliser = _find_normaliser(policy)
-        self._state: Any = None
-        self._start = True
+        find = getattr(policy, "get_vec_normalize_env", None)
+        normaliser = find() if callable(find) else None
+        self._normaliser = normaliser if getattr(normaliser, "norm_obs", True) else None
+        self.reset(0)
 
     def reset(self, seed: int) -> None:
         """Start an episode with an empty state; the seed is not used."""
-        self._state, self._start = None, True
+        self._state: Any = None
+        self._start = True
 
     def answer(self, observation: Any) -> Answer:
         """Return the policy's action; only the call of ``predict`` is timed."""
         seen = observation if self._normaliser is None else self._normaliser.normalize_obs(observation)
-        more = {"action_masks": _action_masks(observation)} if self._masked else {}
+        masks = {"action_masks": _action_masks(observation)} if self._masked else {}
         begin = time.perf_counter()
-        answer = self.policy.predict(
-            seen, state=self._state, episode_start=np.array([self._start]), deterministic=True, **more
+        action, self._state = self.policy.predict(
+            seen, state=self._state, episode_start=np.array([self._start]), deterministic=True, **masks
         )
         seconds = time.perf_counter() - begin
-        if not isinstance(answer, tuple | list) or len(answer) != 2:
-            raise ArgumentError(f"predict must return an action and a state, got {quote(answer)}.")
-        action, state = answer
-        self._state, self._start = state, False
+        self._start = False
         values = np.asarray(action)
-        if values.dtype.kind not in "biuf" or not ((values == 0) | (values == 1)).all():
-            raise ArgumentError(f"predict must return an action that holds only 0 and 1, got {quote(action)}.")
         uavs = len(observation["alive"]) if isinstance(observation, Mapping) else values.size
-        if values.shape != (uavs,):
-            raise ArgumentError(f"predict must return an action of shape ({uavs},), got {values.shape}.")
+        if values.shape != (uavs,) or not np.isin(values, (0, 1)).all():
+            raise ArgumentError(f"predict must return an action of {uavs} values 0 and 1, got {quote(action)}.")
         return Answer(values.astype(bool), values.astype(np.float64), None, seconds)
 
     def warm_up(self, observation: Any) -> None:
@@ -142,13 +130,6 @@ def _action_masks(observation: Any) -> NDArray[np.bool_]:
     return np.stack([np.ones(len(alive), bool), alive], axis=1).ravel()
 
 
-def _find_normaliser(policy: Any) -> Any:
-    """The ``VecNormalize`` that a model of Stable-Baselines3 was trained behind, if it normalises observations."""
-    find = getattr(policy, "get_vec_normalize_env", None)
-    normaliser = find() if callable(find) else None
-    return normaliser if normaliser is not None and getattr(normaliser, "norm_obs", True) else None
-
-
 def as_agent(detector: Any) -> Agent:
     """Wrap a detector, or an object with ``predict``, as an agent.
 
@@ -160,16 +141,11 @@ def as_agent(detector: Any) -> Agent:
     """
     if isinstance(detector, str):
         detector = make_detector(detector)
-    detects, predicts = (callable(getattr(detector, name, None)) for name in ("detect", "predict"))
-    if isinstance(detector, type) and (detects or predicts):
-        name = detector.__name__
-        raise ArgumentError(f"detector must be an object, got the class {name}; {name}() makes an object of it.")
-    if detects and callable(getattr(detector, "reset", None)):
-        return DetectorAgent(detector)
-    if predicts:
-        return PolicyAgent(detector)
-    if detects:
-        raise ArgumentError(f"detector must have the method reset(seed) beside detect, got {quote(detector)}.")
+    if not isinstance(detector, type):
+        if all(callable(getattr(detector, name, None)) for name in ("detect", "reset")):
+            return DetectorAgent(detector)
+        if callable(getattr(detector, "predict", None)):
+            return PolicyAgent(detector)
     raise ArgumentError(
         f"detector must be a name, an object with detect and reset, or an object with predict, got {quote(detector)}."
     )
