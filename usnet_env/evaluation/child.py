@@ -62,9 +62,13 @@ class ChildDetector:
                 pass_fds=[theirs.fileno()],
                 env={"OMP_NUM_THREADS": "1", **os.environ},
             )
-        self._receive(None)  # it has imported what it needs
-        self._connection.send_bytes(pack({"megabytes": self._megabytes}, {"detector": self._payload}))
-        self._receive(None)
+        try:
+            self._receive(None)  # it has imported what it needs
+            self._connection.send_bytes(pack({"megabytes": self._megabytes}, {"detector": self._payload}))
+            self._receive(None)
+        except ChildError:
+            self.close()
+            raise
 
     @property
     def running(self) -> bool:

@@ -238,7 +238,8 @@ def evaluate(
         raise ArgumentError("env_kwargs must be empty and workers 1 if env is an environment object.")
     game: Any = env.unwrapped
     name = type(game).__name__ if env.spec is None else env.spec.id
-    described = describe_arguments(game.config) if hasattr(game, "config") else {}
+    config = getattr(game, "widest_config", getattr(game, "config", None))  # of a field, not of its last episode
+    described = {} if config is None else describe_arguments(config)
     return _evaluate_cells({name: Cell(env=name, arguments=described)}, detector, how, out, env=env)
 
 
@@ -362,19 +363,14 @@ def play_run(
         rows: list[tuple[Any, ...]] = []
         played = map_tasks(play, tasks, workers=how.workers, backend=how.backend, ordered=False)
         for number, row in enumerate(played, total - len(tasks) + 1):
-            if kept is not None:
+            if kept is None:
+                rows.append(tuple(row.get(name) for name in columns))
+            else:
                 kept.append(row)
-            rows.append(tuple(row.get(name) for name in columns))
             show(number, total)
-    fresh = pd.DataFrame(rows, columns=columns)
-    joined = (
-        pd.concat([known, fresh], ignore_index=True).drop_duplicates(["cell", "detector", "episode"], keep="last")
-        if len(known) and len(fresh)
-        else known
-        if len(known)
-        else fresh
-    )
-    return EvaluationResult(joined, config if kept is None else kept.config)
+    if folder is not None:
+        return EvaluationResult.load(folder)
+    return EvaluationResult(pd.DataFrame(rows, columns=columns), config)
 
 
 def label_detectors(detector: Any, how: RunArguments) -> dict[str, Any]:

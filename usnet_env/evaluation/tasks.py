@@ -8,11 +8,13 @@ import json
 import os
 import pickle
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures.process import BrokenProcessPool
 from importlib import import_module
+from itertools import islice
 from typing import Any, TypeVar
 from uuid import uuid4
 
@@ -92,7 +94,7 @@ def _run_on_ray(calls: Iterator[Any], workers: int) -> Iterator[Any]:
     except ImportError:
         raise MissingExtraError(f"backend 'ray' needs Ray; {how_to_install('ray')}.") from None
     with joblib.parallel_config("ray"), joblib.Parallel(n_jobs=workers) as parallel:
-        while group := [call for call, _ in zip(calls, range(workers * _AT_ONCE), strict=False)]:
+        while group := list(islice(calls, workers * _AT_ONCE)):
             yield from parallel(group)
 
 
@@ -109,24 +111,27 @@ def _run_task(token: str, payload: NDArray[np.uint8], task: Any) -> Any:
 
 
 def dumps(value: Any) -> bytes:
-    """Pickle a value by value for another process, with what this program has registered."""
+    """Pickle a value for another process, with what this program has registered, and where it finds modules."""
     parts = []
     for kind, registry in REGISTRIES.items():
         for name, part in registry.registered.items():
+            origin = getattr(part, "function", None) or getattr(part, "rule", None) or part
+            modules = {registry.home, getattr(origin, "__module__", registry.home)} - {"__main__"}
             with contextlib.suppress(Exception):  # what cannot be pickled is missing there: its name is then refused
-                parts.append((kind, name, cloudpickle.dumps((registry.home, part))))
-    return cloudpickle.dumps((parts, cloudpickle.dumps(value)))
+                parts.append((kind, name, modules, cloudpickle.dumps(part)))
+    return cloudpickle.dumps((sys.path, parts, cloudpickle.dumps(value)))
 
 
 def loads(data: bytes) -> Any:
     """The value of :func:`dumps`, after what was registered there has been registered in this process too."""
-    parts, value = pickle.loads(data)
-    for kind, name, pickled in parts:
-        with contextlib.suppress(Exception):  # its module cannot be imported here: its name is refused if it is used
-            home, part = pickle.loads(pickled)
-            import_module(home)
+    path, parts, value = pickle.loads(data)
+    sys.path += [folder for folder in path if folder not in sys.path]
+    for kind, name, modules, part in parts:
+        with contextlib.suppress(Exception):  # a module cannot be imported here: its name is refused if it is used
+            for module in modules:
+                import_module(module)
             if name not in REGISTRIES[kind].registered:
-                REGISTRIES[kind].register(name, part)
+                REGISTRIES[kind].register(name, pickle.loads(part))
     return pickle.loads(value)
 
 
