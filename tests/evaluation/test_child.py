@@ -90,7 +90,9 @@ NUMBERS = st.one_of(
 )
 
 
-@given(st.dictionaries(st.text(), st.integers() | st.text() | st.none()), st.dictionaries(st.sampled_from("abc"), NUMBERS))
+@given(
+    st.dictionaries(st.text(), st.integers() | st.text() | st.none()), st.dictionaries(st.sampled_from("abc"), NUMBERS)
+)
 def test_any_plain_data_come_back(values, parts):
     found, back = unpack(pack(values, parts))
     assert found == values

@@ -126,9 +126,7 @@ def test_global_generators_are_untouched():
 @pytest.mark.parametrize("how", [{"workers": 2}, {"isolate": True}, {"backend": "serial"}])
 def test_where_episodes_are_played_changes_no_row(how):
     detectors = [RandomThird(), Followed(2), Policy(), "lagged-correlation(clusters=3)"]
-    here, there = (
-        evaluate(MULTI, detectors, episodes=4, seed=1, env_kwargs=SMALL, **place) for place in ({}, how)
-    )
+    here, there = (evaluate(MULTI, detectors, episodes=4, seed=1, env_kwargs=SMALL, **place) for place in ({}, how))
     assert_frame_equal(untimed(here), untimed(there))
 
 

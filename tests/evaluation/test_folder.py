@@ -185,7 +185,9 @@ def test_a_million_rows_are_read_and_summarised_in_little_memory(tmp_path):
 
     count = 100_000
     frame = pd.DataFrame(dict.fromkeys(COLUMNS, np.arange(count) % 7))
-    frame = frame.assign(cell="c", detector=np.where(np.arange(count) % 2, "a", "b"), error="", episode=np.arange(count))
+    frame = frame.assign(
+        cell="c", detector=np.where(np.arange(count) % 2, "a", "b"), error="", episode=np.arange(count)
+    )
     RunFolder(tmp_path, {"cells": {"c": {}}, "detectors": ["a", "b"], "episodes": count, "seed": 0}, COLUMNS).close()
     frame.to_csv(tmp_path / "rows.csv", index=False)
     tracemalloc.start()

@@ -126,7 +126,9 @@ def mean_interval(values: Sample, confidence: float = CONFIDENCE, groups: Groups
     if len(sample) > _MOST_RESAMPLED:
         half = _normal_quantile(confidence) * float(sample.std()) / math.sqrt(len(sample))
         return Interval(mean, mean - half, mean + half)
-    return Interval(mean, *_bootstrap([sample], np.mean, confidence))
+    scale = float(np.ptp(sample))  # in this unit, resampled means that differ by rounding are made equal
+    ends = _bootstrap([(sample - mean) / scale], lambda x, axis: np.round(np.mean(x, axis), 9), confidence)
+    return Interval(mean, *(mean + scale * end for end in ends))
 
 
 def _bootstrap(samples: Sequence[Floats], statistic: Callable[..., Any], confidence: float) -> tuple[float, float]:

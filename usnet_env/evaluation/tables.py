@@ -111,9 +111,9 @@ def list_lines(
         summary: the entries, in the order of the lines.
         metrics: the columns.
         pattern: how a mean and its interval are written.
-        means: metrics whose interval is left out.
+        means: metrics whose interval is left out; then the number of episodes is, too.
     """
-    counts = ["episodes", *["failed"] * any(entry["failed"] for entry in summary)]
+    counts = [*["episodes"] * (not means), *["failed"] * any(entry["failed"] for entry in summary)]
     columns = {name: "{}" if name in means else pattern for name in metrics}
     lines = [
         [

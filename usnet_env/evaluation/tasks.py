@@ -11,6 +11,7 @@ import signal
 import sys
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures.process import BrokenProcessPool
 from importlib import import_module
@@ -78,7 +79,14 @@ def map_tasks(
             yield from _run_on_ray(calls, workers)
         else:
             how = "generator" if ordered else "generator_unordered"
-            yield from joblib.Parallel(n_jobs=workers, backend="loky", return_as=how)(calls)
+            results = joblib.Parallel(n_jobs=workers, backend="loky", return_as=how)(calls)
+            try:
+                for result in results:  # not `yield from`, which would close it before warnings are ignored
+                    yield result  # noqa: UP028
+            finally:
+                with warnings.catch_warnings():  # that tasks were begun in vain
+                    warnings.simplefilter("ignore")
+                    results.close()
     except BrokenProcessPool:
         raise EvaluationError(
             "a worker process was ended, by a signal, for want of memory, or by what it played. Finished rows are kept "
