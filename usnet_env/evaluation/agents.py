@@ -6,14 +6,16 @@ import copy
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from itertools import count
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.config import ArgumentError, quote
+from usnet_env.config import ArgumentError, plain_text, quote, unknown_name
 from usnet_env.detection import Detection, fit_window
-from usnet_env.plugins import make_detector
+from usnet_env.labels import parse_label
+from usnet_env.plugins import DETECTORS, detector_label, make_detector
 from usnet_env.registry import named_parameters
 from usnet_env.window import Window
 
@@ -35,17 +37,12 @@ class Answer:
     seconds: float
 
 
-class Agent(Protocol):
-    """What the evaluator needs of a detector or a policy."""
+#: The trivial policies that every published table also shows: decision (l) of ``docs/game.md``.
+TRIVIAL = ("destroy-all", "none", "random", "one-per-round")
 
-    def reset(self, seed: int) -> None:
-        """Start an episode; ``seed`` seeds the agent's own random numbers."""
-
-    def answer(self, observation: Any) -> Answer:
-        """Answer one observation of the environment."""
-
-    def warm_up(self, observation: Any) -> None:
-        """Answer once without being timed, so that compiling and loading do not count as time of the first episode."""
+#: What has the methods ``reset(seed)``, ``answer(observation)``, which returns an :class:`Answer`, and
+#: ``warm_up(observation)``, which answers without being timed, so that compiling does not count as time of an episode.
+Agent: TypeAlias = Any
 
 
 class DetectorAgent:
@@ -149,3 +146,52 @@ def as_agent(detector: Any) -> Agent:
     raise ArgumentError(
         f"detector must be a name, an object with detect and reset, or an object with predict, got {quote(detector)}."
     )
+
+
+def label_detectors(detector: Any, trivial: bool, isolated: bool) -> dict[str, Any]:
+    """Give each detector its own label; what can't be a detector is refused.
+
+    Args:
+        detector: as of :func:`usnet_env.evaluate`.
+        trivial: whether the policies of :data:`TRIVIAL` join.
+        isolated: whether detectors that are given by name are made in their own processes only.
+    """
+    found: dict[str, Any] = {}
+    if isinstance(detector, Mapping):
+        found = {plain_text("label", label): given for label, given in detector.items()}
+    else:
+        for given in detector if isinstance(detector, list | tuple) else [detector]:
+            named = isinstance(given, str) or hasattr(given, "detect")
+            first = label = detector_label(given) if named else type(given).__name__
+            for number in count(2):
+                if label not in found or isinstance(given, str):
+                    break
+                label = f"{first} #{number}"
+            if label in found:
+                raise ArgumentError(f"detector must name each detector once, got {label!r} twice.")
+            found[label] = given
+    if not found or not all(label and label.isprintable() for label in found):
+        raise ArgumentError(f"detector must have at least one label of printable characters, got {quote(list(found))}.")
+    for name in TRIVIAL if trivial else ():
+        found.setdefault(name, name)
+    for given in found.values():
+        _check_detector(given, isolated)
+    return found
+
+
+def _check_detector(detector: Any, isolated: bool) -> None:
+    """Refuse what is no detector, and a name or an argument that no detector has.
+
+    A constructor that fails is no wrong argument: the detector's rows have the reason.
+    """
+    if isinstance(detector, str):
+        name, _ = parse_label(detector, {})
+        if name not in DETECTORS and ":" not in name:
+            raise unknown_name("detector", name, [*DETECTORS, "module:Class"])
+        if isolated:
+            return  # it is made in its own process only
+    try:
+        as_agent(detector)
+    except ArgumentError as error:
+        if error.__cause__ is None or isinstance(error.__cause__, ImportError):
+            raise

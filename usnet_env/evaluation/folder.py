@@ -43,13 +43,13 @@ class RunFolder:
     def __init__(self, folder: Path, config: Mapping[str, Any], columns: Sequence[str]) -> None:
         self.path = folder / ROWS
         self.rows = pd.DataFrame(columns=list(columns))
-        self.config = json.loads(json.dumps(config))  # lists instead of tuples
+        self.config = dict(config)
         about: dict[str, Any] = {}
         try:
             folder.mkdir(parents=True, exist_ok=True)
             if (folder / RUN).exists():
                 about, self.rows = read_run(folder)
-                self.config = _join(folder, about["arguments"], self.config)
+                self.config = _join(folder, about["arguments"], config)
             self._columns = list(self.rows.columns)
             self._file = _open_rows(self.path, self._columns)
         except OSError as error:

@@ -15,7 +15,7 @@ from usnet_env.config import ArgumentError, describe_arguments, named_values, qu
 from usnet_env.evaluation.errors import EvaluationError
 from usnet_env.evaluation.play import Row, detector_step, record_metrics, row_keys
 from usnet_env.evaluation.result import EvaluationResult
-from usnet_env.evaluation.run import RunArguments, Task, describe_plain, play_run
+from usnet_env.evaluation.run import RunArguments, Task, play_run
 from usnet_env.files import as_path
 from usnet_env.plugins import make_detector
 
@@ -103,7 +103,7 @@ def evaluate_games(
         workers: number of processes.
         out: folder of the run; as of :func:`usnet_env.evaluate`.
         progress: show a progress bar on standard error.
-        backend: where games are played; as of :func:`usnet_env.evaluate`.
+        backend: as of :func:`usnet_env.evaluate`.
 
     Returns:
         The result. Besides the metrics of :data:`usnet_env.evaluation.METRICS`, its rows have ``return_<role>``, the
@@ -128,7 +128,7 @@ def evaluate_games(
     arguments = describe_arguments(player.env.config) | describe_arguments(player.env.rules)
     config = {
         "suite": None,
-        "cells": {cell: {"env": cell, "arguments": describe_plain(arguments)}},
+        "cells": {cell: {"env": cell, "arguments": arguments}},
         "detectors": list(teams),
         "episodes": how.episodes,
         "seed": how.seed,

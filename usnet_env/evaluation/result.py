@@ -70,12 +70,8 @@ class EvaluationResult:
     Args:
         rows: one row for each cell, detector and episode: the columns ``cell, detector, episode, swarm_seed,
             detector_seed, uavs, heads``, the metrics, and ``error``: why the detector failed, or an empty text. A row
-            with an error has no metrics.
+            with an error has no metrics. They are sorted by cell, detector and episode.
         config: the arguments of the evaluation as plain values, with ``cells``, ``detectors``, ``episodes``, ``seed``.
-
-    Attributes:
-        rows: the same rows, sorted by cell, detector and episode.
-        config: the arguments.
     """
 
     def __init__(self, rows: pd.DataFrame, config: Mapping[str, Any]) -> None:
@@ -197,18 +193,14 @@ class EvaluationResult:
         return tables.make_table(self._title, *self._grid(metric))
 
     def ranking(self) -> Table:
-        """Create a table for a terminal of 80 columns: the detectors by their J, best first, and their main metrics.
+        """Create a table for a terminal of 80 columns: the detectors by J (in recorded tracks F1), best first.
 
         An arrow after a heading points to the better values; where all values are equal, a mean has no interval.
-        :meth:`table` has all metrics. In recorded tracks, F1 takes the place of J.
         """
         return tables.make_table(f"{self._title}: means, best first", *tables.list_ranking(self.summary))
 
     def conclusion(self) -> str:
-        """State in one sentence which detector has the best J, and which others these episodes do not separate from it.
-
-        Others are not separated from it if their 95 % interval of J overlaps its interval. :meth:`compare` is sharper.
-        """
+        """State which detector has the best J, which intervals overlap its interval, and which detectors failed."""
         return tables.conclude(self.summary)
 
     def to_markdown(self, metrics: Sequence[str] | str | None = None) -> str:
@@ -304,17 +296,13 @@ class EvaluationResult:
     def interquartile_means(self, metric: str = "J") -> dict[str, Interval]:
         """The mean of the middle half of all episodes of each detector, with its 95 % interval; each cell is a stratum.
 
-        It is less sensitive to a few bad episodes than the mean, and more efficient than the median (Agarwal et al.,
-        Deep Reinforcement Learning at the Edge of the Statistical Precipice, NeurIPS 2021). Values are not normalised:
-        the metric should have the same scale in all cells.
+        It is less sensitive to a few bad episodes than the mean. Values are not normalised: the metric should have the
+        same scale in all cells.
         """
         return {label: stats.interquartile_mean(strata) for label, strata in self._strata(metric).items()}
 
     def performance_profiles(self, metric: str = "J", thresholds: Sequence[float] | None = None) -> dict[str, Profile]:
         """The share of episodes in which each detector is better than each threshold, averaged over the cells.
-
-        The run-score distribution of Agarwal et al. (2021). Better means below the threshold for metrics of which lower
-        values are better.
 
         Args:
             metric: which one.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing
@@ -10,7 +11,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import gymnasium as gym
-import numpy as np
 import pandas as pd
 from pydantic import Field
 
@@ -19,11 +19,10 @@ from usnet_env.config import (
     Config,
     describe_arguments,
     named_values,
-    plain_text,
     quote,
     unknown_name,
 )
-from usnet_env.evaluation.agents import Agent, as_agent
+from usnet_env.evaluation.agents import TRIVIAL, Agent, as_agent, label_detectors
 from usnet_env.evaluation.child import ChildDetector
 from usnet_env.evaluation.environments import check_environment, make_environment
 from usnet_env.evaluation.errors import EvaluationError
@@ -33,14 +32,9 @@ from usnet_env.evaluation.result import EvaluationResult
 from usnet_env.evaluation.suites import Cell, Suite, load_suite
 from usnet_env.evaluation.tasks import map_tasks
 from usnet_env.files import as_path
-from usnet_env.labels import parse_label
-from usnet_env.plugins import DETECTORS, detector_label, make_detector
 from usnet_env.progress import progress_bar
 
 __all__ = ["TRIVIAL", "RunArguments", "Task", "evaluate", "evaluate_suite", "map_tasks", "play_run"]
-
-#: The trivial policies that every published table also shows: decision (l) of ``docs/game.md``.
-TRIVIAL = ("destroy-all", "none", "random", "one-per-round")
 
 Limit = Annotated[float, Field(gt=0, le=1e9)]
 
@@ -106,11 +100,8 @@ class DetectorPlayer:
         self._agents: dict[str, Agent] = {}
         self._broken: dict[str, EvaluationError] = {}
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: vars(self)[name] for name in ("cells", "detectors", "how")}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__init__(**state)  # type: ignore[misc]  # in another process
+    def __reduce__(self) -> Any:
+        return DetectorPlayer, (self.cells, self.detectors, self.how)
 
     def __call__(self, task: Task) -> Row:
         """Play one episode; that of a detector that fails is a row with its reason in ``error``."""
@@ -292,7 +283,7 @@ def _evaluate_cells(
 ) -> EvaluationResult:
     """Check everything that can be refused, then play."""
     folder = None if out is None else as_path("out", out)
-    detectors = label_detectors(detector, how)
+    detectors = label_detectors(detector, how.trivial, how.isolated)
     of_tracks = hasattr(getattr(env, "unwrapped", None), "score_answer")
     for name, cell in (cells if suite is None else suite.cells).items() if env is None else ():
         try:
@@ -303,28 +294,12 @@ def _evaluate_cells(
             raise ArgumentError(f"{str(error).removesuffix('.')}{place}.") from None
     config = {
         "suite": None if suite is None else suite.label,
-        "cells": {name: {"env": cell.env, "arguments": describe_plain(cell.arguments)} for name, cell in cells.items()},
+        "cells": {name: cell.model_dump() for name, cell in cells.items()},
         "detectors": list(detectors),
         "episodes": how.episodes,
         "seed": how.seed,
     }
     return play_run(DetectorPlayer(cells, detectors, how, env), config, how, folder, TRACK_METRICS if of_tracks else ())
-
-
-def describe_plain(arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Arguments as JSON holds them; what is no number, text or list of them is kept as its text."""
-    plain = {
-        name: value.tolist() if isinstance(value, np.ndarray | np.generic) else value
-        for name, value in arguments.items()
-    }
-    return {
-        name: list(value)
-        if isinstance(value, tuple)
-        else value
-        if isinstance(value, str | int | float | list | None)
-        else quote(value)
-        for name, value in plain.items()
-    }
 
 
 def play_run(
@@ -338,12 +313,13 @@ def play_run(
 
     Args:
         play: plays a task and returns its row. Its method ``close`` is called at the end, in this process.
-        config: the arguments of the run as JSON holds them, with ``cells``, ``detectors``, ``episodes`` and ``seed``.
+        config: the arguments of the run, with ``cells``, ``detectors``, ``episodes`` and ``seed``.
         how: where and how tasks are played.
         folder: where rows are kept; ``None``: nowhere.
         metrics: columns that rows have besides :data:`COLUMNS`.
     """
     columns = [*COLUMNS[:-1], *metrics, "error"]
+    config = json.loads(json.dumps(config, default=_describe))
     with ExitStack() as stack:
         stack.callback(getattr(play, "close", lambda: None))
         kept = None if folder is None else stack.enter_context(closing(RunFolder(folder, config, columns)))
@@ -361,7 +337,9 @@ def play_run(
         show = stack.enter_context(progress_bar("episodes", how.progress))
         show(total - len(tasks), total)
         rows: list[tuple[Any, ...]] = []
-        played = map_tasks(play, tasks, workers=how.workers, backend=how.backend, ordered=False)
+        played = stack.enter_context(
+            closing(map_tasks(play, tasks, workers=how.workers, backend=how.backend, ordered=False))
+        )
         for number, row in enumerate(played, total - len(tasks) + 1):
             if kept is None:
                 rows.append(tuple(row.get(name) for name in columns))
@@ -373,54 +351,6 @@ def play_run(
     return EvaluationResult(pd.DataFrame(rows, columns=columns), config)
 
 
-def label_detectors(detector: Any, how: RunArguments) -> dict[str, Any]:
-    """Give each detector its own label; a name that can't be a detector is refused."""
-    found: dict[str, Any] = {}
-    if isinstance(detector, Mapping):
-        found = {plain_text("label", label): given for label, given in detector.items()}
-    else:
-        for given in detector if isinstance(detector, list | tuple) else [detector]:
-            label = first = _make_label(given)
-            if label in found and isinstance(given, str):
-                raise ArgumentError(f"detector must name each detector once, got {label!r} twice.")
-            number = 2
-            while label in found:
-                label = f"{first} #{number}"
-                number += 1
-            found[label] = given
-    if not found or not all(label and label.isprintable() for label in found):
-        raise ArgumentError(f"detector must have at least one label of printable characters, got {quote(list(found))}.")
-    for name in TRIVIAL if how.trivial else ():
-        found.setdefault(name, name)
-    for given in found.values():
-        _check_detector(given, how.isolated)
-    return found
-
-
-def _make_label(detector: Any) -> str:
-    """The label of a detector; that of a policy is the name of its class."""
-    return (
-        detector_label(detector)
-        if isinstance(detector, str) or hasattr(detector, "detect")
-        else type(detector).__name__
-    )
-
-
-def _check_detector(detector: Any, isolated: bool) -> None:
-    """Refuse what is no detector, and a name or an argument that no detector has.
-
-    A constructor that fails is no wrong argument: the detector's rows have the reason.
-    """
-    if not isinstance(detector, str):
-        as_agent(detector)
-        return
-    name, _ = parse_label(detector, {})
-    if name not in DETECTORS and ":" not in name:
-        raise unknown_name("detector", name, [*DETECTORS, "module:Class"])
-    if isolated:
-        return  # it is made in its own process only
-    try:
-        make_detector(detector)
-    except ArgumentError as error:
-        if error.__cause__ is None or isinstance(error.__cause__, ImportError):
-            raise
+def _describe(value: Any) -> Any:
+    """What JSON does not hold: an array as a list, another object as its text."""
+    return value.tolist() if hasattr(value, "tolist") else quote(value)

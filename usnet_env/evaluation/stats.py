@@ -157,9 +157,6 @@ def paired_test(differences: Sample) -> float:
 
     Args:
         differences: ``(n,)``.
-
-    Raises:
-        ArgumentError: there is no difference, or one is not finite.
     """
     sample = _check_sample(differences)
     if len(sample) == 1 or not sample.any():
@@ -194,18 +191,14 @@ def holm(values: Sequence[float]) -> list[float]:
 
 
 def interquartile_mean(strata: Sequence[Sample]) -> Interval:
-    """The mean of the middle half of all values, with its BCa interval from the stratified bootstrap.
+    """The mean of the middle half of all pooled values, with its BCa interval; each task is resampled on its own.
 
-    Agarwal et al., Deep Reinforcement Learning at the Edge of the Statistical Precipice, NeurIPS 2021, section 4.3: all
-    values are pooled, and the lowest and the highest quarter are left out (each rounded down to whole values). Each
-    task is resampled on its own. Of more than 5,000 values, the interval is that of the normal limit (Tukey and
-    McLaughlin, Sankhya A 25, 1963: the variance of a trimmed mean from the winsorised values).
+    Agarwal et al., Deep Reinforcement Learning at the Edge of the Statistical Precipice, NeurIPS 2021, section 4.3. Of
+    more than 5,000 values, the interval is that of the normal limit (Tukey and McLaughlin, Sankhya A 25, 1963: the
+    variance of a trimmed mean from the winsorised values).
 
     Args:
         strata: the values of each task, ``(n_s,)`` for task s.
-
-    Raises:
-        ArgumentError: a task has no value, or a value is not finite.
     """
     from scipy.stats import trim_mean
 
@@ -228,19 +221,14 @@ def interquartile_mean(strata: Sequence[Sample]) -> Interval:
 
 
 def performance_profile(strata: Sequence[Sample], thresholds: Sample, lower_is_better: bool = False) -> Profile:
-    """The share of episodes that are better than each threshold, with pointwise percentile intervals.
+    """The share of episodes that are better than each threshold, averaged over the tasks, with percentile intervals.
 
-    The run-score distribution of Agarwal et al. (2021, section 4.2): the share of values above a threshold in each
-    task, averaged over the tasks, with 2,000 resamples of the stratified bootstrap. If lower values are better, it is
-    the share below the threshold.
+    The run-score distribution of Agarwal et al. (2021, section 4.2), with 2,000 resamples of the stratified bootstrap.
 
     Args:
         strata: the values of each task, ``(n_s,)`` for task s.
         thresholds: ``(t,)``.
-        lower_is_better: which values are better.
-
-    Raises:
-        ArgumentError: a task has no value, or a value is not finite.
+        lower_is_better: whether values below a threshold are better, or those above it.
     """
     sign = -1.0 if lower_is_better else 1.0
     samples, at = [sign * _check_sample(values) for values in strata], _check_sample(thresholds)

@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from concurrent.futures.process import BrokenProcessPool
 from importlib import import_module
 from itertools import islice
@@ -45,7 +45,7 @@ def map_tasks(
     workers: int = 1,
     backend: str | None = None,
     ordered: bool = True,
-) -> Iterator[ResultT]:
+) -> Generator[ResultT, None, None]:
     """Run a function on tasks, in this process or in worker processes of joblib.
 
     Workers get the function once, by value, together with the parts that this program has registered: functions and
@@ -81,8 +81,8 @@ def map_tasks(
             how = "generator" if ordered else "generator_unordered"
             results = joblib.Parallel(n_jobs=workers, backend="loky", return_as=how)(calls)
             try:
-                for result in results:  # not `yield from`, which would close it before warnings are ignored
-                    yield result  # noqa: UP028
+                for result in results:  # noqa: UP028  # `yield from` would close it before warnings are ignored
+                    yield result
             finally:
                 with warnings.catch_warnings():  # that tasks were begun in vain
                     warnings.simplefilter("ignore")
