@@ -1,10 +1,9 @@
 """What all tests share."""
 
 import gc
-import multiprocessing
 import os
-from multiprocessing import forkserver
-from pathlib import Path
+import subprocess
+import sys
 
 # As many processes as cores leave a core each: more threads than that make small tensor operations wait for each other,
 # a hundred times longer than they take. This must be said before the libraries are imported.
@@ -29,41 +28,20 @@ def pytest_collection_finish():
     gc.freeze()
 
 
-@pytest.fixture(scope="session", autouse=True)
-def copied_worker_processes():
-    """Make worker processes copies of one that has imported the libraries: for each, importing them takes two seconds.
+class FreshProcess:
+    """Runs programs in new processes."""
 
-    As processes that are started anew, they inherit no memory of the test's process and receive all by pickling. The
-    programs that tests start (``python -m usnet_env``) start their workers as they always do.
-    """
-    if "forkserver" not in multiprocessing.get_all_start_methods():
-        yield
-        return
-    get_context = multiprocessing.get_context
-
-    def get_copying_context(method=None):
-        if method != "spawn":
-            return get_context(method)
-        with pytest.MonkeyPatch.context() as patch:  # the process finds this folder
-            path = [str(Path(__file__).parent), *filter(None, [os.environ.get("PYTHONPATH")])]
-            patch.setenv("PYTHONPATH", os.pathsep.join(path))
-            forkserver.set_forkserver_preload(["prepared_process"])
-            forkserver.ensure_running()
-        return get_context("forkserver")
-
-    multiprocessing.get_context = get_copying_context
-    yield
-    multiprocessing.get_context = get_context
+    def run(self, program, folder=None):
+        """Return what a program prints that imports from a folder; one that fails fails the test."""
+        done = subprocess.run([sys.executable, "-c", program], cwd=folder, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
 
 
 @pytest.fixture(scope="session")
 def fresh_process():
-    """Runs programs in processes that have imported ``usnet_env`` and nothing else."""
-    from fresh_process import FreshProcess
-
-    process = FreshProcess()
-    yield process
-    process.close()
+    """Runs programs in processes that have imported nothing."""
+    return FreshProcess()
 
 
 @pytest.fixture

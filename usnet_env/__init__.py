@@ -5,9 +5,6 @@ Importing this package registers the environments with Gymnasium.
 
 from __future__ import annotations
 
-import usnet_env.interrupts  # noqa: F401  # before the imports that take time
-
-# isort: split
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any

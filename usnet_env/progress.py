@@ -4,19 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from contextvars import ContextVar
-
-_part: ContextVar[str] = ContextVar("part", default="")
-
-
-@contextmanager
-def part_of(text: str) -> Iterator[None]:
-    """Put a text, such as ``"cell 2 of 12: f3"``, before the progress bars that are shown inside the block."""
-    token = _part.set(f"{text}, ")
-    try:
-        yield
-    finally:
-        _part.reset(token)
 
 
 @contextmanager
@@ -34,7 +21,7 @@ def progress_bar(unit: str, visible: bool | None = None) -> Iterator[Callable[[i
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     console = Console(stderr=True)
-    columns = (TextColumn(_part.get() + unit), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    columns = (TextColumn(unit), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     hidden = visible is None and not console.is_terminal
     with Progress(*columns, console=console, transient=True, disable=hidden) as bar:
         task = bar.add_task(unit, total=None)

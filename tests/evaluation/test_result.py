@@ -3,32 +3,31 @@
 from __future__ import annotations
 
 import io
-import sys
 
 import numpy as np
+import pandas as pd
 import pytest
 from rich.console import Console
 
 from usnet_env import ArgumentError
-from usnet_env.evaluation import METRICS, EvaluationResult, interquartile_means, performance_profiles
-from usnet_env.evaluation.result import summarise
-from usnet_env.evaluation.statistics import mean_interval, paired_test
-from usnet_env.evaluation.store import COLUMNS
-from usnet_env.evaluation.table import RowTable
+from usnet_env.evaluation import METRICS, EvaluationResult
+from usnet_env.evaluation.folder import COLUMNS
+from usnet_env.evaluation.stats import mean_interval, paired_test
+from usnet_env.evaluation.tables import conclude
 
 
 def made_up(**objectives):
-    """A result in which each detector has the mean, low and high of J that is given."""
+    """A summary in which each detector has the mean, low and high of J that is given."""
     metrics = {name: {"mean": 0.5, "low": 0.5, "high": 0.5} for name in METRICS}
-    summary = [
+    return [
         {
             "detector": name,
             "episodes": 7,
-            "metrics": metrics | {"J": dict(zip(("mean", "low", "high"), j, strict=True))},
+            "failed": 0,
+            "metrics": metrics | {"J": dict(zip(("mean", "low", "high"), values, strict=True))},
         }
-        for name, j in objectives.items()
+        for name, values in objectives.items()
     ]
-    return EvaluationResult([], summary, {"env": "USNET/Made-v0"})
 
 
 @pytest.mark.parametrize(
@@ -40,64 +39,72 @@ def made_up(**objectives):
         ),
         (
             {"a": (2.0, 1.5, 2.5), "b": (1.8, 1.7, 1.9), "c": (9, 9, 9)},
-            "b has the lowest J_m: 1.800 (95 % interval 1.700–1.900), which overlaps with the interval of a.",
+            "b has the lowest J_m: 1.800 (95 % interval 1.700–1.900), which overlaps with that of a.",
         ),
         ({"a": (1, 1, 1), "b": (1, 1, 1), "c": (3, 2, 4)}, "a and b have the lowest J_m: 1.000 in every episode."),
         ({"a": (-1, -1, -1), "b": (0, 0, 0)}, "b has the highest J_s: 0.000 in every episode."),
         ({"a": (12.345, 11, 13)}, "a has a J_m of 12.35 (95 % interval 11.00–13.00)."),
+        ({}, "No detector has played all episodes."),
     ],
 )
 def test_the_conclusion_names_the_best_and_what_the_episodes_do_not_separate(objectives, sentence):
-    assert made_up(**objectives).conclusion() == sentence
+    assert conclude(made_up(**objectives)) == sentence
+
+
+def from_values(cell="USNET/Made-v0", config=None, **values):
+    """A result whose detectors have these values of J, episode by episode; ``None``: failed."""
+    rows = [
+        dict.fromkeys(COLUMNS, 0.0 if value is not None else None)
+        | {"cell": cell, "detector": name, "episode": episode, "swarm_seed": 100 + episode, "J": value}
+        | {"detector_seed": 0, "uavs": 9, "heads": 3, "error": "" if value is not None else "round 1: no luck"}
+        for name, found in values.items()
+        for episode, value in enumerate(found)
+    ]
+    return EvaluationResult(pd.DataFrame(rows, columns=COLUMNS), {"cells": {cell: {}}, "seed": 0} | (config or {}))
+
+
+def show(table, width=80):
+    console = Console(width=width, file=io.StringIO())
+    console.print(table)
+    return console.file.getvalue()
 
 
 def test_the_ranking_points_to_the_better_values_of_each_problem():
-    def headings(result):
-        return [str(column.header) for column in result.ranking().columns]
-
-    assert headings(made_up(a=(1, 1, 1)))[1].startswith("J_m↓")
-    single = made_up(a=(-2, -2, -2), b=(-1, -1, -1)).ranking()
-    assert str(single.columns[1].header).startswith("J_s↑")
-    assert [str(cell) for cell in single.columns[0].cells] == ["b", "a"]
+    text = show(from_values(a=[1.0, 1.0]).ranking())
+    assert "J_m↓" in text
+    text = show(from_values(a=[-2.0, -2.0], b=[-1.0, -1.0]).ranking())
+    assert "J_s↑" in text
+    assert text.index("\nb ") < text.index("\na ")
 
 
-def from_values(env="USNET/Made-v0", **values):
-    """A result whose detectors have these values of J, episode by episode; ``None``: not played."""
-    rows = RowTable(
-        COLUMNS,
-        [
-            dict.fromkeys(COLUMNS, 0) | {"detector": name, "episode": episode, "swarm_seed": 100 + episode, "J": value}
-            for name, own in values.items()
-            for episode, value in enumerate(own)
-            if value is not None
-        ],
+def test_a_detector_that_failed_comes_last_in_its_table_and_is_named():
+    result = from_values(a=[1.0, None], b=[2.0, 3.0], c=[None, None])
+    assert [(entry["episodes"], entry["failed"]) for entry in result.summary] == [(1, 1), (2, 0), (0, 2)]
+    text = show(result.ranking())
+    assert text.index("\nb ") < text.index("\na ") < text.index("\nc ")
+    assert "failed" in text
+    assert result.conclusion() == (
+        "b has a J_m of 2.500 (95 % interval 2.000–3.000). a failed in 1 of 2 episodes; c failed in 2 of 2 episodes."
     )
-    return EvaluationResult(rows, summarise(rows), {"env": env})
+    assert result.failures["a"] == (
+        "detector 'a' failed in 1 of 2 episodes, first in USNET/Made-v0, episode 1, round 1: no luck."
+    )
+    assert "| c | 0 | 2 | – |" in result.to_markdown(["J"])
 
 
 def test_the_repr_is_a_line_and_html_is_escaped():
-    result = from_values(**{"a<b>": [1.0, 2.0], "c": [3.0, 4.0]})
-    assert repr(result) == "<EvaluationResult of USNET/Made-v0: 2 detectors, 2 episodes each>"
+    result = from_values(**{"a<b>": [1.0, 2.0], "c": [3.0, None]})
+    assert repr(result) == "<EvaluationResult of USNET/Made-v0, 1 to 2 episodes of each detector>"
     html = result._repr_html_()
-    assert html.startswith("<table><caption>USNET/Made-v0: 2 detectors")
     assert html.index("a&lt;b&gt;") < html.index("<td>c</td>")
     assert "a<b>" not in html
-    assert (
-        EvaluationResult(RowTable(COLUMNS), [], {"env": "E"})._repr_html_() == "<p>E: 0 detectors, 0 episodes each</p>"
-    )
+    assert "no luck" in html
 
 
-def test_a_run_that_was_interrupted_says_how_many_episodes_are_missing():
-    found = from_values(a=[1.0, 2.0], b=[1.0, None], c=[4.0, 5.0])
-    config = {**found.config, "detectors": ["a", "b", "c", "d", "e"], "episodes": 3000, "failures": {"e": "e failed."}}
-    result = EvaluationResult(found.rows, found.summary, config)
-    assert repr(result).endswith(": 3 detectors, 1 to 2 of 3000 episodes each; 1 failed>")
-    assert str(result.ranking().title).startswith("USNET/Made-v0, 1 to 2 of 3000 episodes of each detector")
-    sentence = "<p>Episodes are missing: a has 2, b has 1, c has 2 and d has 0 of 3000.</p>"
-    assert sentence in result._repr_html_()
-    whole = EvaluationResult(found.rows, found.summary, {**config, "detectors": ["a", "c"], "episodes": 2})
-    assert "missing" not in whole._repr_html_()
-    assert "1 to 2 episodes each" in repr(whole)
+def test_a_run_that_was_interrupted_says_how_many_episodes_were_asked_for():
+    result = from_values(config={"detectors": ["a", "b", "c"], "episodes": 3000}, a=[1.0, 2.0], b=[1.0])
+    assert repr(result).endswith(", 1 to 2 of 3000 episodes of each detector>")
+    assert "1 to 2 of 3000 episodes" in show(result.ranking())
 
 
 def test_markdown_and_latex_hold_the_means_and_intervals():
@@ -113,72 +120,45 @@ def test_markdown_and_latex_hold_the_means_and_intervals():
         r"\toprule",
         r"detector & episodes & J\_m$\downarrow$ \\",
         r"\midrule",
-        r"a\textbar{}b & 2 & $2.000$ \\",
-        r"c\_d(x=1) & 2 & $3.000$ \\",
+        r"a\textbar{}b & 2 & 2.000 \\",
+        r"c\_d(x=1) & 2 & 3.000 \\",
         r"\bottomrule",
         r"\end{tabular}",
     ]
-    assert (
-        from_values(a=[0, 9e-5])
-        .to_latex(["J"])
-        .splitlines()[4]
-        .endswith(r"$4.5 \cdot 10^{-5}$ ($0.000$ to $9 \cdot 10^{-5}$) \\")
-    )
-    assert len(result.to_markdown().splitlines()[0].split("|")) == 2 + 2 + len(METRICS)
-    with pytest.raises(ArgumentError, match=r"^metrics must be one of .*'j'"):
-        result.to_markdown(["j"])
+    for call in (result.to_markdown, result.table):
+        with pytest.raises(ArgumentError, match=r"^metrics must be one of .*'j'"):
+            call(["j"])
 
 
 @pytest.mark.parametrize("width", [60, 80, 120])
-def test_no_table_is_cut_or_breaks_a_name_where_the_terminal_is_narrow(width):
-    labels = ["one-per-round", "lagged-regression"]
-    metrics = {name: {"mean": 99.123, "low": 98.876, "high": 99.5} for name in METRICS}
-    summary = [{"detector": label, "episodes": 100, "metrics": metrics} for label in labels]
-    result = EvaluationResult(RowTable(COLUMNS), summary, {"env": "USNET/Made-v0"})
-    for table, values in ((result.table(), len(METRICS)), (result.ranking(), 1)):
-        console = Console(width=width, file=io.StringIO())
-        console.print(table)
-        text = console.file.getvalue()
+def test_no_table_is_cut_where_the_terminal_is_narrow(width):
+    result = from_values(**{"one-per-round": [98.5, 99.0], "lagged-regression": [97.5, 98.0]})
+    for table in (result.table(), result.ranking()):
+        text = show(table, width)
         assert "…" not in text
-        assert text.count("98.88") + text.count("98.876") == 2 * values
-        parts = text.count("detector ")
-        assert [text.count(label) for label in labels] == [parts, parts]
+        assert "98.75" in text
+        assert "97.75" in text
         assert max(map(len, text.splitlines())) <= width
 
 
-def test_a_mean_of_equal_values_has_no_interval_and_the_objective_its_name_in_every_format():
-    result = from_values(a=[-2.0, -2.0])
-    found = [result.to_markdown(["J"]), result.to_latex(["J"]), result._repr_html_()]
-    for table in (result.table(["J"]), result.ranking()):
-        with (console := Console(width=80)).capture() as captured:
-            console.print(table)
-        found.append(captured.get())
-    for text in found:
-        assert "J_s" in text.replace("\\_", "_")
-        assert "↑" in text or r"\uparrow" in text
-        assert text.count("-2.000") == (2 if "every episode" in text else 1)
+def test_labels_are_no_markup_and_control_no_terminal():
+    result = from_values(**{"[/red]": [1.0], "a\x1b[2J": [2.0, None]})
+    for table in (result.ranking(), result.table(), result.cell_table("J")):
+        text = show(table)
+        assert "[/red]" in text
+        assert "\x1b[2J" not in text
+    for text in (result.conclusion(), *result.failures.values(), result.to_markdown("J")):
+        assert "\x1b" not in text
 
 
 def test_a_result_is_read_as_a_mapping_of_labels_to_metrics():
     result = from_values(a=[1.0, 2.0], b=[3.0, 3.0])
     assert list(result) == ["a", "b"]
-    assert ("a" in result, "x" in result, 0 in result) == (True, False, False)
+    assert ("a" in result, "x" in result) == (True, False)
     assert len(result) == 2
-    for kind in (KeyError, ArgumentError):
-        with pytest.raises(kind) as refused:
-            result["x"]
-        assert str(refused.value) == "detector must be one of a, b, got 'x'."
-
-
-def test_a_frame_has_a_row_for_each_episode(monkeypatch):
-    pytest.importorskip("pandas")
-    result = from_values(a=[1.0, 2.0], b=[3.0])
-    frame = result.to_frame()
-    assert list(frame.columns) == list(COLUMNS)
-    assert frame.groupby("detector")["J"].mean().to_dict() == {"a": 1.5, "b": 3.0}
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(ArgumentError, match=r"^to_frame must find pandas, .*`pip install pandas`"):
-        result.to_frame()
+    assert result["b"]["J"] == {"mean": 3.0, "low": 3.0, "high": 3.0}
+    with pytest.raises(KeyError, match="x"):
+        result["x"]
 
 
 def test_a_comparison_pairs_the_episodes_that_both_have_played():
@@ -189,24 +169,16 @@ def test_a_comparison_pairs_the_episodes_that_both_have_played():
     found = result.compare("a", "b")
     differences = values["a"] - values["b"]
     assert (found.a, found.b, found.metric, found.episodes, found.comparisons) == ("a", "b", "J", 40, 1)
-    assert (found.difference, found.low, found.high) == mean_interval(differences)
-    assert found.p == paired_test(differences) == 1e-4
+    assert (found.difference, found.low, found.high) == pytest.approx(mean_interval(differences))
+    assert found.p == paired_test(differences) == pytest.approx(2e-4)
     assert str(found).startswith(f"J of a minus b: {found.difference:+.4g} (95 % interval ")
     several = result.compare("a")
     assert [(each.b, each.episodes, each.comparisons) for each in several] == [("b", 40, 2), ("c", 39, 2)]
     assert several[0].low < found.low < found.high < several[0].high
-    assert several[0].p == 2e-4
+    assert several[0].p == pytest.approx(4e-4)
     assert several[1].low < 0 < several[1].high
     assert result.compare("a", ["b", "c"]) == several
-    assert result.compare("a", []) == []
-
-
-def test_one_value_has_no_interval():
-    result = from_values(a=[2.0], b=[3.0])
-    assert result.to_markdown(["J", "success"]).splitlines()[2] == "| a | 1 | 2.000 | 0.000 (0.000 to 0.793) |"
-    assert "$2.000$ \\\\" in result.to_latex(["J"])
-    assert [str(cell) for cell in result.ranking().columns[1].cells] == ["2.000", "3.000"]
-    assert str(result.compare("a", "b")) == "J of a minus b: -1 (p = 1) over 1 episode"
+    assert str(from_values(a=[2.0], b=[3.0]).compare("a", "b")) == "J of a minus b: -1 (p = 1) over 1 episode"
 
 
 @pytest.mark.parametrize(
@@ -215,14 +187,12 @@ def test_one_value_has_no_interval():
         (("a", "z"), ["detector must be one of a, b", "'z'"]),
         (("z",), ["detector", "'z'"]),
         (("a", "b", "j"), ["metric must be one of", "'j'"]),
-        (("a", "b", "purity_first"), ["b must have episodes with purity_first in common"]),
+        (("a", "c"), ["b must have episodes with J in common"]),
     ],
 )
 def test_what_cannot_be_compared_is_one_sentence(arguments, words):
-    result = from_values(a=[1.0], b=[2.0])
-    rows = RowTable(COLUMNS, ({**row, "purity_first": None} for row in result.rows))
     with pytest.raises(ArgumentError) as refused:
-        EvaluationResult(rows, summarise(rows), result.config).compare(*arguments)
+        from_values(a=[1.0, None], b=[2.0, 1.0], c=[None, 1.0]).compare(*arguments)
     assert all(word in str(refused.value) for word in words), refused.value
 
 
@@ -231,46 +201,34 @@ def test_results_of_two_folders_are_merged_and_compared():
     both = first.merge(second)
     assert [(entry["detector"], entry["episodes"]) for entry in both.summary] == [("a", 3), ("b", 2)]
     assert both.compare("a", "b").difference == -0.5
-    assert both.to_markdown(["J"]).splitlines()[2:] == [
-        *first.to_markdown(["J"]).splitlines()[2:],
-        *second.to_markdown(["J"]).splitlines()[2:],
-    ]
-    moved = RowTable(COLUMNS, ({**row, "swarm_seed": 7} for row in second.rows))
     for other, message in (
-        (3, "other must be an EvaluationResult, got 3"),
         (from_values(a=[1.0]), "other must have other labels than this result, got 'a' in both"),
-        (from_values(env="E", b=[1.0]), "other must have the arguments of this result, got different values of env"),
-        (EvaluationResult(moved, summarise(moved), second.config), "other must have met the same swarms, got another"),
+        (
+            from_values(cell="E", b=[1.0]),
+            "other must have the arguments of this result, got a different value of cells",
+        ),
+        (from_values(config={"seed": 1}, b=[1.0]), "other must have the arguments .* of seed"),
     ):
         with pytest.raises(ArgumentError, match=f"^{message}"):
             first.merge(other)
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda result: result.compare("a", 3), "b must be a label, a list of labels or None, got 3"),
-        (lambda result: interquartile_means(result), "results must be a list of results, got <EvaluationResult"),
-        (lambda result: result.performance_profiles(thresholds=["a"]), r"thresholds must be .* got \['a'\]"),
-        (lambda result: result.performance_profiles(thresholds=[]), r"thresholds must be .* got \[\]"),
-        (lambda result: result.performance_profiles(thresholds="12"), "thresholds must be .* got '12'"),
-    ],
-)
-def test_a_wrong_argument_is_one_sentence(call, message):
-    with pytest.raises(ArgumentError, match=f"^{message}"):
-        call(from_values(a=[1.0, 2.0], b=[2.0, 1.0]))
-
-
-def test_aggregates_cover_several_environments():
-    first, second = from_values(a=[1.0, 2.0, 3.0, 40.0], b=[5.0] * 4), from_values(a=[2.0] * 4, b=[5.0] * 4)
+def test_aggregates_take_each_cell_as_a_stratum():
+    first, second = from_values(a=[1.0, 2.0, 3.0, 40.0], b=[5.0] * 4), from_values("other", a=[2.0] * 4, b=[5.0] * 4)
+    rows = pd.concat([first.rows, second.rows], ignore_index=True)
+    both = EvaluationResult(rows, {"cells": {"USNET/Made-v0": {}, "other": {}}})
     assert first.interquartile_means()["a"].mean == 2.5
-    assert interquartile_means([first, second])["a"].mean == 2.0
-    assert interquartile_means([first, second])["b"] == (5.0, 5.0, 5.0)
-    profile = performance_profiles([first, second], thresholds=[1.0, 2.5, 50.0])["a"]
+    assert both.interquartile_means()["a"].mean == 2.0
+    assert both.interquartile_means()["b"] == (5.0, 5.0, 5.0)
+    profile = both.performance_profiles(thresholds=[1.0, 2.5, 50.0])["a"]
     assert profile.share.tolist() == [0.0, 0.75, 1.0]  # lower J_m is better: (2/4 + 4/4) / 2 below 2.5
     assert first.performance_profiles("ap_first", [-0.5, 0.5])["a"].share.tolist() == [1.0, 0.0]
     assert len(first.performance_profiles()["b"].share) == 101
-    with pytest.raises(ArgumentError, match=r"^results must hold J of the same detectors, got one without 'b'"):
-        interquartile_means([first, from_values(a=[1.0])])
-    with pytest.raises(ArgumentError, match=r"^results must hold at least one"):
-        interquartile_means([])
+    assert both.cell("other", "a", "J") == (2.0, 2.0, 2.0)
+    assert both.cell("other", "z", "J") is None
+    lines = both.to_markdown("J").splitlines()
+    assert lines[0] == "| J_m↓ | a | b |"
+    assert lines[-2:] == ["| other | 2.000 | 5.000 |", lines[-1]]
+    assert lines[-1].startswith("| all cells | 6.750 (")
+    with pytest.raises(ArgumentError, match="metric must be one of"):
+        both.interquartile_means("j")

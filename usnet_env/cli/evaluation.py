@@ -1,96 +1,58 @@
-"""``usnet evaluate``: play episodes and score detectors."""
+"""``usnet evaluate`` and ``usnet report``: play episodes, score detectors, and print the tables of a run."""
 
 from __future__ import annotations
 
 import json
+import re
 import sys
-import warnings
+from collections.abc import Sequence
+from contextlib import closing, nullcontext, redirect_stdout
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from usnet_env.cli.options import PairsCommand, PositiveNumber, WholeNumber, add_place, describe_keys, parse_pairs
+from usnet_env.cli.options import PositiveNumber, WholeNumber, parse_pairs
 from usnet_env.cli.output import print_message, show
-from usnet_env.cli.replay import check_record_option, record_episodes
 
 if TYPE_CHECKING:
-    from usnet_env.evaluation import EvaluationResult, SuiteResult
+    import pandas as pd
 
-_TIME_LIMIT = 3600.0  # seconds
+    from usnet_env.evaluation import EvaluationResult
+    from usnet_env.replay import EpisodeRecord
 
-_EXAMPLES = f"""
+_MOST_RECORDED = 20  # of the worst episodes of a detector
+_SAME = 1e-9  # of two values of a metric
+_EVERY = re.compile(r"every=([1-9][0-9]{0,8})\Z")
+
+_EXAMPLES = """
 \b
 Examples:
-  usnet evaluate --detector lagged-regression --trivial --episodes 20
-  usnet evaluate --detector granger --detector factions --all \\
-      --set follow=f3 clusters=3 uavs=40 mobility=gauss_markov
-  usnet evaluate --env USNET/SingleCluster-v0 --detector gassl \\
-      --episodes 5 --set followers=10 decoys=1
+  usnet evaluate --detector lagged-regression --trivial --episodes 20 --set follow=f3 clusters=3
   usnet evaluate --suite controls --detector factions --out runs/controls
-
-\b
-Arguments for --set:
-{describe_keys()}
 """  # click reads the control characters: they keep the lines
 
 
-@click.command(cls=PairsCommand, short_help="Play detectors against the same swarms and score them.", epilog=_EXAMPLES)
-@click.option(
-    "--env",
-    "env_id",
-    metavar="ID",
-    help="Environment; see `usnet list envs`.  [default: USNET/MultiCluster-v0]",
-)
-@click.option("--suite", metavar="NAME|FILE.yaml", help="Play all cells of a suite, isolated; see `usnet list suites`.")
+@click.command(short_help="Play detectors against the same swarms and score them.", epilog=_EXAMPLES)
+@click.argument("pairs", nargs=-1, metavar="")
+@click.option("--env", "env_id", metavar="ID", help="Environment; see `usnet list envs`.")
+@click.option("--suite", metavar="NAME|FILE.yaml", help="Play the cells of a suite.")
 @click.option("--cell", "cells", multiple=True, metavar="NAME", help="Cell of the suite. May be repeated.")
 @click.option(
-    "--detector",
-    "detectors",
-    multiple=True,
-    required=True,
-    metavar="NAME",
-    help="Detector, e.g. random, 'lagged-regression(clusters=5)' or module:Class. May be repeated.",
+    "--detector", "detectors", multiple=True, required=True, metavar="NAME", help="A name or module:Class; repeatable."
 )
-@click.option(
-    "--set",
-    "settings",
-    multiple=True,
-    metavar="KEY=VALUE …",
-    help="Arguments of the environment, see below. May be repeated.",
-)
-@click.option(
-    "--episodes",
-    type=WholeNumber(1, 1_000_000),
-    help="Episodes for each detector.  [default: 100, or those of the suite]",
-)
-@click.option(
-    "--seed",
-    type=WholeNumber(0, 2**63 - 1),
-    help="Seed of the evaluation.  [default: 0, or that of the suite]",
-)
-@click.option("--workers", type=WholeNumber(1, 4_096), default=1, show_default=True, help="Number of processes.")
-@partial(add_place, default="processes, also for one worker; with --isolate or --suite, serial for one worker")
-@click.option(
-    "--time-limit",
-    type=PositiveNumber(),
-    help="Seconds that one answer of a detector may take.  [default: 3600, none with --backend serial]",
-)
-@click.option("--memory-limit", type=PositiveNumber(), help="Megabytes that one answer of a detector may allocate.")
-@click.option(
-    "--isolate",
-    is_flag=True,
-    help="Play each detector in a process without an environment, with seeds from a secret of the run.",
-)
-@click.option("--secret", metavar="HEX", help="Secret of an earlier isolated run, to play its episodes again.")
-@click.option(
-    "--out", metavar="DIR", help="Folder for rows, summary and config; the same command resumes an interrupted run."
-)
-@click.option("--record", metavar="every=N|worst", help="Also write episode files to DIR/episodes, for `usnet replay`.")
-@click.option(
-    "--trivial", is_flag=True, help="Also evaluate the trivial policies destroy-all, none, random and one-per-round."
-)
+@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE …", help="Arguments of the environment.")
+@click.option("--episodes", type=WholeNumber(1, 1_000_000), help="For each detector; 100, or the suite's.")
+@click.option("--seed", type=WholeNumber(0, 2**63 - 1), help="Seed of all episodes; 0, or the suite's.")
+@click.option("--workers", type=WholeNumber(1, 4_096), default=1, help="Number of processes; 1.")
+@click.option("--backend", type=click.Choice(["serial", "processes", "ray"]), help="Where the workers run.")
+@click.option("--time-limit", type=PositiveNumber(), metavar="SECONDS", help="For one answer of a detector.")
+@click.option("--memory-limit", type=PositiveNumber(), metavar="MEGABYTES", help="For one answer of a detector.")
+@click.option("--isolate", is_flag=True, help="Play each detector in a child process.")
+@click.option("--out", metavar="DIR", help="Folder; the same command resumes a run.")
+@click.option("--record", metavar="every=N|worst", help="Also write episode files, for a replay.")
+@click.option("--trivial", is_flag=True, help="Also play the trivial policies.")
 @click.option("--all", "show_all", is_flag=True, help="Print all metrics, each with its interval.")
 @click.option("--json", "as_json", is_flag=True, help="Print only the summary, as JSON.")
 @click.pass_context
@@ -98,12 +60,12 @@ def evaluate(
     ctx: click.Context,
     /,
     *,
+    pairs: tuple[str, ...],
     env_id: str | None,
     suite: str | None,
     cells: tuple[str, ...],
     detectors: tuple[str, ...],
     settings: tuple[str, ...],
-    isolate: bool,
     record: str | None,
     show_all: bool,
     as_json: bool,
@@ -111,79 +73,143 @@ def evaluate(
 ) -> None:
     """Play every detector against the same swarms, and print a table of them, best first.
 
-    The workers are child processes, also a single one; with --isolate or --suite, each detector has its own process,
-    and a single worker is the command itself. A detector that hangs or ends its process has failed; the other detectors
-    play to the end. With --backend serial and without isolation, such a detector ends the command.
+    The status is 2 if a detector failed in every episode; a failed episode is a row with its reason.
     """
-    env_kwargs, out = parse_pairs(settings), how["out"]
-    if suite is not None and (env_id is not None or env_kwargs):
-        raise click.UsageError("--suite gives the environments: it goes without --env and --set.")
+    env_kwargs, out = parse_pairs((*settings, *pairs)), how["out"]
+    if suite is not None and (env_id is not None or env_kwargs or record is not None):
+        raise click.UsageError("--suite gives the environments: it goes without --env, --set and --record.")
     if cells and suite is None:
         raise click.UsageError("--cell names a cell of a suite: it needs --suite.")
-    if how["secret"] is not None and not isolate and suite is None:
-        raise click.UsageError("--secret gives the seeds of an isolated run: it needs --isolate or --suite.")
-    if record is not None:
-        if suite is not None:
-            raise click.UsageError("--record keeps episodes of one environment: it goes without --suite.")
-        check_record_option(record, out)
-    if how["time_limit"] is None and (how["backend"] != "serial" or isolate or suite is not None):
-        how["time_limit"] = _TIME_LIMIT
+    if record is not None and (out is None or (record != "worst" and not _EVERY.match(record))):
+        raise click.UsageError("--record must be every=NUMBER or worst, and needs --out.")
     if out is not None:
         ctx.find_root().obj = partial(_tell_what_is_kept, out)
     from usnet_env import evaluation
-    from usnet_env.processes import Limits
 
-    how["progress"] = sys.stderr is not None and sys.stderr.isatty()
-    failure: Exception | None = None
-    result: EvaluationResult | SuiteResult
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", RuntimeWarning)
-        try:
-            if suite is not None:
-                result = evaluation.evaluate_suite(suite, list(detectors), cells=cells or None, **how)
-            else:
-                given = {name: value for name, value in how.items() if value is not None}
-                env = "USNET/MultiCluster-v0" if env_id is None else env_id
-                result = evaluation.evaluate(env, list(detectors), env_kwargs=env_kwargs, isolate=isolate, **given)
-        except evaluation.EvaluationError as error:
-            if error.result is None:
-                raise
-            result, failure = error.result, error  # the other detectors have played to the end
-    for warning in caught:
-        print_message(str(warning.message))
+    given = {name: value for name, value in how.items() if value is not None}
+    given["progress"] = sys.stderr is not None and sys.stderr.isatty()
+    with redirect_stdout(sys.stderr) if as_json else nullcontext():  # what a detector prints is no JSON
+        if suite is not None:
+            result = evaluation.evaluate_suite(suite, list(detectors), cells=cells or None, **given)
+        else:
+            env_id = env_id or "USNET/MultiCluster-v0"
+            result = evaluation.evaluate(env_id, list(detectors), env_kwargs=env_kwargs, **given)
     if as_json:
         click.echo(json.dumps(result.summary, indent=2, allow_nan=False))
-    if isinstance(result, evaluation.SuiteResult):
-        if not as_json:
-            show(result.ranking())
-            click.echo(result.to_markdown() if show_all else "", nl=False)
-        for cell, own in result.failures.items():
-            print_message(f"{cell}: {' '.join(own.values())}")
-        if not result.detectors:
-            failure = evaluation.EvaluationError("no detector has a result in any cell.")
     else:
-        if not as_json and result.summary:
-            show(result.table() if show_all else result.ranking())
-            click.echo(result.conclusion())
-        if isolate:
-            secret = result.config.get("secret", "not known: an earlier part of it was killed before its end")
-            print_message(f"The secret of this run is {secret}.")
-        if record is not None:
-            isolation = Limits(seconds=how["time_limit"], megabytes=how["memory_limit"]) if isolate else None
-            written = record_episodes(result, record, detectors, env_kwargs, out, isolation)
-            where = f"are in {out}/episodes; `usnet replay {out}` lists them" if written else "were written"
-            click.echo(f"{len(written)} episode files {where}.", err=True)
-    if failure is not None:
-        raise failure
+        _show_result(result, "all" if show_all else "")
+    for sentence in result.failures.values():
+        print_message(sentence)
+    if record is not None and env_id is not None:
+        written = record_episodes(result, record, detectors, env_id, env_kwargs, out)
+        click.echo(f"{written} episode files are in {out}/episodes; `usnet replay {out}` lists them.", err=True)
     if out is not None and not as_json:
-        click.echo(f"Rows, summary and config are in {out}.", err=True)
+        click.echo(f"Rows and arguments are in {out}.", err=True)
+    if any(not entry["episodes"] for entry in result.summary):
+        ctx.exit(2)
+
+
+def _show_result(result: EvaluationResult, form: str) -> None:
+    """Print the tables of a result: short, ``"all"``, as ``"markdown"`` or as ``"latex"``."""
+    if form in ("markdown", "latex"):
+        write = result.to_markdown if form == "markdown" else result.to_latex
+        click.echo("\n".join([write(), *[write("exact")] * (len(result.cells) > 1)]), nl=False)
+        return
+    show(result.table() if form == "all" else result.ranking())
+    if form == "all" and len(result.cells) > 1:
+        show(result.cell_table())
+    click.echo(result.conclusion())
 
 
 def _tell_what_is_kept(out: str) -> str:
-    """What an interrupted run, or suite, has left."""
-    for path in (Path(out, "episodes.csv"), *Path(out).glob("*/episodes.csv")):
-        if path.is_file():
-            with path.open("rb") as file:
-                if file.readline() and file.readline():  # more than the header
-                    return f"Finished episodes are kept in {out}; the same command resumes from there."
-    return "No episode was finished."
+    """What an interrupted run has left."""
+    try:
+        with Path(out, "rows.csv").open("rb") as file:
+            kept = file.readline() and file.readline()  # more than the header
+    except OSError:
+        kept = b""
+    return f"Finished episodes are kept in {out}; the same command resumes." if kept else "No episode was finished."
+
+
+@click.command(short_help="Print the tables of a run, and compare detectors.")
+@click.argument("folder", type=click.Path(path_type=Path))
+@click.option("--format", "form", type=click.Choice(["all", "markdown", "latex"]), help="All metrics; or for a page.")
+@click.option(
+    "--compare", "labels", multiple=True, metavar="LABEL", help="With the next, or with all. May be repeated."
+)
+@click.option("--metric", default="J", show_default=True, metavar="NAME", help="What is compared.")
+def report(folder: Path, form: str | None, labels: tuple[str, ...], metric: str) -> None:
+    """Print the tables of FOLDER, which `usnet evaluate --out FOLDER` has written."""
+    from usnet_env.evaluation import EvaluationResult
+
+    result = EvaluationResult.load(folder)
+    _show_result(result, form or "")
+    if labels:
+        for comparison in result.compare(labels[0], list(labels[1:]) or None, metric):
+            click.echo(f"{comparison}.")
+    for sentence in result.failures.values():
+        print_message(sentence)
+
+
+def record_episodes(
+    result: EvaluationResult,
+    wanted: str,
+    detectors: Sequence[str],
+    env_id: str,
+    env_kwargs: dict[str, Any],
+    out: str,
+) -> int:
+    """Play chosen episodes of a run again, from the seeds in their rows, and write their episode files.
+
+    An episode that differs from its row is not written: a message names its detector. What is wanted is ``"every=10"``
+    or ``"worst"``: the 20 worst episodes of each detector whose round 1 was not exact.
+
+    Returns:
+        How many files were written.
+    """
+    import gymnasium as gym
+
+    from usnet_env.evaluation.run import TRIVIAL
+    from usnet_env.plugins import detector_label, make_detector
+    from usnet_env.replay import record_episode
+
+    names = {detector_label(name): name for name in (*TRIVIAL, *detectors)}
+    written, differing = 0, dict.fromkeys(names, 0)
+    for row in _choose_rows(result, wanted).to_dict("records"):
+        label = row["detector"]
+        if label not in names:  # of an earlier command
+            continue
+        with closing(gym.make(env_id, **env_kwargs)) as env:
+            seeds = row["swarm_seed"], row["detector_seed"]
+            record = record_episode(env, make_detector(names[label]), *seeds, label=label)
+        if _differs(record, row):
+            differing[label] += 1
+            continue
+        name = re.sub(r"[^\w.=-]+", "_", label).strip("_")
+        record.save(Path(out, "episodes", f"{name}-{row['episode']}.npz"))
+        written += 1
+    for label, count in differing.items():
+        if count:
+            print_message(f"{label} is not deterministic: played again, it answered {count} episodes differently.")
+    return written
+
+
+def _choose_rows(result: EvaluationResult, wanted: str) -> pd.DataFrame:
+    """The rows whose episodes are recorded."""
+    from usnet_env.evaluation.tables import first_metric
+
+    rows = result.rows[result.rows["error"] == ""]
+    if every := _EVERY.match(wanted):
+        return rows[rows["episode"] % int(every[1]) == 0]
+    metric = first_metric(result.summary)
+    worst = rows[rows["exact"] == 0].sort_values(metric.column, ascending=metric.sign == -1, kind="stable")
+    return worst.groupby("detector", sort=False).head(_MOST_RECORDED)
+
+
+def _differs(record: EpisodeRecord, row: dict[Any, Any]) -> bool:
+    """Whether the record has another score than the row in any metric, except the seconds and those of clusters."""
+    from usnet_env.evaluation.play import record_metrics
+
+    found = {name: value for name, value in record_metrics(record).items() if value is not None}
+    names = found.keys() - {"seconds_per_round", "purity_first", "head_in_cluster_first"}
+    return any(abs(found[name] - row[name]) > _SAME for name in names)

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import html
-import os
 import re
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, closing
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -14,19 +11,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from usnet_env.cli.options import WholeNumber
-from usnet_env.cli.output import print_message, show
+from usnet_env.cli.output import show
 from usnet_env.config import ArgumentError, quote
 
 if TYPE_CHECKING:
-    from usnet_env.evaluation import EvaluationResult
-    from usnet_env.evaluation.result import Results
-    from usnet_env.processes import Limits
-    from usnet_env.replay import EpisodeRecord
+    pass
 
 EPISODES = "episodes"  # the folder of the episode files of a run
-_MOST_FAILURES, _MOST_ON_PAGE = 20, 6
-_SAME = 1e-9  # of two values of a metric
-_EVERY = re.compile(r"every=([1-9][0-9]{0,8})\Z")
 
 _DEMO_EXAMPLES = """
 \b
@@ -35,13 +26,6 @@ Examples:
   usnet demo --detector learned --clusters 8 --uavs 185 --follow f1
   usnet demo --paper-example --out runs/paper
 """  # click reads the control characters: they keep the lines
-_REPORT_EXAMPLES = """
-\b
-Examples:
-  usnet report runs/mine
-  usnet report runs/mine --compare learned --compare factions
-  usnet report runs/mine --compare learned --metric exact
-"""
 _REPLAY_EXAMPLES = """
 \b
 Examples:
@@ -237,169 +221,3 @@ def compare(
     for record in (one, other):
         click.echo(f"{record.detector}: {describe_outcome(record)}")
     _show_replay(written, shown, open_viewer)
-
-
-@click.command(short_help="Write a page of a run or an episode for any browser.", epilog=_REPORT_EXAMPLES)
-@click.argument("path", type=click.Path(path_type=Path))
-@click.option("--html", "page", type=click.Path(path_type=Path), help="Page to write.  [default: PATH/report.html]")
-@click.option(
-    "--compare",
-    "labels",
-    multiple=True,
-    metavar="LABEL",
-    help="Compare this detector with the further ones, or with all, swarm by swarm. May be repeated.",
-)
-@click.option("--metric", metavar="NAME", help="What is compared.  [default: J]")
-def report(path: Path, page: Path | None, labels: tuple[str, ...], metric: str | None) -> None:
-    """Write one self-contained page: scores, and for each recorded episode an animation and its rounds.
-
-    PATH is the folder of `usnet evaluate --out`, or of a demo, or an episode file. The page opens without a network.
-    That of a suite has its tables. Comparisons are printed, too.
-    """
-    if metric is not None and not labels:
-        raise ArgumentError("--metric must be given together with --compare, got no --compare.")
-    from usnet_env.evaluation import EvaluationResult, SuiteResult
-    from usnet_env.replay import EpisodeRecord
-    from usnet_env.replay.page import write_page
-
-    if path.is_dir() and _is_suite(path):
-        suite = SuiteResult.load(path)
-        tables = [suite._repr_html_(), *_compare_detectors(suite, labels, metric)]
-        written = write_page(f"Detectors on {suite.label}", {}, page or path / "report.html", tables=tables)
-        click.echo(f"page  {written}")
-        return
-    folder = path if path.is_dir() else path.parent
-    result = EvaluationResult.load(path) if (path / "run.json").exists() else None
-    if result is None and labels:
-        raise ArgumentError(f"--compare must be given with the folder of a run or a suite, got {quote(str(path))}.")
-    files = [path]
-    if path.is_dir():
-        files = _find_episodes(path) if result is None or (path / EPISODES).is_dir() else []
-    page = page or folder / "report.html"
-    records = {file.stem: EpisodeRecord.load(file) for file in files[:_MOST_ON_PAGE]}
-    links = {file.stem: Path(os.path.relpath(file, page.parent)).as_posix() for file in files}
-    tables = [] if result is None else [result._repr_html_(), *_compare_detectors(result, labels, metric)]
-    title = "Who leads this swarm?" if result is None else f"Detectors on {result.config['env']}"
-    click.echo(f"page  {write_page(title, records, page, links=links, tables=tables)}")
-    if len(files) > _MOST_ON_PAGE:
-        print_message(f"the page shows {_MOST_ON_PAGE} of {len(files)} recorded episodes.")
-
-
-def _compare_detectors(result: Results, labels: Sequence[str], metric: str | None) -> list[str]:
-    """Print the comparisons that were asked for, and return them as HTML."""
-    if not labels:
-        return []
-    if len(set(labels)) < len(labels):
-        raise ArgumentError(f"--compare must name each detector once, got {', '.join(labels)}.")
-    found = result.compare(labels[0], list(labels[1:]) or None, metric or "J")
-    if not found:
-        raise ArgumentError(f"--compare must find another detector there, got {quote(labels[0])} alone.")
-    for each in found:
-        click.echo(f"{each}.")
-    return [f"<p>{html.escape(str(each))}.</p>" for each in found]
-
-
-def check_record_option(wanted: str, out: str | None) -> None:
-    """Refuse a value of ``--record`` that is neither ``every=NUMBER`` nor ``worst``, or one without ``--out``."""
-    if wanted != "worst" and not _EVERY.match(wanted):
-        raise ArgumentError(f"--record must be every=NUMBER or worst, got {quote(wanted)}.")
-    if out is None:
-        raise ArgumentError("--record must be given together with --out, got no --out.")
-
-
-def _choose_rows(result: EvaluationResult, wanted: str) -> list[dict[str, Any]]:
-    """The rows whose episodes are recorded."""
-    every = _EVERY.match(wanted)
-    if every:
-        return [row for row in result.rows if row["episode"] % int(every[1]) == 0]
-    from usnet_env.evaluation.tables import first_metric
-
-    chosen, metric = [], first_metric(result.summary)
-    for entry in result.summary:
-        rows = [row for row in result.rows if row["detector"] == entry["detector"] and not row["exact"]]
-        chosen += sorted(rows, key=lambda row: (-metric.sign * row[metric.column], row["episode"]))[:_MOST_FAILURES]
-    return chosen
-
-
-def record_episodes(
-    result: EvaluationResult,
-    wanted: str,
-    detectors: Sequence[str],
-    env_kwargs: dict[str, Any],
-    out: str,
-    isolation: Limits | None = None,
-) -> list[Path]:
-    """Play chosen episodes of a run again, from the seeds in their rows, and write their episode files.
-
-    An episode that differs from its row is not written: a message names its detector. What is wanted is ``"every=10"``
-    or ``"worst"``: the 20 worst episodes of each detector whose round 1 was not exact. Detectors of an earlier command
-    are not recorded. Those of an isolated run play in processes of their own here too, with the limits of isolation.
-    """
-    from usnet_env.evaluation.report import group_rows
-    from usnet_env.plugins import detector_label
-
-    players = {detector_label(each): each for each in (*detectors, *result.config["detectors"])}
-    written = []
-    for label, rows in group_rows(_choose_rows(result, wanted), lambda row: row["detector"]).items():
-        name = re.sub(r"[^\w.=-]+", "_", label).strip("_")
-        others: list[int] = []
-        failed: dict[int, str] = {}
-        for row, record in _play_again(result.config["env"], env_kwargs, players[label], label, rows, isolation):
-            if isinstance(record, str):
-                failed[row["episode"]] = record
-            elif _differs(record, row):
-                others.append(row["episode"])
-            else:
-                written.append(record.save(Path(out) / EPISODES / f"{name}-{row['episode']}.npz"))
-        none = "No file of such an episode was written."
-        if others:
-            print_message(
-                f"{label} answered {_name_episodes(others)} differently when played again: it is not deterministic, or "
-                f"it reads something besides the window and its seed. {none}"
-            )
-        if failed:
-            which, reason = _name_episodes(list(failed)), next(iter(failed.values()))
-            print_message(f"{label} failed in {which} when played again, but not in the run: {reason}. {none}")
-    return written
-
-
-def _name_episodes(episodes: Sequence[int]) -> str:
-    return f"episode {episodes[0]}" if len(episodes) == 1 else f"{len(episodes)} episodes, such as {episodes[0]},"
-
-
-def _play_again(
-    env_id: str,
-    env_kwargs: dict[str, Any],
-    player: str,
-    label: str,
-    rows: Sequence[dict[str, Any]],
-    isolation: Limits | None,
-) -> Iterator[tuple[dict[str, Any], EpisodeRecord | str]]:
-    """Each row with the record of its episode; with the reason if an isolated detector failed in it this time."""
-    import gymnasium as gym
-
-    from usnet_env.evaluation.isolation import IsolatedAgent
-    from usnet_env.plugins import make_detector
-    from usnet_env.processes import PlainError, ProcessDied
-    from usnet_env.replay import record_episode
-
-    with ExitStack() as stack:
-        alone = None if isolation is None else stack.enter_context(closing(IsolatedAgent(player, isolation)))
-        for row in rows:
-            detector: Any = make_detector(player) if alone is None else alone
-            with closing(gym.make(env_id, **env_kwargs)) as env:
-                try:
-                    yield row, record_episode(env, detector, row["swarm_seed"], row["detector_seed"], label=label)
-                except (ArgumentError, PlainError, ProcessDied) as error:
-                    if alone is None:
-                        raise
-                    yield row, " ".join(str(error).split()).rstrip(".")
-
-
-def _differs(record: EpisodeRecord, row: dict[str, Any]) -> bool:
-    """Whether the record has another score than the row in any metric, except the seconds."""
-    from usnet_env.evaluation.metrics import CLUSTER_METRICS, METRICS, record_metrics
-
-    found = record_metrics(record)
-    compared = [name for name in METRICS if name not in CLUSTER_METRICS and name != "seconds_per_round"]
-    return any(abs(float(found[name] or 0) - float(row[name])) > _SAME for name in compared)

@@ -6,15 +6,17 @@ import copy
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from itertools import count
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.config import ArgumentError, quote
+from usnet_env.config import ArgumentError, plain_text, quote, unknown_name
 from usnet_env.detection import Detection, fit_window
+from usnet_env.parts import parse_label
+from usnet_env.plugins import DETECTORS, detector_label, make_detector
 from usnet_env.parts import named_parameters
-from usnet_env.plugins import make_detector
 from usnet_env.window import Window
 
 
@@ -35,21 +37,12 @@ class Answer:
     seconds: float
 
 
-class RefusedArgumentError(ArgumentError):
-    """A detector refused an argument of its constructor when it was reset for the first time."""
+#: The trivial policies that every published table also shows: decision (l) of ``docs/game.md``.
+TRIVIAL = ("destroy-all", "none", "random", "one-per-round")
 
-
-class Agent(Protocol):
-    """What the evaluator needs of a detector or a policy."""
-
-    def reset(self, seed: int) -> None:
-        """Start an episode; ``seed`` seeds the agent's own random numbers."""
-
-    def answer(self, observation: Any) -> Answer:
-        """Answer one observation of the environment."""
-
-    def warm_up(self, observation: Any) -> None:
-        """Answer once without being timed, so that compiling and loading do not count as time of the first episode."""
+#: What has the methods ``reset(seed)``, ``answer(observation)``, which returns an :class:`Answer`, and
+#: ``warm_up(observation)``, which answers without being timed, so that compiling does not count as time of an episode.
+Agent: TypeAlias = Any
 
 
 class DetectorAgent:
@@ -68,11 +61,9 @@ class DetectorAgent:
         begin = time.perf_counter()
         detection = self.detector.detect(window)
         seconds = time.perf_counter() - begin
-        if not isinstance(detection, Detection):
-            raise ArgumentError(f"detect must return a usnet_env.Detection, got {quote(detection)}.")
-        if len(detection.candidates) != window.uavs:
+        if not isinstance(detection, Detection) or len(detection.candidates) != window.uavs:
             raise ArgumentError(
-                f"detect must answer for all {window.uavs} UAVs, got candidates for {len(detection.candidates)}."
+                f"detect must return a usnet_env.Detection for all {window.uavs} UAVs, got {quote(detection)}."
             )
         return Answer(detection.candidates, detection.scores, detection.clusters, seconds)
 
@@ -83,10 +74,7 @@ class DetectorAgent:
         except Exception:  # it cannot be copied; its reset must then discard what it learns here
             detector = self.detector
         agent = DetectorAgent(detector)
-        try:
-            agent.reset(0)
-        except ArgumentError as error:  # a detector checks its arguments here: they are refused, nothing has failed
-            raise RefusedArgumentError(str(error)) from error
+        agent.reset(0)
         agent.answer(observation)
 
 
@@ -102,33 +90,30 @@ class PolicyAgent:
     def __init__(self, policy: Any) -> None:
         self.policy = policy
         self._masked = "action_masks" in named_parameters(policy.predict)
-        self._normaliser = _find_normaliser(policy)
-        self._state: Any = None
-        self._start = True
+        find = getattr(policy, "get_vec_normalize_env", None)
+        normaliser = find() if callable(find) else None
+        self._normaliser = normaliser if getattr(normaliser, "norm_obs", True) else None
+        self.reset(0)
 
     def reset(self, seed: int) -> None:
         """Start an episode with an empty state; the seed is not used."""
-        self._state, self._start = None, True
+        self._state: Any = None
+        self._start = True
 
     def answer(self, observation: Any) -> Answer:
         """Return the policy's action; only the call of ``predict`` is timed."""
         seen = observation if self._normaliser is None else self._normaliser.normalize_obs(observation)
-        more = {"action_masks": _action_masks(observation)} if self._masked else {}
+        masks = {"action_masks": _action_masks(observation)} if self._masked else {}
         begin = time.perf_counter()
-        answer = self.policy.predict(
-            seen, state=self._state, episode_start=np.array([self._start]), deterministic=True, **more
+        action, self._state = self.policy.predict(
+            seen, state=self._state, episode_start=np.array([self._start]), deterministic=True, **masks
         )
         seconds = time.perf_counter() - begin
-        if not isinstance(answer, tuple | list) or len(answer) != 2:
-            raise ArgumentError(f"predict must return an action and a state, got {quote(answer)}.")
-        action, state = answer
-        self._state, self._start = state, False
+        self._start = False
         values = np.asarray(action)
-        if values.dtype.kind not in "biuf" or not ((values == 0) | (values == 1)).all():
-            raise ArgumentError(f"predict must return an action that holds only 0 and 1, got {quote(action)}.")
         uavs = len(observation["alive"]) if isinstance(observation, Mapping) else values.size
-        if values.shape != (uavs,):
-            raise ArgumentError(f"predict must return an action of shape ({uavs},), got {values.shape}.")
+        if values.shape != (uavs,) or not np.isin(values, (0, 1)).all():
+            raise ArgumentError(f"predict must return an action of {uavs} values 0 and 1, got {quote(action)}.")
         return Answer(values.astype(bool), values.astype(np.float64), None, seconds)
 
     def warm_up(self, observation: Any) -> None:
@@ -142,13 +127,6 @@ def _action_masks(observation: Any) -> NDArray[np.bool_]:
     return np.stack([np.ones(len(alive), bool), alive], axis=1).ravel()
 
 
-def _find_normaliser(policy: Any) -> Any:
-    """The ``VecNormalize`` that a model of Stable-Baselines3 was trained behind, if it normalises observations."""
-    find = getattr(policy, "get_vec_normalize_env", None)
-    normaliser = find() if callable(find) else None
-    return normaliser if normaliser is not None and getattr(normaliser, "norm_obs", True) else None
-
-
 def as_agent(detector: Any) -> Agent:
     """Wrap a detector, or an object with ``predict``, as an agent.
 
@@ -160,16 +138,60 @@ def as_agent(detector: Any) -> Agent:
     """
     if isinstance(detector, str):
         detector = make_detector(detector)
-    detects, predicts = (callable(getattr(detector, name, None)) for name in ("detect", "predict"))
-    if isinstance(detector, type) and (detects or predicts):
-        name = detector.__name__
-        raise ArgumentError(f"detector must be an object, got the class {name}; {name}() makes an object of it.")
-    if detects and callable(getattr(detector, "reset", None)):
-        return DetectorAgent(detector)
-    if predicts:
-        return PolicyAgent(detector)
-    if detects:
-        raise ArgumentError(f"detector must have the method reset(seed) beside detect, got {quote(detector)}.")
+    if not isinstance(detector, type):
+        if all(callable(getattr(detector, name, None)) for name in ("detect", "reset")):
+            return DetectorAgent(detector)
+        if callable(getattr(detector, "predict", None)):
+            return PolicyAgent(detector)
     raise ArgumentError(
         f"detector must be a name, an object with detect and reset, or an object with predict, got {quote(detector)}."
     )
+
+
+def label_detectors(detector: Any, trivial: bool, isolated: bool) -> dict[str, Any]:
+    """Give each detector its own label; what can't be a detector is refused.
+
+    Args:
+        detector: as of :func:`usnet_env.evaluate`.
+        trivial: whether the policies of :data:`TRIVIAL` join.
+        isolated: whether detectors that are given by name are made in their own processes only.
+    """
+    found: dict[str, Any] = {}
+    if isinstance(detector, Mapping):
+        found = {plain_text("label", label): given for label, given in detector.items()}
+    else:
+        for given in detector if isinstance(detector, list | tuple) else [detector]:
+            named = isinstance(given, str) or hasattr(given, "detect")
+            first = label = detector_label(given) if named else type(given).__name__
+            for number in count(2):
+                if label not in found or isinstance(given, str):
+                    break
+                label = f"{first} #{number}"
+            if label in found:
+                raise ArgumentError(f"detector must name each detector once, got {label!r} twice.")
+            found[label] = given
+    if not found or not all(label and label.isprintable() for label in found):
+        raise ArgumentError(f"detector must have at least one label of printable characters, got {quote(list(found))}.")
+    for name in TRIVIAL if trivial else ():
+        found.setdefault(name, name)
+    for given in found.values():
+        _check_detector(given, isolated)
+    return found
+
+
+def _check_detector(detector: Any, isolated: bool) -> None:
+    """Refuse what is no detector, and a name or an argument that no detector has.
+
+    A constructor that fails is no wrong argument: the detector's rows have the reason.
+    """
+    if isinstance(detector, str):
+        name, _ = parse_label(detector, {})
+        if name not in DETECTORS and ":" not in name:
+            raise unknown_name("detector", name, [*DETECTORS, "module:Class"])
+        if isolated:
+            return  # it is made in its own process only
+    try:
+        as_agent(detector)
+    except ArgumentError as error:
+        if error.__cause__ is None or isinstance(error.__cause__, ImportError):
+            raise

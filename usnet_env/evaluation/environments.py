@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Mapping
-from difflib import get_close_matches
 from importlib import import_module
 from typing import Any
 
 import gymnasium as gym
 from gymnasium.envs.registration import EnvSpec, load_env_creator
 
-from usnet_env.config import ArgumentError, quote, unknown_argument
-
-_HINTS = 3
+from usnet_env.config import ArgumentError, quote, unknown_argument, unknown_name
 
 
 def usnet_ids() -> list[str]:
@@ -25,7 +22,7 @@ def find_environment(env_id: str) -> EnvSpec:
     """Return the registered environment of this id, with or without its module (``"usnet_env:USNET/MultiCluster-v0"``).
 
     Raises:
-        ArgumentError: there is no such module or no such id; the message names the nearest ids.
+        ArgumentError: there is no such module or no such id; the message names the nearest id.
     """
     module, _, name = env_id.rpartition(":")
     if module:
@@ -33,11 +30,9 @@ def find_environment(env_id: str) -> EnvSpec:
             import_module(module)
         except (ImportError, ValueError) as error:
             raise ArgumentError(f"env must name a module that can be imported, got {quote(env_id)}: {error}.") from None
-    if name in gym.registry:
-        return gym.registry[name]
-    ids = usnet_ids()
-    near = get_close_matches(name, ids, n=_HINTS, cutoff=0.5) or ids
-    raise ArgumentError(f"env must be a registered id, got {quote(env_id)} (near: {', '.join(near)}).")
+    if name not in gym.registry:
+        raise unknown_name("env", env_id, usnet_ids())
+    return gym.registry[name]
 
 
 def _load_creator(spec: EnvSpec) -> Any:
@@ -56,44 +51,32 @@ def list_arguments(spec: EnvSpec) -> list[str] | None:
     return [parameter.name for parameter in parameters if parameter.name != "render_mode"]
 
 
-def is_usnet(env: gym.Env[Any, Any]) -> bool:
-    """Whether the environment has the ``swarm`` and ``problem`` that the evaluator needs to score it."""
-    return _has_truth(type(env.unwrapped))
-
-
-def _has_truth(env_class: type) -> bool:
-    return all(hasattr(env_class, name) for name in ("swarm", "problem"))
-
-
-def _not_usnet_error(spec: EnvSpec) -> ArgumentError:
-    return ArgumentError(f"env must be a USNET environment ({', '.join(usnet_ids())}), got {quote(spec.id)}.")
-
-
 def make_environment(env_id: str, env_kwargs: Mapping[str, Any]) -> gym.Env[Any, Any]:
     """Create the environment of this id.
 
     Raises:
         ArgumentError: as :func:`find_environment`; or the environment does not take an argument or refuses its value,
-            or it is not a USNET environment.
+            or no detector can be scored there.
     """
     spec = find_environment(env_id)
-    creator = _load_creator(spec)
-    if isinstance(creator, type) and not _has_truth(creator):
-        raise _not_usnet_error(spec)
-    known = list_arguments(spec)
+    creator, known = _load_creator(spec), list_arguments(spec)
     for name in env_kwargs:
         if known is not None and name not in known:
             config = getattr(getattr(creator, "__init__", None), "config", None)
             raise unknown_argument(str(name), spec.id, known, getattr(config, "instead", {}))
     env: gym.Env[Any, Any] = gym.make(spec, disable_env_checker=True, **env_kwargs)
-    if not is_usnet(env):
-        env.close()
-        raise _not_usnet_error(spec)
+    check_environment(env)
     return env
 
 
-def check_labelled(env: gym.Env[Any, Any]) -> None:
-    """Refuse an environment of recorded tracks whose leaders are unknown, since no answer can be scored there."""
+def check_environment(env: Any) -> None:
+    """Refuse what has no ``swarm`` and ``problem`` to score an answer, or recorded tracks whose leaders are unknown.
+
+    Raises:
+        ArgumentError: no detector can be scored in this environment.
+    """
+    if not isinstance(env, gym.Env) or not all(hasattr(type(env.unwrapped), name) for name in ("swarm", "problem")):
+        raise ArgumentError(f"env must be a USNET environment ({', '.join(usnet_ids())}), got {quote(env)}.")
     if not getattr(env.unwrapped, "labelled", True):
         raise ArgumentError(
             "env must know the leaders to score detectors, got tracks without a column 'leader' that names their ids."

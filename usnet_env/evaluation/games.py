@@ -1,9 +1,8 @@
-"""Play the games of several agents as runs: the same seeds for all, the rows in a folder, on any backend."""
+"""Play the games of several agents as runs: the same seeds for all teams, and one row for each game."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
 from os import PathLike
@@ -12,35 +11,26 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from usnet_env.config import ArgumentError, named_values, quote
-from usnet_env.evaluation.engine import RunArguments, choose_place, play_run
-from usnet_env.evaluation.episode import Row, detector_step
-from usnet_env.evaluation.identity import describe, describe_code, describe_detector
-from usnet_env.evaluation.metrics import record_metrics
+from usnet_env.config import ArgumentError, describe_arguments, named_values, quote, unknown_name
+from usnet_env.evaluation.errors import EvaluationError
+from usnet_env.evaluation.play import Row, detector_step, record_metrics, row_keys
 from usnet_env.evaluation.result import EvaluationResult
-from usnet_env.evaluation.schedule import Seeds
-from usnet_env.evaluation.store import COLUMNS
-from usnet_env.evaluation.workers import Task
+from usnet_env.evaluation.run import RunArguments, Task, play_run
 from usnet_env.files import as_path
 from usnet_env.plugins import make_detector
-from usnet_env.processes import Limits
 
 if TYPE_CHECKING:
     from usnet_env.multiagent.base import UsnetParallelEnv
 
-Players = Mapping[str, Any]
 
-
-@dataclass
-class _GamePlayer:
+class GamePlayer:
     """Plays games in one process; sent to another one, it makes the game and its policies there."""
 
-    make_env: Callable[..., UsnetParallelEnv]
-    game_kwargs: dict[str, Any]
-    players: dict[str, dict[str, Any]]  # by label, the policies of each role
+    def __init__(self, make_env: Callable[..., UsnetParallelEnv], game_kwargs: Any, players: Any) -> None:
+        self.make_env, self.game_kwargs, self.players = make_env, game_kwargs, players
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if name not in ("env", "teams")}
+        return {name: vars(self)[name] for name in ("make_env", "game_kwargs", "players")}
 
     @cached_property
     def env(self) -> UsnetParallelEnv:
@@ -55,37 +45,26 @@ class _GamePlayer:
         def make(policy: Any) -> Any:
             return DetectorObserver(make_detector(policy)) if isinstance(policy, str) else policy
 
-        return {label: {role: make(each) for role, each in own.items()} for label, own in self.players.items()}
+        return {label: {role: make(policy) for role, policy in team.items()} for label, team in self.players.items()}
 
-    def run_task(self, task: Task) -> Row | None:
-        """Play one game."""
+    def __call__(self, task: Task) -> Row:
+        """Play one game; one in which a policy fails is a row with the reason in ``error``."""
         from usnet_env.multiagent.play import play_game
 
-        label, episode, (swarm_seed, policy_seed) = task
-        if episode is None:
-            return None
-        with detector_step(label, f"game {episode}"):
-            game = play_game(self.env, self.teams[label], swarm_seed, label, policy_seed)
+        label, seeds = task.label, task.seeds
+        try:
+            with detector_step(label, "the game"):
+                game = play_game(self.env, self.teams[label], seeds[0], label, seeds[1])
+        except EvaluationError as error:
+            self.env.reset(seed=seeds[0])
+            return {**row_keys(*task, self.env.swarm.head), "error": error.reason}
         return {
-            "detector": label,
-            "episode": episode,
-            "swarm_seed": swarm_seed,
-            "detector_seed": policy_seed,
-            "uavs": len(game.record["head"]),
-            "heads": int(game.record["head"].sum()),
+            **row_keys(*task, game.record["head"]),
             **record_metrics(SimpleNamespace(**{"clusters": None, **game.record})),
             **_role_means("return", game.returns),
             **_role_means("price", game.prices),
+            "error": "",
         }
-
-    def close(self) -> None:
-        """Do nothing: the game holds no resources."""
-
-
-def _identify(policy: Any) -> Any:
-    """What distinguishes a policy from others: its class and arguments, not what it has counted since."""
-    detector = getattr(policy, "detector", None)
-    return describe_detector(policy) if detector is None else [describe(type(policy)), describe_detector(detector)]
 
 
 def _role_means(what: str, values: Mapping[str, float]) -> dict[str, float]:
@@ -93,12 +72,12 @@ def _role_means(what: str, values: Mapping[str, float]) -> dict[str, float]:
     roles: dict[str, list[float]] = {}
     for agent, value in values.items():
         roles.setdefault(agent.rpartition("_")[0], []).append(value)
-    return {f"{what}_{role}": float(np.mean(own)) for role, own in roles.items()}
+    return {f"{what}_{role}": float(np.mean(found)) for role, found in roles.items()}
 
 
 def evaluate_games(
     game: str | Callable[..., UsnetParallelEnv],
-    players: Mapping[str, Players],
+    players: Mapping[str, Mapping[str, Any]],
     *,
     episodes: int = 100,
     seed: int = 0,
@@ -107,7 +86,6 @@ def evaluate_games(
     out: str | PathLike[str] | None = None,
     progress: bool = False,
     backend: str | None = None,
-    address: str | None = None,
 ) -> EvaluationResult:
     """Play the same games with several teams of policies, and score them.
 
@@ -125,46 +103,39 @@ def evaluate_games(
         workers: number of processes.
         out: folder of the run; as of :func:`usnet_env.evaluate`.
         progress: show a progress bar on standard error.
-        backend: where games are played; as of :func:`usnet_env.evaluate`.
-        address: of a Ray cluster.
+        backend: as of :func:`usnet_env.evaluate`.
 
     Returns:
         The result. Besides the metrics of :data:`usnet_env.evaluation.METRICS`, its rows have ``return_<role>``, the
         sum of the rewards of a game, and ``price_<role>``, the sum of the prices paid: means over the agents of a role.
+        A game in which a policy raises an exception is a row with the reason in ``error``.
 
     Raises:
         ArgumentError: an argument was refused, or an agent has no policy.
-        EvaluationError: a policy raised an exception; the other teams have played to the end.
     """
     folder = None if out is None else as_path("out", out)
-    run = RunArguments(episodes=episodes, seed=seed, workers=workers, progress=progress)
-    place = choose_place(backend, run.workers, Limits(), address)
-    if not isinstance(players, Mapping) or not players:
-        raise ArgumentError(f"players must be a mapping of labels to policies, got {quote(players)}.")
-    if not all(isinstance(label, str) and label and label.isprintable() for label in players):
-        raise ArgumentError(f"players must have labels of printable characters, got {quote(list(players))}.")
-    if not all(isinstance(own, Mapping) for own in players.values()):
-        raise ArgumentError(f"players must map each label to a mapping of roles to policies, got {quote(players)}.")
+    how = RunArguments(episodes=episodes, seed=seed, workers=workers, progress=progress, backend=backend)
     kwargs = named_values("game_kwargs", game_kwargs)
-    player = _GamePlayer(_find_game(game), kwargs, {label: dict(own) for label, own in players.items()})
+    teams = {label: named_values("players", team) for label, team in named_values("players", players).items()}
+    if not teams or not all(label and label.isprintable() for label in teams):
+        raise ArgumentError(f"players must map labels of printable characters to policies, got {quote(players)}.")
+    player = GamePlayer(_find_game(game), kwargs, teams)
     from usnet_env.multiagent.play import choose_policies
 
-    for policies in player.teams.values():
-        choose_policies(player.env, policies)  # refuses a missing one before anything is played
-    settings = {"config": describe(player.env.config), "rules": describe(player.env.rules)}
+    for team in player.teams.values():
+        choose_policies(player.env, team)  # refuses a missing one before anything is played
+    cell = str(player.env.metadata["name"])
+    arguments = describe_arguments(player.env.config) | describe_arguments(player.env.rules)
     config = {
-        "env": str(player.env.metadata["name"]),
-        "game_kwargs": describe(kwargs),
-        "environment": settings,
-        **describe_code(type(player.env), [settings, describe(kwargs)]),
-        "detectors": list(player.players),
-        "identities": [{role: _identify(own[role]) for role in own} for own in player.players.values()],
-        "episodes": run.episodes,
-        "seed": run.seed,
+        "suite": None,
+        "cells": {cell: {"env": cell, "arguments": arguments}},
+        "detectors": list(teams),
+        "episodes": how.episodes,
+        "seed": how.seed,
     }
     roles = dict.fromkeys(agent.rpartition("_")[0] for agent in player.env.possible_agents)
-    columns = {**COLUMNS, **{f"{what}_{role}": "float" for what in ("return", "price") for role in roles}}
-    return play_run(player, config, Seeds(run.seed), place, folder, run.progress, columns)
+    columns = [f"{what}_{role}" for what in ("return", "price") for role in roles]
+    return play_run(player, config, how, folder, columns)
 
 
 def _find_game(game: Any) -> Callable[..., UsnetParallelEnv]:
@@ -173,6 +144,6 @@ def _find_game(game: Any) -> Callable[..., UsnetParallelEnv]:
     if callable(game):
         return game
     if not isinstance(game, str) or game not in GAMES:
-        raise ArgumentError(f"game must be one of {', '.join(GAMES)} or a function, got {quote(game)}.")
+        raise unknown_name("game", game, GAMES)
     make: Callable[..., UsnetParallelEnv] = import_module(f"usnet_env.multiagent.{game}").parallel_env
     return make

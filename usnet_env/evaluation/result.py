@@ -1,60 +1,31 @@
-"""The result of an evaluation: rows, their summary, and what can be read off them."""
+"""The result of an evaluation: one table of rows, and what can be read off it."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from html import escape
 from os import PathLike
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
-from numpy.typing import NDArray
+import pandas as pd
 
 from usnet_env.config import ArgumentError, format_count, quote, unknown_name
-from usnet_env.evaluation import statistics, tables
-from usnet_env.evaluation.errors import UnknownLabelError
-from usnet_env.evaluation.identity import differing_keys
-from usnet_env.evaluation.metrics import LOWER_IS_BETTER, OPTIONAL_METRICS, RATES
-from usnet_env.evaluation.statistics import CONFIDENCE, Interval, Profile, mean_interval
-from usnet_env.evaluation.store import JOINING, KEYS, last_secret, load_run, order_rows
-from usnet_env.evaluation.table import RowTable
+from usnet_env.evaluation import stats, tables
+from usnet_env.evaluation.errors import LONGEST_REASON
+from usnet_env.evaluation.folder import COLUMNS, TEXTS, read_run
+from usnet_env.evaluation.play import KEYS, LOWER_IS_BETTER, METRICS, RATES
+from usnet_env.evaluation.stats import CONFIDENCE, Interval, Profile, mean_interval
 from usnet_env.files import as_path
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
     from rich.table import Table
 
 Summary = list[dict[str, Any]]
 
 _THRESHOLDS = 101  # of a profile by default
-
-
-def summarise(rows: RowTable) -> Summary:
-    """Summarise rows: one entry for each detector, in the order of their first rows.
-
-    An entry is ``{"detector", "episodes", "metrics"}``. Each metric has its mean over all episodes, including those
-    truncated at ``max_rounds``, and its 95 % interval; episodes of several cells with the same seed of the swarm are
-    one group. A metric that an episode may lack uses only the episodes that have it, and is absent if there is none:
-    those of clusters need an answer with clusters, and those of tracks a window with a group.
-    """
-    entries = []
-    labels = rows.column("detector")
-    for label in dict.fromkeys(labels):
-        own = labels == label
-        swarms, metrics = rows.column("swarm_seed")[own], {}
-        for name in rows.columns:
-            if name in KEYS:
-                continue
-            values, groups = rows.column(name)[own].astype(np.float64), swarms
-            if rows.columns[name] == "float | None":
-                values, groups = values[~np.isnan(values)], swarms[~np.isnan(values)]
-                if not len(values):
-                    continue
-            interval = (statistics.rate_interval if name in RATES else mean_interval)(values, groups=groups)
-            metrics[name] = interval._asdict()
-        entries.append({"detector": label, "episodes": int(own.sum()), "metrics": metrics})
-    return entries
 
 
 @dataclass(frozen=True)
@@ -93,12 +64,184 @@ class Comparison:
         )
 
 
-class Results(ABC):
-    """What one result, or the results of several cells, tell of their detectors."""
+class EvaluationResult:
+    """The result of :func:`usnet_env.evaluate`, of a suite, or of games.
 
-    @abstractmethod
-    def list_results(self) -> list[EvaluationResult]:
-        """The result of each cell."""
+    Args:
+        rows: one row for each cell, detector and episode: the columns ``cell, detector, episode, swarm_seed,
+            detector_seed, uavs, heads``, the metrics, and ``error``: why the detector failed, or an empty text. A row
+            with an error has no metrics. They are sorted by cell, detector and episode.
+        config: the arguments of the evaluation as plain values, with ``cells``, ``detectors``, ``episodes``, ``seed``.
+    """
+
+    def __init__(self, rows: pd.DataFrame, config: Mapping[str, Any]) -> None:
+        self.config = dict(config)
+        self.cells = list(dict.fromkeys([*self.config.get("cells", {}), *rows["cell"].unique()]))
+        self.detectors = list(dict.fromkeys([*self.config.get("detectors", []), *rows["detector"].unique()]))
+        kinds = {name: object if name in TEXTS else np.int64 if name in KEYS else np.float64 for name in rows.columns}
+        places = [
+            rows["episode"].to_numpy(np.int64),
+            *(
+                pd.Index(order).get_indexer(rows[name])
+                for name, order in (("detector", self.detectors), ("cell", self.cells))
+            ),
+        ]
+        self.rows = rows.astype(kinds).iloc[np.lexsort(places)].reset_index(drop=True)
+
+    @classmethod
+    def load(cls, folder: str | PathLike[str]) -> EvaluationResult:
+        """Read the folder of a run; of a run that is not finished, the rows that there are.
+
+        Raises:
+            ArgumentError: it is no folder of a run, or a file in it is broken.
+        """
+        about, rows = read_run(as_path("folder", folder))
+        return cls(rows, about["arguments"])
+
+    @cached_property
+    def summary(self) -> Summary:
+        """One entry for each detector, with the keys ``detector``, ``episodes``, ``failed`` and ``metrics``.
+
+        ``metrics`` has ``{"mean", "low", "high"}`` by the name of each metric: its mean over all episodes of all cells
+        in which the detector did not fail, and its 95 % interval; episodes of several cells with the same seed of the
+        swarm are one group. A metric that an episode may lack uses only the episodes that have it, and is absent if
+        there is none.
+        """
+        entries = []
+        for label, rows in self.rows.groupby("detector", sort=False):
+            played = rows[rows["error"] == ""]
+            metrics = {}
+            for name in self.metrics:
+                if (interval := _interval(played, name)) is not None:
+                    metrics[name] = interval._asdict()
+            entries.append(
+                {"detector": label, "episodes": len(played), "failed": len(rows) - len(played), "metrics": metrics}
+            )
+        return sorted(entries, key=lambda entry: self.detectors.index(entry["detector"]))
+
+    @property
+    def metrics(self) -> list[str]:
+        """The names of the columns that hold metrics."""
+        return [name for name in self.rows.columns if name not in (*KEYS, "error")]
+
+    @cached_property
+    def failures(self) -> dict[str, str]:
+        """For each detector that failed in an episode, one sentence that says how often, and why first."""
+        found = {}
+        for label, rows in self.rows.groupby("detector", sort=False):
+            failed = rows[rows["error"] != ""]
+            if len(failed):
+                first = failed.iloc[0]
+                where = f"{first['cell']}, episode {first['episode']}, {first['error']}"
+                text = f"detector {label!r} failed in {len(failed)} of {len(rows)} episodes, first in {where}"
+                found[label] = (
+                    tables.printable(text if len(text) < LONGEST_REASON else text[:LONGEST_REASON] + "…") + "."
+                )
+        return found
+
+    def __repr__(self) -> str:
+        return f"<EvaluationResult of {self._title}>"
+
+    def _repr_html_(self) -> str:
+        """The ranking, the conclusion and the failures, for a notebook."""
+        header, lines = tables.list_ranking(self.summary)
+        notes = [self._title, self.conclusion(), *self.failures.values()]
+        return pd.DataFrame(lines, columns=header).to_html(index=False) + "".join(
+            f"<p>{escape(note)}</p>" for note in notes
+        )
+
+    @property
+    def _title(self) -> str:
+        """What was played."""
+        name = self.config.get("suite") or ", ".join(self.cells)
+        cells = f", {format_count(len(self.cells), 'cell')}" if self.config.get("suite") else ""
+        asked = self.config.get("episodes", 0) * len(self.cells)
+        return f"{name}{cells}, {tables.describe_episodes(self.summary, asked)} of each detector"
+
+    def __getitem__(self, detector: str) -> dict[str, Any]:
+        """Return the metrics of the detector with this label; empty if it failed in all episodes.
+
+        Raises:
+            KeyError: no row has that label.
+        """
+        return {entry["detector"]: entry["metrics"] for entry in self.summary}[detector]
+
+    def __iter__(self) -> Iterator[str]:
+        """The labels of the detectors."""
+        return (entry["detector"] for entry in self.summary)
+
+    def __len__(self) -> int:
+        return len(self.summary)
+
+    def cell(self, name: str, detector: str, metric: str = "exact") -> Interval | None:
+        """The mean of a metric in a cell, with its interval; ``None`` where the detector has no value."""
+        self._check_metric(metric)
+        rows = self.rows[(self.rows["cell"] == name) & (self.rows["detector"] == detector) & (self.rows["error"] == "")]
+        return _interval(rows, metric)
+
+    def table(self, metrics: Sequence[str] | None = None) -> Table:
+        """Create a table for a terminal, with a line for each metric and a column for each detector.
+
+        Args:
+            metrics: names of the lines; by default all metrics that at least one detector has.
+        """
+        header, lines = tables.list_lines(self.summary, self._choose(metrics), "{}\n{}–{}")
+        return tables.make_table(f"{self._title}: mean and 95 % interval", *_transpose(header, lines))
+
+    def cell_table(self, metric: str = "exact") -> Table:
+        """Create a table for a terminal, with a line for each cell and a column for each detector."""
+        return tables.make_table(self._title, *self._grid(metric))
+
+    def ranking(self) -> Table:
+        """Create a table for a terminal of 80 columns: the detectors by J (in recorded tracks F1), best first.
+
+        An arrow after a heading points to the better values; where all values are equal, a mean has no interval.
+        """
+        return tables.make_table(f"{self._title}: means, best first", *tables.list_ranking(self.summary))
+
+    def conclusion(self) -> str:
+        """State which detector has the best J, which intervals overlap its interval, and which detectors failed."""
+        return tables.conclude(self.summary)
+
+    def to_markdown(self, metrics: Sequence[str] | str | None = None) -> str:
+        """The means and 95 % intervals as a table in Markdown.
+
+        Args:
+            metrics: a list of metrics, or ``None`` for all: the table has a line for each detector and a column for
+                each metric. A single name: it has a line for each cell and a column for each detector.
+
+        Raises:
+            ArgumentError: there is no such metric.
+        """
+        return tables.format_markdown(*self._grid(metrics))
+
+    def to_latex(self, metrics: Sequence[str] | str | None = None) -> str:
+        """The table of :meth:`to_markdown` as a ``tabular`` for LaTeX's booktabs."""
+        return tables.format_latex(*self._grid(metrics))
+
+    def _grid(self, metrics: Sequence[str] | str | None) -> tuple[list[str], list[list[str]]]:
+        if not isinstance(metrics, str):
+            return tables.list_lines(self.summary, self._choose(metrics), "{} ({} to {})")
+        self._check_metric(metrics)
+        means = {entry["detector"]: entry["metrics"].get(metrics) for entry in self.summary}
+        groups = {
+            key: _interval(rows[rows["error"] == ""], metrics) for key, rows in self.rows.groupby(["cell", "detector"])
+        }
+
+        def show(interval: Interval | None) -> str:
+            return tables.format_interval(None if interval is None else interval._asdict())
+
+        lines = [[cell, *(show(groups.get((cell, label))) for label in means)] for cell in self.cells]
+        lines.append(["all cells", *map(tables.format_interval, means.values())])
+        return [tables.heading(self.summary, metrics), *map(tables.printable, means)], lines
+
+    def _choose(self, metrics: Sequence[str] | None) -> list[str]:
+        """The metrics that are asked for, or all, if at least one detector has them."""
+        known = [name for name in self.metrics if any(name in entry["metrics"] for entry in self.summary)]
+        for name in metrics or ():
+            if name not in known and name not in METRICS:
+                raise unknown_name("metrics", name, known)
+        return known if metrics is None else [name for name in metrics if name in known]
 
     @overload
     def compare(self, a: str, b: str, metric: str = "J") -> Comparison: ...
@@ -109,8 +252,9 @@ class Results(ABC):
     ) -> Comparison | list[Comparison]:
         """Compare a detector with another one, or with several, episode by episode: all played against the same swarms.
 
-        Of several cells, episodes are paired cell by cell. Cells whose swarms have the same seed depend on each other:
-        their differences are one group, which is resampled, and changes its sign, as a whole.
+        Episodes are paired cell by cell. Cells whose swarms have the same seed depend on each other: their differences
+        are one group, which is resampled, and changes its sign, as a whole. An episode in which one of the two has no
+        value is left out.
 
         With k others, the intervals have the level 1 - 0.05 / k and the p-values are adjusted by Holm's method, so that
         the chance of any false difference among them is at most 5 %.
@@ -118,7 +262,7 @@ class Results(ABC):
         Args:
             a: label of a detector.
             b: label of another one, a list of labels, or ``None`` for all others.
-            metric: what is compared; an episode in which one of the two has no value is left out.
+            metric: what is compared.
 
         Returns:
             One comparison, or a list of them.
@@ -126,316 +270,97 @@ class Results(ABC):
         Raises:
             ArgumentError: there is no such detector or metric, or two detectors share no episode.
         """
-        results = self.list_results()
-        for result in results:
-            result.check_metric(metric)
-        labels = list(dict.fromkeys(entry["detector"] for result in results for entry in result.summary))
-        if not isinstance(b, str | list | tuple | None):
-            raise ArgumentError(f"b must be a label, a list of labels or None, got {quote(b)}.")
-        others = [b] if isinstance(b, str) else [label for label in labels if label != a] if b is None else list(b)
+        self._check_metric(metric)
+        others = (
+            [b] if isinstance(b, str) else [label for label in self.detectors if label != a] if b is None else list(b)
+        )
         for label in (a, *others):
-            if label not in labels:
-                raise unknown_name("detector", label, labels)
-        pairs = [_pair(results, a, other, metric) for other in others]
-        adjusted = statistics.holm([statistics.paired_test(_sum_groups(*pair)) for pair in pairs])
+            if label not in self.detectors:
+                raise unknown_name("detector", label, self.detectors)
+        wide = self.rows.pivot(index=["cell", "swarm_seed"], columns="detector", values=metric)
+        pairs = [(wide[a] - wide[other]).dropna() for other in others]
+        for other, differences in zip(others, pairs, strict=True):
+            if differences.empty:
+                raise ArgumentError(
+                    f"b must have episodes with {metric} in common with {quote(a)}, got {quote(other)}."
+                )
+        adjusted = stats.holm([stats.paired_test(each.groupby("swarm_seed").sum()) for each in pairs])
         level, k = 1 - (1 - CONFIDENCE) / max(1, len(others)), len(others)
         found = []
-        for other, (differences, swarms), p in zip(others, pairs, adjusted, strict=True):
-            interval = mean_interval(differences, confidence=level, groups=swarms)
+        for other, differences, p in zip(others, pairs, adjusted, strict=True):
+            swarms = differences.index.get_level_values("swarm_seed")
+            interval = mean_interval(differences.to_numpy(), confidence=level, groups=swarms.to_numpy())
             found.append(Comparison(a, other, metric, len(differences), *interval, p, k))
         return found[0] if isinstance(b, str) else found
 
     def interquartile_means(self, metric: str = "J") -> dict[str, Interval]:
-        """:func:`interquartile_means` of these results."""
-        return interquartile_means(self.list_results(), metric)
+        """The mean of the middle half of all episodes of each detector, with its 95 % interval; each cell is a stratum.
+
+        It is less sensitive to a few bad episodes than the mean. Values are not normalised: the metric should have the
+        same scale in all cells.
+        """
+        return {label: stats.interquartile_mean(strata) for label, strata in self._strata(metric).items()}
 
     def performance_profiles(self, metric: str = "J", thresholds: Sequence[float] | None = None) -> dict[str, Profile]:
-        """:func:`performance_profiles` of these results."""
-        return performance_profiles(self.list_results(), metric, thresholds)
-
-
-@dataclass(frozen=True, repr=False)
-class EvaluationResult(Results):
-    """The result of :func:`usnet_env.evaluate`.
-
-    Args:
-        rows: one mapping for each detector and episode, sorted by detector, then by episode: a sequence that stores
-            one array for each column.
-        summary: one entry for each detector, ``{"detector", "episodes", "metrics": {name: {"mean", "low", "high"}}}``.
-        config: the arguments of the evaluation, as plain values.
-    """
-
-    rows: RowTable
-    summary: Summary
-    config: Mapping[str, Any]
-
-    @classmethod
-    def load(cls, folder: str | PathLike[str]) -> EvaluationResult:
-        """Read the folder of a run; of a run that is not finished, the rows that there are.
-
-        The rows of detectors that have failed are left out; :attr:`failures` says why.
-
-        Raises:
-            ArgumentError: it is no folder of a run, or a file in it is broken.
-        """
-        description, table = load_run(as_path("folder", folder))
-        return make_result(table, description["config"], last_secret(description), description.get("failures", {}))
-
-    @property
-    def failures(self) -> dict[str, str]:
-        """Why detectors have no rows, by label: they failed in an episode."""
-        return dict(self.config.get("failures", {}))
-
-    def __repr__(self) -> str:
-        return f"<EvaluationResult of {self._title()}>"
-
-    def _repr_html_(self) -> str:
-        """The ranking, which episodes are missing, and the failures, for a notebook."""
-        notes = [tables.describe_gap(self.summary, self.config), *self.failures.values()]
-        return tables.html_table(self.summary, self._title()) + tables.html_notes(notes)
-
-    def list_results(self) -> list[EvaluationResult]:
-        """This result alone."""
-        return [self]
-
-    def _title(self) -> str:
-        played = tables.describe_episodes(self.summary, self.config.get("episodes"))
-        failed = f"; {len(self.failures)} failed" if self.failures else ""
-        return f"{self.config['env']}: {format_count(len(self.summary), 'detector')}, {played} each{failed}"
-
-    def __getitem__(self, detector: str) -> dict[str, Any]:
-        """Return the metrics of the detector with this label.
-
-        Raises:
-            UnknownLabelError: no row has that label; it is an ArgumentError and a KeyError.
-        """
-        for entry in self.summary:
-            if entry["detector"] == detector:
-                metrics: dict[str, Any] = entry["metrics"]
-                return metrics
-        raise UnknownLabelError(str(unknown_name("detector", detector, self)))
-
-    def __iter__(self) -> Iterator[str]:
-        """The labels of the detectors."""
-        return (entry["detector"] for entry in self.summary)
-
-    def __len__(self) -> int:
-        return len(self.summary)
-
-    def table(self, metrics: Sequence[str] | None = None) -> Table:
-        """Create a table for a terminal, with one row for each detector.
-
-        If it is too wide for the terminal, it is printed as several with some of the metrics each.
+        """The share of episodes in which each detector is better than each threshold, averaged over the cells.
 
         Args:
-            metrics: names of the columns; by default all metrics that at least one detector has.
+            metric: which one.
+            thresholds: ``(t,)``; by default 101 from the lowest to the highest value.
         """
-        return tables.full_table(self.summary, self.config["env"], metrics)
+        strata = self._strata(metric)
+        values = self.rows[metric].dropna()
+        at = np.linspace(values.min(), values.max(), _THRESHOLDS).tolist() if thresholds is None else thresholds
+        first = tables.objective(self.summary)
+        lower = first.sign == 1 if metric == "J" else metric in LOWER_IS_BETTER or metric.startswith("price")
+        return {label: stats.performance_profile(parts, at, lower) for label, parts in strata.items()}
 
-    def ranking(self) -> Table:
-        """Create a table for a terminal of 80 columns: the detectors by their J, best first, and their main metrics.
-
-        An arrow after a heading points to the better values; where all values are equal, a mean has no interval.
-        :meth:`table` has all metrics.
-        """
-        return tables.ranking_table(self.summary, self.config["env"], self.config.get("episodes"))
-
-    def conclusion(self) -> str:
-        """State in one sentence which detector has the best J, and which others these episodes do not separate from it.
-
-        Others are not separated from it if their 95 % interval of J overlaps its interval. :meth:`compare` is sharper.
-        """
-        return tables.conclude(self.summary)
-
-    def to_markdown(self, metrics: Sequence[str] | None = None) -> str:
-        """The means and 95 % intervals as a table in Markdown; ``metrics`` as of :meth:`table`."""
-        return tables.markdown_table(self.summary, metrics)
-
-    def to_latex(self, metrics: Sequence[str] | None = None) -> str:
-        """The means and 95 % intervals as a ``tabular`` for LaTeX's booktabs; ``metrics`` as of :meth:`table`."""
-        return tables.latex_table(self.summary, metrics)
-
-    def to_frame(self) -> DataFrame:
-        """The rows as a data frame of pandas, one row for each detector and episode.
-
-        Raises:
-            ArgumentError: pandas is not installed.
-        """
-        try:
-            from pandas import DataFrame
-        except ImportError as error:
-            raise ArgumentError(
-                f"to_frame must find pandas, which cannot be imported ({error}); `pip install pandas` installs it."
-            ) from None
-        return DataFrame({name: self.rows.column(name) for name in self.rows.columns})
+    def _strata(self, metric: str) -> dict[str, list[np.ndarray[Any, np.dtype[np.float64]]]]:
+        """The values of each detector that has some, cell by cell."""
+        self._check_metric(metric)
+        values = self.rows.dropna(subset=[metric])
+        return {
+            str(label): [cell.to_numpy() for _, cell in rows.groupby("cell", sort=False)[metric]]
+            for label, rows in values.groupby("detector", sort=False)
+        }
 
     def merge(self, other: EvaluationResult) -> EvaluationResult:
         """Join the result of other detectors that have met the same swarms, such as one of another folder.
 
         Args:
-            other: a result with the same environment, arguments and seed; its labels must differ from those of this
-                one.
+            other: a result with the same cells and seed; its labels must differ from those of this one.
 
         Returns:
             A result with all rows, whose tables and comparisons hold the detectors of both.
 
         Raises:
-            ArgumentError: the two have other arguments, other swarms or a label in common.
+            ArgumentError: the two have other arguments or a label in common.
         """
-        if not isinstance(other, EvaluationResult):
-            raise ArgumentError(f"other must be an EvaluationResult, got {quote(other)}.")
-        own, theirs = ({entry["detector"] for entry in each.summary} for each in (self, other))
-        if shared := sorted(own & theirs):
-            raise ArgumentError(f"other must have other labels than this result, got {quote(shared[0])} in both.")
-        ours, added = (
-            {key: value for key, value in each.config.items() if key not in (*JOINING, "isolate", "secret", "failures")}
-            for each in (self, other)
-        )
-        if different := differing_keys(ours, added):
-            raise ArgumentError(
-                f"other must have the arguments of this result, got different values of {', '.join(different)}."
-            )
-        swarms = dict(zip(*(self.rows.column(name).tolist() for name in ("episode", "swarm_seed")), strict=True))
-        for row in other.rows:
-            if swarms.get(row["episode"], row["swarm_seed"]) != row["swarm_seed"]:
-                raise ArgumentError(
-                    f"other must have met the same swarms, got another one in episode {row['episode']}."
-                )
-        rows = RowTable(self.rows.columns, [*self.rows, *other.rows])
-        joined = {key: [*self.config.get(key, []), *other.config.get(key, [])] for key in ("detectors", "identities")}
-        failures = {label: why for label, why in (other.failures | self.failures).items() if label not in own | theirs}
-        episodes = max(each.config.get("episodes", 0) for each in (self, other))
-        config = {**self.config, **joined, "episodes": episodes, "failures": failures}
-        return EvaluationResult(rows, summarise(rows), config)
+        if shared := set(self.detectors) & set(other.detectors):
+            raise ArgumentError(f"other must have other labels than this result, got {quote(min(shared))} in both.")
+        for name in ("suite", "cells", "seed"):
+            if self.config.get(name) != other.config.get(name):
+                raise ArgumentError(f"other must have the arguments of this result, got a different value of {name}.")
+        names = list(dict.fromkeys([*COLUMNS[:-1], *self.metrics, *other.metrics, "error"]))
+        rows = pd.concat([self.rows, other.rows], ignore_index=True)[names]
+        episodes = max(result.config.get("episodes", 0) for result in (self, other))
+        config = {**self.config, "detectors": [*self.detectors, *other.detectors], "episodes": episodes}
+        return EvaluationResult(rows, config)
 
-    def check_metric(self, metric: str) -> None:
-        """Refuse a metric that the rows do not have.
-
-        Raises:
-            ArgumentError: there is no such metric.
-        """
-        names = [name for name in self.rows.columns if name not in KEYS]
-        if metric not in names:
-            raise unknown_name("metric", metric, names)
-
-    def _values(self, label: str, metric: str) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """The swarms' seeds and the values of a detector's episodes that have one, in their order."""
-        values = self.rows.column(metric).astype(np.float64)
-        own = (self.rows.column("detector") == label) & ~np.isnan(values)
-        return self.rows.column("swarm_seed")[own], values[own]
-
-    def _lower_is_better(self, metric: str) -> bool:
-        if metric == "J":
-            return tables.objective(self.summary).name == "J_m"
-        return metric in LOWER_IS_BETTER or metric.startswith("price")
+    def _check_metric(self, metric: str) -> None:
+        if metric not in self.metrics:
+            raise unknown_name("metric", metric, self.metrics)
 
 
-def make_result(
-    rows: RowTable, config: Mapping[str, Any], secret: str | None, failures: Mapping[str, str]
-) -> EvaluationResult:
-    """The result of a run.
-
-    Args:
-        rows: those of detectors that have failed are left out, because they are of the episodes that these survived.
-        config: the arguments of the run.
-        secret: of its last part, if it is isolated.
-        failures: why detectors have failed, by label.
-    """
-    table = rows.take(order_rows(rows, config["detectors"]))
-    if failures:
-        table = table.take(np.flatnonzero(~np.isin(table.column("detector"), list(failures))))
-    more = {"secret": secret, "failures": failures}
-    return EvaluationResult(table, summarise(table), {**config, **{name: each for name, each in more.items() if each}})
+def _interval(rows: pd.DataFrame, metric: str) -> Interval | None:
+    """The mean of a metric with its interval; ``None`` if no row has a value. Rows of the same swarm are one group."""
+    values = rows[["swarm_seed", metric]].dropna()
+    if values.empty:
+        return None
+    interval = stats.rate_interval if metric in RATES else mean_interval
+    return interval(values[metric].to_numpy(), groups=values["swarm_seed"].to_numpy())
 
 
-def _pair(
-    results: Sequence[EvaluationResult], a: str, b: str, metric: str
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """The differences of two detectors in the episodes that both have played, and the seeds of their swarms."""
-    differences, swarms = [np.empty(0)], [np.empty(0, np.int64)]
-    for result in results:
-        (ours, first), (theirs, second) = result._values(a, metric), result._values(b, metric)
-        seeds, here, there = np.intersect1d(ours, theirs, return_indices=True)
-        differences.append(first[here] - second[there])
-        swarms.append(seeds)
-    found = np.concatenate(differences)
-    if not len(found):
-        raise ArgumentError(f"b must have episodes with {metric} in common with {quote(a)}, got {quote(b)}.")
-    return found, np.concatenate(swarms)
-
-
-def _sum_groups(values: NDArray[np.float64], groups: NDArray[np.int64]) -> NDArray[np.float64]:
-    """The sum of each group's values: what changes its sign as a whole."""
-    sums: NDArray[np.float64] = np.bincount(np.unique(groups, return_inverse=True)[1], values)  # type: ignore[assignment]
-    return sums
-
-
-def _strata(results: Sequence[EvaluationResult], metric: str) -> dict[str, list[NDArray[np.float64]]]:
-    """The values of each detector of the first result in each result."""
-    if not isinstance(results, Sequence) or not all(isinstance(each, EvaluationResult) for each in results):
-        raise ArgumentError(f"results must be a list of results, got {quote(results)}.")
-    if not results:
-        raise ArgumentError("results must hold at least one result, got none.")
-    for result in results:
-        result.check_metric(metric)
-    found = {}
-    for entry in results[0].summary:
-        label = entry["detector"]
-        found[label] = [result._values(label, metric)[1] for result in results]
-        if not all(map(len, found[label])):
-            if metric in OPTIONAL_METRICS and not any(map(len, found[label])):
-                del found[label]  # it returns no clusters
-                continue
-            raise ArgumentError(f"results must hold {metric} of the same detectors, got one without {quote(label)}.")
-    return found
-
-
-def interquartile_means(results: Sequence[EvaluationResult], metric: str = "J") -> dict[str, Interval]:
-    """The mean of the middle half of all episodes of each detector, with its 95 % interval.
-
-    It is less sensitive to a few bad episodes than the mean, and more efficient than the median (Agarwal et al., Deep
-    Reinforcement Learning at the Edge of the Statistical Precipice, NeurIPS 2021, whose package is rliable). Values are
-    not normalised: pool only results whose metric has the same scale.
-
-    Args:
-        results: evaluations of the same detectors on different environments: the tasks. Episodes are resampled within
-            each of them.
-        metric: which one.
-
-    Returns:
-        An interval for each label.
-
-    Raises:
-        ArgumentError: there is no such metric, or a result lacks a detector of the first one.
-    """
-    return {label: statistics.interquartile_mean(strata) for label, strata in _strata(results, metric).items()}
-
-
-def performance_profiles(
-    results: Sequence[EvaluationResult], metric: str = "J", thresholds: Sequence[float] | None = None
-) -> dict[str, Profile]:
-    """The share of episodes in which each detector is better than each threshold, averaged over the results.
-
-    The run-score distribution of Agarwal et al. (2021), see :func:`interquartile_means`. Better means below the
-    threshold for metrics of which lower values are better.
-
-    Args:
-        results: evaluations of the same detectors on different environments.
-        metric: which one.
-        thresholds: ``(t,)``; by default 101 from the lowest to the highest value.
-
-    Returns:
-        A profile for each label.
-
-    Raises:
-        ArgumentError: there is no such metric, a result lacks a detector of the first one, or the thresholds are no
-            numbers.
-    """
-    strata = _strata(results, metric)
-    if thresholds is None:
-        pooled = np.concatenate([values for own in strata.values() for values in own])
-        thresholds = np.linspace(pooled.min(), pooled.max(), _THRESHOLDS).tolist()
-    elif not statistics.are_finite_numbers(thresholds):
-        raise ArgumentError(f"thresholds must be a list of at least one finite number, got {quote(thresholds)}.")
-    lower = results[0]._lower_is_better(metric)
-    return {label: statistics.performance_profile(own, thresholds, lower) for label, own in strata.items()}
+def _transpose(header: Sequence[str], lines: Sequence[Sequence[str]]) -> tuple[list[str], list[list[str]]]:
+    columns = list(zip(header, *lines, strict=True))
+    return list(columns[0]), [list(column) for column in columns[1:]]

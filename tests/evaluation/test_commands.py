@@ -1,0 +1,160 @@
+"""The commands `usnet evaluate` and `usnet report`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from usnet_env.evaluation import METRICS, EvaluationResult, evaluate
+from usnet_env.replay import EpisodeRecord
+
+HERE = Path(__file__).parent
+SMALL = ["--set", "clusters=3", "uavs=20", "observation_steps=20", "max_rounds=5"]
+SUITE = """
+version: 1
+purpose: A test.
+episodes: 2
+seed: 4711
+tuning_seed: 7
+arguments: {clusters: 2, uavs: 12, observation_steps: 20, max_rounds: 3}
+cells: {plain: {}, run.json: {follow: f4}}
+"""
+
+
+@pytest.fixture
+def played(run, tmp_path):
+    """The words of a run, and its folder."""
+    words = ["evaluate", "--detector", "none", "--detector", "random(count=3)", "--trivial", "--episodes", "2", *SMALL]
+    words += ["--out", tmp_path / "run"]
+    assert run(*words)[0] == 0
+    return words, tmp_path / "run"
+
+
+def test_one_ranked_table_and_a_sentence_and_json_and_all_metrics(run, played):
+    words, folder = played
+    status, out, err = run(*words)
+    assert (status, err) == (0, f"Rows and arguments are in {folder}.\n")
+    lines = out.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert next(line.split()[0] for line in lines[3:8]) == "destroy-all"
+    assert lines[-1] == "destroy-all has the lowest J_m: 1.850 in every episode."
+    status, out, err = run(*words, "--json")
+    assert (status, err) == (0, "")
+    summary = json.loads(out)
+    assert [entry["detector"] for entry in summary] == [
+        "none",
+        "random(count=3)",
+        "destroy-all",
+        "random",
+        "one-per-round",
+    ]
+    assert summary[2]["metrics"]["J"] == {"mean": 1.85, "low": 1.85, "high": 1.85}
+    assert set(summary[1]["metrics"]) <= set(METRICS)
+    out = run(*words, "--all")[1]
+    for word in ("destroy-all", "J_m↓", "redundancy↓", "precision↑", "AP↑", "1.850"):
+        assert word in out
+    assert run(*words, "--seed", "9")[0] == 2
+
+
+def test_pairs_may_stand_anywhere_and_stray_words_are_refused(run, tmp_path):
+    words = ["evaluate", "--detector", "none", "--episodes", "1", "--json"]
+    one = run(*words, "--set", "clusters=2", "uavs=9", "--out", tmp_path, "--set=max_rounds=2")
+    assert one[0] == 0, one
+    arguments = json.loads((tmp_path / "run.json").read_text())["arguments"]["cells"]["USNET/MultiCluster-v0"][
+        "arguments"
+    ]
+    assert arguments == {"clusters": 2, "uavs": 9, "max_rounds": 2}
+    for bad in (["stray"], ["--set", "=f1"], ["--set", "uavs=9", "uavs=8"], ["--set", "follow=f99"]):
+        status, out, err = run(*words, *bad)
+        assert (status, out) == (2, "")
+        assert err.startswith("usnet: ")
+        assert err.count("\n") == 1
+
+
+def test_the_help_fits_on_a_screen(run):
+    assert len(run("evaluate", "--help")[1].splitlines()) <= 40
+
+
+def test_a_suite_and_its_report(run, tmp_path):
+    (tmp_path / "own.yaml").write_text(SUITE)
+    words = ["evaluate", "--suite", tmp_path / "own.yaml", "--detector", "none", "--detector", "destroy-all"]
+    status, out, _ = run(*words, "--out", tmp_path / "run", "--all")
+    assert status == 0
+    assert "own (version 1), 2 cells, 4 episodes of each detector" in " ".join(out.split())
+    assert "run.json" in out
+    status, out, err = run("report", tmp_path / "run", "--compare", "none", "--metric", "rounds")
+    assert (status, err) == (0, "")
+    assert "rounds of none minus destroy-all: +2 (" in out
+    assert out.count("own (version 1), 2 cells") == 1
+    markdown = run("report", tmp_path / "run", "--format", "markdown")[1]
+    result = EvaluationResult.load(tmp_path / "run")
+    assert markdown == f"{result.to_markdown()}\n{result.to_markdown('exact')}"
+    assert run("report", tmp_path / "run", "--format", "latex")[1].count("tabular") == 4
+    status, _, err = run(*words, "--env", "USNET/SingleCluster-v0")
+    assert status == 2
+    assert "--suite" in err
+    assert "--cell" in run("evaluate", "--detector", "none", "--cell", "plain")[2]
+    assert "must be that of a run" in run("report", tmp_path)[2]
+
+
+@pytest.mark.parametrize("suite", [False, True])
+def test_a_detector_that_fails_everywhere_gives_status_2_and_one_sentence(run, monkeypatch, tmp_path, suite):
+    monkeypatch.syspath_prepend(str(HERE))
+    (tmp_path / "own.yaml").write_text(SUITE)
+    place = ["--suite", tmp_path / "own.yaml"] if suite else SMALL
+    words = [
+        "evaluate",
+        "--detector",
+        "none",
+        "--detector",
+        "sample_detectors:FailingWithOne",
+        "--episodes",
+        "2",
+        *place,
+    ]
+    status, out, err = run(*words)
+    assert status == 2
+    assert "none has a J_m" in out
+    assert err.startswith("usnet: detector 'sample_detectors:FailingWithOne' failed in ")
+    assert err.count("\n") == 1
+    assert len(err) < 320
+    status, out, err = run(*words, "--detector", "sample_detectors:Printing", "--json")
+    assert status == 2
+    assert [entry["episodes"] for entry in json.loads(out)] == [4 if suite else 2, 0, 4 if suite else 2]
+
+
+def test_every_second_episode_is_recorded_as_it_was_played(run, tmp_path):
+    words = ["evaluate", "--detector", "one-per-round", "--detector", "random(count=2)", "--episodes", "4", *SMALL]
+    assert run(*words, "--out", tmp_path, "--record", "every=2")[0] == 0
+    names = sorted(path.name for path in (tmp_path / "episodes").iterdir())
+    assert names == [f"{name}-{number}.npz" for name in ("one-per-round", "random_count=2") for number in (0, 2)]
+    record = EpisodeRecord.load(tmp_path / "episodes" / "one-per-round-2.npz")
+    rows = EvaluationResult.load(tmp_path).rows
+    (row,) = rows[(rows["detector"] == "one-per-round") & (rows["episode"] == 2)].to_dict("records")
+    assert (record.seed, record.detector, record.rounds) == (row["swarm_seed"], "one-per-round", row["rounds"])
+    for bad in (["--record", "some"], ["--record", "every=0", "--out", tmp_path], ["--record", "worst"]):
+        assert "--record" in run(*words, *bad)[2]
+
+
+def test_the_worst_episodes_are_recorded_and_a_detector_that_changes_is_named(run, tmp_path, monkeypatch):
+    (tmp_path / "moody.py").write_text(
+        "import numpy as np\nfrom usnet_env import Detection\nrandom = np.random.default_rng(1)\n"
+        "class Moody:\n    def reset(self, seed=None):\n        pass\n\n"
+        "    def detect(self, window):\n        return Detection(random.random(window.uavs) < 0.5, window.alive)\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    words = ["evaluate", "--detector", "none", "--detector", "moody:Moody", "--episodes", "2", *SMALL]
+    status, _, err = run(*words, "--out", tmp_path / "run", "--record", "worst")
+    assert status == 0
+    assert "moody:Moody is not deterministic" in err
+    assert sorted(path.name for path in (tmp_path / "run" / "episodes").iterdir()) == ["none-0.npz", "none-1.npz"]
+
+
+def test_the_command_and_the_function_give_the_same_rows(run, tmp_path):
+    words = ["evaluate", "--detector", "lagged-correlation(clusters=3)", "--episodes", "3", "--workers", "2", *SMALL]
+    assert run(*words, "--out", tmp_path)[0] == 0
+    settings = {"clusters": 3, "uavs": 20, "observation_steps": 20, "max_rounds": 5}
+    ours = evaluate("USNET/MultiCluster-v0", "lagged-correlation(clusters=3)", episodes=3, env_kwargs=settings)
+    assert list(EvaluationResult.load(tmp_path).rows["J"]) == list(ours.rows["J"])

@@ -1,0 +1,203 @@
+"""The folder of a run: it resumes, is extended, and survives what ends a run."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pandas.testing import assert_frame_equal
+from sample_detectors import AllAlive, Followed, NoUav, RandomThird, untimed
+
+from usnet_env import ArgumentError, evaluate
+from usnet_env.evaluation import EvaluationError, EvaluationResult
+from usnet_env.evaluation.folder import COLUMNS, RunFolder, read_run
+
+MULTI = "USNET/MultiCluster-v0"
+SMALL = {"clusters": 3, "uavs": 20, "observation_steps": 20, "max_rounds": 5}
+DETECTORS = {"third": RandomThird(), "followed": Followed(2)}
+
+
+def play(folder=None, detectors=DETECTORS, **how):
+    return evaluate(MULTI, detectors, out=folder, **{"episodes": 4, "seed": 5, "env_kwargs": SMALL} | how)
+
+
+@pytest.fixture(scope="module")
+def whole():
+    return play()
+
+
+class Stopped(RandomThird):
+    """Interrupts the program in its third episode."""
+
+    episodes = 0
+
+    def reset(self, seed=None):
+        super().reset(seed)
+        self.episodes += 1
+        if self.episodes == 3:
+            raise KeyboardInterrupt
+
+
+def test_a_run_leaves_its_arguments_and_rows_and_is_not_repeated(tmp_path, whole):
+    result = play(tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {"run.json", "rows.csv"}
+    about = json.loads((tmp_path / "run.json").read_text())
+    assert set(about) == {"arguments", "versions", "machine", "commit"}
+    assert about["arguments"] == {
+        "suite": None,
+        "cells": {MULTI: {"env": MULTI, "arguments": SMALL}},
+        "detectors": ["third", "followed"],
+        "episodes": 4,
+        "seed": 5,
+    }
+    assert_frame_equal(untimed(result), untimed(whole))
+    text = (tmp_path / "rows.csv").read_text()
+    assert_frame_equal(play(tmp_path).rows, result.rows)  # seconds and all
+    loaded = EvaluationResult.load(tmp_path)
+    assert_frame_equal(loaded.rows, result.rows)
+    assert loaded.summary == result.summary
+    assert (tmp_path / "rows.csv").read_text() == text
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_interrupted_run_resumes_to_the_rows_of_an_undisturbed_one(tmp_path, whole, workers):
+    with pytest.raises(KeyboardInterrupt):
+        play(tmp_path, DETECTORS | {"third": Stopped()})
+    kept = EvaluationResult.load(tmp_path)
+    assert list(kept.rows["episode"]) == [0, 1]
+    assert "2 of 4 episodes" in repr(kept)
+    result = play(tmp_path, workers=workers)
+    assert_frame_equal(untimed(result), untimed(whole))
+    assert_frame_equal(result.rows[:2], kept.rows)
+
+
+def test_a_line_that_was_torn_anywhere_is_played_again(tmp_path, whole):
+    play(tmp_path)
+    data = (tmp_path / "rows.csv").read_bytes()
+    last = data[:-1].rfind(b"\n") + 1
+    for end in (last, last + 1, last + 30, len(data) - 1):
+        (tmp_path / "rows.csv").write_bytes(data[:end])
+        assert len(EvaluationResult.load(tmp_path).rows) == 7
+        assert_frame_equal(untimed(play(tmp_path)), untimed(whole))
+    (tmp_path / "rows.csv").write_bytes(b"cell,detec")
+    assert_frame_equal(untimed(play(tmp_path)), untimed(whole))
+    (tmp_path / "rows.csv").unlink()
+    assert_frame_equal(untimed(play(tmp_path)), untimed(whole))
+
+
+@pytest.mark.parametrize("how", ["raised", "short"])
+def test_a_full_disk_is_one_sentence_and_the_run_resumes(tmp_path, whole, monkeypatch, how):
+    write, rows = os.write, []
+
+    def fill(file, data):
+        rows.append(data)
+        if len(rows) < 5:  # the header, and three rows
+            return write(file, data)
+        if how == "short":
+            return write(file, data[:20])
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as full:
+        full.setattr(os, "write", fill)
+        with pytest.raises(EvaluationError, match=r"rows\.csv can't be written: No space left on device"):
+            play(tmp_path)
+    assert len(EvaluationResult.load(tmp_path).rows) == 3
+    assert_frame_equal(untimed(play(tmp_path)), untimed(whole))
+
+
+def test_more_episodes_and_detectors_extend_a_run_and_its_rows_stay(tmp_path, whole):
+    first = play(tmp_path, {"third": RandomThird()}, episodes=2)
+    joined = play(tmp_path, {"followed": Followed(2)})
+    assert joined.detectors == ["third", "followed"]
+    assert joined.config["episodes"] == 4
+    result = play(tmp_path)
+    assert_frame_equal(untimed(result), untimed(whole))
+    assert_frame_equal(result.rows[:2], first.rows)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"seed": 6}, "in which seed is 5 instead of 6"),
+        ({"env_kwargs": SMALL | {"follow": "f2"}}, "in which USNET/MultiCluster-v0 is "),
+        ({"env_kwargs": {}}, "in which USNET/MultiCluster-v0 is "),
+    ],
+)
+def test_the_folder_of_another_run_is_refused(tmp_path, changes, words):
+    play(tmp_path, "none", episodes=1)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    with pytest.raises(ArgumentError, match=rf"^out must be a new folder, or that of a run .* {words}"):
+        play(tmp_path, "none", **changes)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_what_is_no_folder_of_a_run_is_refused(tmp_path):
+    for name, text in (("run.json", "{"), ("run.json", "[]"), ("rows.csv", "a,b\n1,2\n")):
+        folder = tmp_path / "run"
+        play(folder, "none", episodes=1)
+        (folder / name).write_text(text)
+        for call in (lambda folder=folder: play(folder, "none"), lambda folder=folder: EvaluationResult.load(folder)):
+            with pytest.raises(ArgumentError, match="folder must be that of a run"):
+                call()
+        for path in folder.iterdir():
+            path.unlink()
+    with pytest.raises(ArgumentError, match="folder must be that of a run"):
+        EvaluationResult.load(tmp_path / "nowhere")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ArgumentError, match="out must be a folder that can be written"):
+        play(tmp_path / "file", "none")
+
+
+LABELS = st.text(st.characters(exclude_categories=["C", "Zl", "Zp"]), min_size=1)
+
+
+@given(
+    st.lists(st.tuples(LABELS, st.floats(allow_nan=False), st.integers(0, 2**63 - 1), st.text()), max_size=5),
+)
+def test_any_rows_survive_the_file(tmp_path_factory, values):
+    folder = tmp_path_factory.mktemp("run")
+    config = {"cells": {}, "detectors": [], "episodes": 1, "seed": 0}
+    kept = RunFolder(folder, config, COLUMNS)
+    rows = []
+    for episode, (label, number, seed, error) in enumerate(values):
+        row = dict.fromkeys(COLUMNS, 0) | {"cell": label, "detector": label, "episode": episode, "swarm_seed": seed}
+        rows.append(row | {"J": number, "purity_first": None, "error": " ".join(error.split())})
+        kept.append(rows[-1] | {"J": np.float64(number)})
+    kept.close()
+    _, frame = read_run(folder)
+    assert len(frame) == len(rows)
+    for row, read in zip(rows, frame.to_dict("records"), strict=True):
+        assert np.isnan(read["purity_first"])
+        assert {name: read[name] for name in row if name not in ("purity_first", "error")} == {
+            name: value for name, value in row.items() if name not in ("purity_first", "error")
+        }
+
+
+def test_a_million_rows_are_read_and_summarised_in_little_memory(tmp_path):
+    """A tenth of it here: what grows faster than the rows shows in a tenth, too."""
+    import tracemalloc
+
+    count = 100_000
+    frame = pd.DataFrame(dict.fromkeys(COLUMNS, np.arange(count) % 7))
+    frame = frame.assign(
+        cell="c", detector=np.where(np.arange(count) % 2, "a", "b"), error="", episode=np.arange(count)
+    )
+    RunFolder(tmp_path, {"cells": {"c": {}}, "detectors": ["a", "b"], "episodes": count, "seed": 0}, COLUMNS).close()
+    frame.to_csv(tmp_path / "rows.csv", index=False)
+    tracemalloc.start()
+    result = EvaluationResult.load(tmp_path)
+    assert [entry["episodes"] for entry in result.summary] == [count // 2] * 2
+    assert tracemalloc.get_traced_memory()[1] < 200e6
+    tracemalloc.stop()
+
+
+def test_the_rows_of_a_constant_detector_are_read_as_they_were_written(tmp_path):
+    result = play(tmp_path, {"all": AllAlive(), "NA": NoUav()})
+    assert list(EvaluationResult.load(tmp_path)) == ["all", "NA"]
+    assert EvaluationResult.load(tmp_path)["NA"]["J"] == result["NA"]["J"]

@@ -1,0 +1,172 @@
+"""Suites: their files do not change without a new version, and detectors are compared on all cells."""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from hashlib import sha256
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pandas.testing import assert_frame_equal
+from sample_detectors import FailingWithOne, untimed
+
+from usnet_env import ArgumentError, Detection, evaluate
+from usnet_env.evaluation import EvaluationResult, evaluate_suite, list_suites, load_suite
+from usnet_env.evaluation.environments import make_environment
+
+HASHES = json.loads((Path(__file__).parent / "data" / "suite_hashes.json").read_text())
+SUITE = """
+version: 2
+purpose: A test.
+episodes: 2
+seed: 4711
+tuning_seed: 7
+arguments: {clusters: 2, uavs: 12, observation_steps: 20, max_rounds: 3}
+cells:
+  plain:
+  run.json: {follow: f4}
+"""
+
+
+@pytest.fixture
+def path(tmp_path):
+    path = tmp_path / "own.yaml"
+    path.write_text(SUITE)
+    return path
+
+
+def test_no_file_changed_without_a_new_version():
+    """A changed file needs a new version, and a line of its own in tests/evaluation/data/suite_hashes.json."""
+    for name, suite in list_suites().items():
+        data = (files("usnet_env.evaluation") / "suites" / f"{name}.yaml").read_bytes()
+        assert HASHES[name][str(suite.version)] == sha256(data).hexdigest()
+        assert suite.version == max(map(int, HASHES[name]))
+
+
+def test_every_cell_can_be_made_and_seeds_of_suites_differ():
+    suites = list_suites().values()
+    for suite in suites:
+        for cell in suite.cells.values():
+            make_environment(cell.env, cell.arguments).close()
+    seeds = [seed for suite in suites for seed in (suite.seed, suite.tuning_seed)]
+    assert len(set(seeds)) == len(seeds)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_suite_of_ones_own_is_played_kept_and_read(path, tmp_path, workers):
+    detectors = ["lagged-regression", "none"]
+    played = evaluate_suite(path, detectors, out=tmp_path / "run", workers=workers)
+    assert repr(played) == "<EvaluationResult of own (version 2), 2 cells, 4 episodes of each detector>"
+    assert played.cells == ["plain", "run.json"]
+    for name, cell in load_suite(path).cells.items():  # the rows are those of the cell alone
+        alone = evaluate(cell.env, detectors, env_kwargs=cell.arguments, episodes=2, seed=4711)
+        rows = untimed(played)[played.rows["cell"] == name].drop(columns="cell").reset_index(drop=True)
+        assert_frame_equal(rows, untimed(alone).drop(columns="cell"))
+    assert played.cell("plain", "none", "J").mean == 3.0
+    assert len(played.to_markdown("J").splitlines()) == 5
+    assert_frame_equal(EvaluationResult.load(tmp_path / "run").rows, played.rows)
+    more = evaluate_suite(path, "none", cells=["run.json"], episodes=3, out=tmp_path / "run")
+    assert len(more.rows) == 9
+    assert_frame_equal(untimed(evaluate_suite(path, detectors, out=tmp_path / "run")), untimed(more))
+    with pytest.raises(ArgumentError, match=r"^out must be a new folder, or that of a run .* in which suite is"):
+        evaluate_suite("controls", "none", out=tmp_path / "run")
+
+
+class Sure:
+    """Names the first UAV, which leads."""
+
+    def reset(self, seed=None):
+        pass
+
+    def detect(self, window):
+        first = np.arange(window.uavs) == 0
+        return Detection(first, first * 1.0)
+
+
+def test_a_suite_of_tracks_has_their_metrics_and_ranks_by_f1(path, tmp_path):
+    rng = np.random.default_rng(1)
+    place = np.cumsum(np.cumsum(rng.normal(0, 0.1, (400, 2)), axis=0), axis=0)
+    rows = [f"b{i},{t},{place[t - 2 * i, 0]},{place[t - 2 * i, 1] + i},b0" for i in range(4) for t in range(10, 400)]
+    (tmp_path / "tracks.csv").write_text("\n".join(["id,t,x,y,leader", *rows]))
+    tracks = f"{{env: USNET/Tracks-v0, path: {tmp_path / 'tracks.csv'}, step: 1.0}}"
+    path.write_text(
+        SUITE.partition("arguments:")[0] + f"cells:\n  seen: {tracks}\n  made: {{env: USNET/SingleCluster-v0}}\n"
+    )
+    played = evaluate_suite(path, ["none", "destroy-all", Sure()], out=tmp_path / "run")
+    assert played.cell("seen", "Sure", "group_leader_first").mean == 1.0
+    assert played.cell("made", "Sure", "group_leader_first") is None
+    assert [str(column.header) for column in played.ranking().columns][1] == "F1↑"
+    assert played.conclusion().startswith("Sure has the highest F1")
+    assert_frame_equal(EvaluationResult.load(tmp_path / "run").rows, played.rows)
+    (tmp_path / "unknown.csv").write_text("\n".join(["id,t,x,y", *(row.rpartition(",")[0] for row in rows)]))
+    path.write_text(path.read_text() + f"  last: {tracks.replace('tracks.csv', 'unknown.csv')}\n")
+    with pytest.raises(ArgumentError, match=r"^env must know the leaders .*, in the cell 'last' of the suite own\.$"):
+        evaluate_suite(path, "none", out=tmp_path / "other")
+    assert not (tmp_path / "other").exists()
+
+
+def test_a_detector_that_fails_does_not_stop_the_others(path):
+    played = evaluate_suite(path, [FailingWithOne(), "none"])
+    assert [(entry["detector"], entry["episodes"], entry["failed"]) for entry in played.summary] == [
+        ("FailingWithOne", 0, 4),
+        ("none", 4, 0),
+    ]
+    assert (
+        "failed in 4 of 4 episodes, first in plain, episode 0, its warm-up: Zero" in played.failures["FailingWithOne"]
+    )
+
+
+def test_detectors_are_compared_over_cells_by_groups_of_a_swarm(path):
+    played = evaluate_suite(path, ["destroy-all", "none", "one-per-round"], episodes=3)
+    found = played.compare("destroy-all", "one-per-round")
+    wide = played.rows.pivot(index=["cell", "episode"], columns="detector", values="J")
+    assert found.episodes == 6
+    assert found.difference == pytest.approx((wide["destroy-all"] - wide["one-per-round"]).mean())
+    assert found.p * 2**3 == round(found.p * 2**3)  # three groups, not six episodes
+    assert [each.b for each in played.compare("none")] == ["destroy-all", "one-per-round"]
+    assert played.to_latex("J").splitlines()[2].startswith(r"J\_m$\downarrow$ & destroy-all & none")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[1", "suite must be a YAML file"),
+        ("a: 1", "suite must be a YAML file with a mapping of cells"),
+        (SUITE + "  last: {follow: f99}\n", "follow must be one of .*, in the cell 'last' of the suite own."),
+        (SUITE + "  last: {env: USNET/Multi}\n", "env must be one of .*, in the cell 'last' of the suite own."),
+        (SUITE + "  last: {follow: {f1: f2}}\n", "follow must be a number, a text or a list of them"),
+        (SUITE.replace("seed: 4711", "seed: 4"), "seed must be greater than or equal to 1000, got 4."),
+        (SUITE.replace("purpose: A test.", ""), "purpose must be given"),
+        (SUITE + "extra: 3\n", "extra is not an argument of Suite"),
+        (SUITE.replace("plain:", "plain: 3"), "suite must be a YAML file with a mapping of cells"),
+    ],
+)
+def test_a_wrong_file_is_refused_in_one_sentence_before_anything_is_played(path, tmp_path, text, message):
+    path.write_text(text)
+    with pytest.raises(ArgumentError) as refused:
+        evaluate_suite(path, "none", out=tmp_path / "run")
+    assert re.match(message, str(refused.value))
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_file_whose_aliases_stand_for_billions_of_values_is_refused_at_once(path):
+    levels = "".join(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]\n" for n in range(1, 12))
+    begin = time.process_time()
+    for text in (f"a0: &a0 [1]\n{levels}{SUITE}", f"a0: &a0 [1]\n{levels}{SUITE}  last: {{cluster_sizes: *a11}}\n"):
+        path.write_text(text)
+        with pytest.raises(ArgumentError):
+            load_suite(path)
+    assert time.process_time() - begin < 10
+
+
+def test_unknown_names_are_refused(path):
+    with pytest.raises(ArgumentError, match=r"suite must be one of .*paper.*\(did you mean 'paper'\?\)"):
+        load_suite("papr")
+    with pytest.raises(ArgumentError, match="cells must be one of"):
+        evaluate_suite("paper", "none", cells=["f9"])
+    with pytest.raises(ArgumentError, match="env_kwargs is not an argument"):
+        evaluate_suite(path, "none", env_kwargs={})

@@ -1,0 +1,134 @@
+"""Tasks run in this process, in others and on a cluster."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from sample_detectors import Ending
+
+from usnet_env import ArgumentError, evaluate
+from usnet_env.config import MissingExtraError
+from usnet_env.evaluation import EvaluationError
+from usnet_env.evaluation.tasks import map_tasks
+
+
+class Counting:
+    """A function with a state, and one that can only be sent by value."""
+
+    def __init__(self):
+        self.calls = 0
+        self.square = lambda number: number**2
+
+    def __call__(self, number):
+        self.calls += 1
+        time.sleep(0.02 * (number % 3))
+        return number, self.square(number), self.calls, os.getpid()
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_results_come_in_order_and_the_state_of_a_worker_stays(workers):
+    found = list(map_tasks(Counting(), range(12), workers=workers))
+    assert [each[:2] for each in found] == [(number, number**2) for number in range(12)]
+    processes = {each[3] for each in found}
+    assert (processes == {os.getpid()}) == (workers == 1)
+    assert sum(max(each[2] for each in found if each[3] == process) for process in processes) == 12
+    again = list(map_tasks(Counting(), range(3), workers=workers))
+    assert {each[2] for each in again} <= {1, 2, 3}  # a new call has a new state
+    unordered = map_tasks(Counting(), iter(range(12)), workers=workers, ordered=False)
+    assert sorted(each[0] for each in unordered) == list(range(12))
+
+
+def fail(number):
+    if number == 2:
+        raise LookupError("no task 2")
+    return number
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_what_the_function_raises_reaches_the_caller(workers):
+    with pytest.raises(LookupError, match="no task 2"):
+        list(map_tasks(fail, range(4), workers=workers))
+
+
+def end(number):
+    if number == 3:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+def test_a_worker_that_is_killed_ends_the_call_in_one_sentence_and_the_next_one_works():
+    with pytest.raises(EvaluationError, match=r"^a worker process was ended"):
+        list(map_tasks(end, range(6), workers=2))
+    assert list(map_tasks(fail, [0, 1], workers=2)) == [0, 1]
+
+
+def test_a_detector_that_ends_its_worker_loses_no_finished_row(tmp_path):
+    asked = {"env_kwargs": {"clusters": 2, "uavs": 10, "observation_steps": 10}, "episodes": 3, "out": tmp_path}
+    detectors = {"none": "none", "ending": Ending("kill", first=True)}
+    with pytest.raises(EvaluationError, match=r"^a worker process was ended"):
+        evaluate("USNET/MultiCluster-v0", detectors, workers=2, **asked)
+    result = evaluate("USNET/MultiCluster-v0", detectors, isolate=True, **asked)
+    assert [(entry["episodes"], entry["failed"]) for entry in result.summary] == [(3, 0), (0, 3)]
+
+
+SCRIPT = """
+from usnet_env import Detection, evaluate, register_detector, register_follow_strategy
+
+class All:
+    def reset(self, seed=None):
+        pass
+
+    def detect(self, window):
+        return Detection(window.alive, window.alive)
+
+register_detector("all-of-this-script", All)
+register_follow_strategy("test-mirror", lambda inputs: -inputs.head_velocity[:, 0], lags=1)
+settings = {"follow": "test-mirror", "clusters": 2, "uavs": 10, "observation_steps": 10}
+for how in ({}, {"workers": 2}, {"isolate": True}):
+    result = evaluate("USNET/MultiCluster-v0", ["all-of-this-script", All()], episodes=3, env_kwargs=settings, **how)
+    print([entry["metrics"]["J"]["mean"] for entry in result.summary], result.failures)
+"""
+
+
+def test_what_a_script_registers_works_in_its_workers(tmp_path):
+    """Without a guard: no worker imports the script."""
+    (tmp_path / "script.py").write_text(SCRIPT)
+    done = subprocess.run([sys.executable, tmp_path / "script.py"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines() == ["[1.8, 1.8] {}"] * 3
+
+
+def test_without_ray_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    monkeypatch.setitem(sys.modules, "ray.util.joblib", None)
+    with pytest.raises(MissingExtraError, match=r"`pip install 'usnet\[ray\]'`"):
+        list(map_tasks(fail, [0, 1], workers=2, backend="ray"))
+    with pytest.raises(ArgumentError, match="workers must be 1"):
+        evaluate("USNET/MultiCluster-v0", "none", workers=2, backend="serial")
+
+
+RAY = """
+from usnet_env import evaluate
+from pandas.testing import assert_frame_equal
+from sample_detectors import RandomThird, untimed
+
+settings = {"clusters": 3, "uavs": 20, "observation_steps": 20, "max_rounds": 5}
+here, there = (
+    evaluate("USNET/MultiCluster-v0", [RandomThird(), "none"], episodes=40, env_kwargs=settings, **how)
+    for how in ({}, {"workers": 2, "backend": "ray"})
+)
+assert_frame_equal(untimed(here), untimed(there))
+"""
+
+
+@pytest.mark.slow
+def test_on_a_ray_cluster_the_rows_are_the_same(fresh_process, monkeypatch):
+    pytest.importorskip("ray")
+    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([os.path.dirname(__file__), os.environ.get("PYTHONPATH", "")]))
+    fresh_process.run(RAY)

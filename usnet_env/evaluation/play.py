@@ -1,0 +1,191 @@
+"""Play one episode with one agent, and score it: one episode is one row."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from itertools import count
+from types import SimpleNamespace
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from usnet_env import objectives
+from usnet_env.envs.play import PlayedRound, play_rounds
+from usnet_env.evaluation.agents import Agent, Answer, as_agent
+from usnet_env.evaluation.errors import EvaluationError, describe_failure
+from usnet_env.swarm import SwarmState
+
+__all__ = [
+    "Agent",
+    "Answer",
+    "as_agent",
+    "detector_step",
+    "episode_metrics",
+    "episode_seeds",
+    "play_agent",
+    "play_episode",
+    "record_metrics",
+]
+
+Row = dict[str, Any]
+
+#: Every metric of an episode and its meaning. The last two exist only for detectors that return clusters.
+METRICS = {
+    "J": "the objective: J_m for P2 (lower is better, at best 1), J_s for P1 (higher is better, at best 0)",
+    "rounds": "number of detection rounds",
+    "redundancy": "number of redundant candidates in all rounds, divided by N",
+    "success": "1 if every head was hit within max_rounds, else 0",
+    "exact": "1 if the candidates of round 1 are exactly the heads, else 0; for P1 its mean is the detection rate",
+    "precision_first": "share of the candidates of round 1 that are heads (0 without a candidate)",
+    "recall_first": "share of the heads that are candidates of round 1",
+    "f1_first": "harmonic mean of precision_first and recall_first",
+    "ap_first": "average precision of the scores of round 1",
+    "seconds_per_round": "wall time of one answer in seconds; the warm-up is not counted",
+    "purity_first": "purity of the clusters of round 1, without decoys",
+    "head_in_cluster_first": "share of the heads that are in the same cluster as most of their followers, round 1",
+}
+RATES = frozenset({"success", "exact"})
+LOWER_IS_BETTER = frozenset({"rounds", "redundancy", "seconds_per_round"})  # J as well, for P2
+#: The metric that only environments of recorded tracks have, with known groups.
+TRACK_METRICS = {"group_leader_first": "share of the groups whose head has the highest score of its group, round 1"}
+#: What a row says of its episode before the metrics.
+KEYS = ("cell", "detector", "episode", "swarm_seed", "detector_seed", "uavs", "heads")
+
+
+def episode_seeds(seed: int, episode: int) -> tuple[int, int]:
+    """Derive the seeds of one episode: one for the swarm, one for the detector.
+
+    They come from two separate branches of (``seed``, ``episode``), so that the random numbers of a detector are
+    independent of those of its swarm.
+
+    Args:
+        seed: the seed of the evaluation.
+        episode: number of the episode, from 0.
+
+    Returns:
+        The swarm's seed, below 2^63, and the detector's seed, below 2^31.
+    """
+    swarm, detector = (np.random.SeedSequence(seed, spawn_key=(episode, branch)) for branch in (0, 1))
+    swarm_seed = int(swarm.generate_state(1, np.uint64)[0] >> np.uint64(1))
+    return swarm_seed, int(detector.generate_state(1)[0] >> np.uint32(1))
+
+
+@contextmanager
+def detector_step(label: str, where: str, episode: int | None = None) -> Iterator[None]:
+    """Run a step of a detector; whatever it raises becomes an :class:`EvaluationError`.
+
+    ``SystemExit`` is an error here as well: a detector must not end the program, least of all with status 0.
+    """
+    try:
+        yield
+    except (Exception, SystemExit) as error:
+        reason = f"{where}: {describe_failure(error)}"
+        place = "" if episode is None else f"episode {episode}, "
+        raise EvaluationError(f"detector {label!r} failed in {place}{reason}.", reason) from error
+
+
+def play_agent(
+    env: gym.Env[Any, Any], agent: Agent, label: str, episode: int, seeds: tuple[int, int]
+) -> list[PlayedRound[Answer]]:
+    """Play one episode to its end.
+
+    Args:
+        env: a USNET environment.
+        agent: what :func:`as_agent` returns.
+        label: names the agent in errors.
+        episode: number of the episode, for errors.
+        seeds: those of the swarm and of the agent, see :func:`episode_seeds`.
+
+    Returns:
+        The rounds.
+
+    Raises:
+        EvaluationError: the agent raised an exception, or its answer has a wrong type or shape.
+    """
+    swarm_seed, detector_seed = seeds
+    number = count(1)
+
+    def answer(observation: Any, truth: SwarmState) -> Answer:
+        with detector_step(label, f"round {next(number)}", episode):
+            return agent.answer(observation)
+
+    with detector_step(label, "its reset", episode):
+        agent.reset(detector_seed)
+    return list(play_rounds(env, answer, swarm_seed))
+
+
+def play_episode(
+    env: gym.Env[Any, Any], agent: Agent, cell: str, label: str, episode: int, seeds: tuple[int, int]
+) -> Row:
+    """Play one episode to its end, as :func:`play_agent` does, and score it.
+
+    Returns:
+        The row: the values of :data:`KEYS`, the metrics, and an empty ``error``.
+    """
+    rounds = play_agent(env, agent, label, episode, seeds)
+    game: Any = env.unwrapped
+    return {
+        **row_keys(cell, label, episode, seeds, rounds[0].truth.head),
+        **episode_metrics(game.problem, rounds),
+        **(game.score_answer(rounds[0].answer.scores) if hasattr(game, "score_answer") else {}),
+        "error": "",
+    }
+
+
+def row_keys(cell: str, label: str, episode: int, seeds: tuple[int, int], head: Any) -> Row:
+    """What a row says of its episode, by the names of :data:`KEYS`; ``head`` is the mask of the heads."""
+    return dict(zip(KEYS, (cell, label, episode, *seeds, len(head), int(head.sum())), strict=True))
+
+
+def episode_metrics(problem: str, rounds: Sequence[PlayedRound[Answer]]) -> dict[str, float | int | None]:
+    """Compute all metrics of one episode.
+
+    Args:
+        problem: ``"P1"`` or ``"P2"``.
+        rounds: the R rounds; no candidate of a round with more candidates than the shot budget counts.
+
+    Returns:
+        A value for each name of :data:`METRICS`; the cluster metrics are ``None`` if the detector returns no clusters.
+    """
+    truth, answer = rounds[0].truth, rounds[0].answer
+    fired = np.array([played.answer.candidates & (not played.info["over_budget"]) for played in rounds])
+    head, first = truth.head, fired[0]
+    if problem == "P1":
+        objective = float(objectives.single_cluster_objective(head, first))
+    else:
+        objective = objectives.multi_cluster_objective(head, fired)
+    purity = together = None
+    if answer.clusters is not None:
+        purity = objectives.purity(np.where(truth.decoy, -1, truth.root), answer.clusters)
+        together = objectives.head_in_cluster(head, truth.root, answer.clusters)
+    return {
+        "J": objective,
+        "rounds": len(fired),
+        "redundancy": objectives.redundancy(head, fired),
+        "success": int(objectives.found_all_heads(head, fired)),
+        "exact": int(objectives.exact(head, first)),
+        "precision_first": float(objectives.precision(head, first)),
+        "recall_first": float(objectives.recall(head, first)),
+        "f1_first": float(objectives.f1(head, first)),
+        "ap_first": objectives.average_precision(head, answer.scores),
+        "seconds_per_round": float(np.mean([played.answer.seconds for played in rounds])),
+        "purity_first": purity,
+        "head_in_cluster_first": together,
+    }
+
+
+def record_metrics(record: Any) -> dict[str, float | int | None]:
+    """Compute all metrics of an episode that was recorded.
+
+    Args:
+        record: an :class:`usnet_env.replay.EpisodeRecord`, or an object with the same arrays.
+    """
+    rounds: list[PlayedRound[Answer]] = []
+    for number, candidates in enumerate(record.candidates):
+        truth: Any = SimpleNamespace(head=record.head, decoy=record.decoy, root=record.root[number])
+        clusters = None if record.clusters is None else record.clusters[number]
+        answer = Answer(candidates, record.scores[number], clusters, float(record.seconds[number]))
+        rounds.append(PlayedRound(None, truth, answer, {"over_budget": record.over_budget[number]}, truth))
+    return episode_metrics(record.problem, rounds)

@@ -1,0 +1,88 @@
+"""Suites: lists of environments that detectors are compared on, each kept in a YAML file with a version.
+
+A file of ``usnet_env/evaluation/suites`` never changes without a new version, so a result on ``controls`` version 1
+means the same wherever it was measured. A file of your own works the same way.
+"""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from os import PathLike
+from typing import Annotated, Any
+
+import yaml
+from pydantic import Field
+
+from usnet_env.config import ArgumentError, Config, unknown_name
+from usnet_env.files import as_path
+
+_FOLDER = files("usnet_env.evaluation") / "suites"
+
+
+class Cell(Config):
+    """One setting: an environment and its arguments."""
+
+    env: str
+    arguments: dict[str, Any] = Field(default_factory=dict)
+
+
+class Suite(Config):
+    """A list of settings, and the seeds of their episodes."""
+
+    name: str = Field(description="name of the file, without its suffix")
+    version: Annotated[int, Field(ge=1, le=10_000)] = Field(description="it grows with every change of the file")
+    purpose: str = Field(description="what the suite is for, in one sentence")
+    episodes: Annotated[int, Field(ge=1, le=1_000_000)] = Field(description="episodes of a cell in published tables")
+    seed: Annotated[int, Field(ge=1000, lt=2**63)] = Field(description="seed of published tables")
+    tuning_seed: Annotated[int, Field(ge=0, lt=1000)] = Field(
+        description="seed for tuning a detector; the swarms of the two seeds have nothing in common"
+    )
+    cells: Annotated[dict[str, Cell], Field(min_length=1)] = Field(description="the settings by name")
+
+    @property
+    def label(self) -> str:
+        """Name and version."""
+        return f"{self.name} (version {self.version})"
+
+
+def list_suites() -> dict[str, Suite]:
+    """The suites of this package, by name."""
+    return {name: load_suite(name) for name in _list_names()}
+
+
+def _list_names() -> list[str]:
+    return sorted(entry.name.removesuffix(".yaml") for entry in _FOLDER.iterdir() if entry.name.endswith(".yaml"))
+
+
+def load_suite(suite: str | PathLike[str]) -> Suite:
+    """Read a suite.
+
+    Args:
+        suite: the name of a suite of this package, or the path of a YAML file.
+
+    Raises:
+        ArgumentError: there is no such suite, or the file does not describe one; the message names its first fault.
+    """
+    path = as_path("suite", suite)
+    source: Any = path if path.suffix in (".yaml", ".yml") else _FOLDER / f"{suite}.yaml"
+    if source is not path and not source.is_file():
+        raise unknown_name("suite", str(suite), _list_names())
+    try:
+        content = dict(yaml.safe_load(source.read_bytes()))
+        shared, env = content.pop("arguments", None) or {}, content.pop("env", "USNET/MultiCluster-v0")
+        cells = {str(name): {"env": env} | shared | (given or {}) for name, given in content.pop("cells").items()}
+    except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError) as error:
+        reason = " ".join(str(getattr(error, "strerror", None) or error).split())
+        raise ArgumentError(
+            f"suite must be a YAML file with a mapping of cells, got {path.name!r}: {reason}."
+        ) from None
+    for name, arguments in cells.items():
+        for argument, value in arguments.items():
+            if not all(
+                isinstance(item, str | int | float | None) for item in (value if isinstance(value, list) else [value])
+            ):
+                raise ArgumentError(
+                    f"{argument} must be a number, a text or a list of them, in the cell {name!r} of {path.name!r}."
+                )
+    made = {name: Cell(env=arguments.pop("env"), arguments=arguments) for name, arguments in cells.items()}
+    return Suite(name=path.stem, cells=made, **content)
