@@ -67,7 +67,7 @@ def demo(out: str, seed: int | None, detector: str | None, paper_example: bool, 
     The detector errs in round 1 and recovers. The folder gets an episode file, a replay, a page and a picture.
     """
     from usnet_env.replay.demo import run_demo
-    from usnet_env.replay.viewer import open_replay
+    from usnet_env.replay.rerun import open_replay
 
     given = {name: value for name, value in game.items() if value is not None}
     files = run_demo(out, seed=seed, detector=detector, paper_example=paper_example, **given)
@@ -121,7 +121,7 @@ def _check_screenshot_options(screenshot: str | None, number: int | None, step: 
     """Refuse a round or a step without a screenshot, and a screenshot that is no PNG."""
     if screenshot is None and (number, step) != (None, None):
         raise ArgumentError("--round and --step must be given together with --screenshot, got no --screenshot.")
-    from usnet_env.replay.viewer import check_screenshot
+    from usnet_env.replay.rerun import check_screenshot
 
     if screenshot is not None:
         check_screenshot(screenshot)
@@ -129,7 +129,7 @@ def _check_screenshot_options(screenshot: str | None, number: int | None, step: 
 
 def _show_replay(written: Path, shown: tuple[str, float] | None, open_viewer: bool) -> None:
     """Say where a replay is; take its picture, and open it, if that was asked for."""
-    from usnet_env.replay.viewer import find_viewer, open_replay, take_screenshot
+    from usnet_env.replay.rerun import find_viewer, open_replay, take_screenshot
 
     click.echo(f"replay     {written}" + ("" if open_viewer else f"  (open: {find_viewer()} {written})"))
     if shown is not None:
@@ -167,7 +167,7 @@ def replay(
     _check_screenshot_options(screenshot, number, step)
     from usnet_env.replay import EpisodeRecord, animate, write_recording
     from usnet_env.replay.story import describe_outcome, describe_round, name_game
-    from usnet_env.replay.viewer import find_time, take_screenshot
+    from usnet_env.replay.rerun import find_time, take_screenshot
 
     file = _choose_episode(path, episode)
     if file is None:
@@ -228,7 +228,7 @@ def compare(
     _check_screenshot_options(screenshot, number, step)
     from usnet_env.replay import EpisodeRecord, write_comparison
     from usnet_env.replay.story import describe_outcome
-    from usnet_env.replay.viewer import find_time
+    from usnet_env.replay.rerun import find_time
 
     one, other = EpisodeRecord.load(first), EpisodeRecord.load(second)
     longer = max(one, other, key=lambda record: record.rounds)
