@@ -156,8 +156,9 @@ def draw_legend(axes: Axes, labels: Mapping[str, str], **place: Any) -> None:
     from matplotlib.lines import Line2D
 
     link = Line2D([], [], color="#777777", alpha=0.6, linewidth=1)
-    keys = [link if mark == LINK_MARK else axes.scatter([], [], **_STYLES[mark]) for mark in labels]
-    look: dict[str, Any] = {"frameon": False, "labelspacing": 0.9, "markerscale": 0.8, "scatterpoints": 1}
+    sizes = {mark: {"s": min(max(style["s"], 40), 180)} for mark, style in _STYLES.items()}
+    keys = [link if mark == LINK_MARK else axes.scatter([], [], **_STYLES[mark] | sizes[mark]) for mark in labels]
+    look: dict[str, Any] = {"frameon": False, "labelspacing": 0.9, "scatterpoints": 1}
     place = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "fontsize": 9.5} | place
     axes.legend(keys, list(labels.values()), **look | place)
 

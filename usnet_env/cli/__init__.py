@@ -21,7 +21,7 @@ from usnet_env.cli.detect import detect
 from usnet_env.cli.evaluation import evaluate
 from usnet_env.cli.list_parts import list_
 from usnet_env.cli.output import print_message
-from usnet_env.cli.replay import compare, demo, replay, report
+from usnet_env.cli.replay import demo, replay
 from usnet_env.config import ArgumentError
 
 __all__ = ["main"]
@@ -35,7 +35,7 @@ def _usnet() -> None:
     """Simulate UAV swarms, find their cluster heads with detectors, and score the detectors."""
 
 
-for _command in (evaluate, demo, detect, list_, replay, compare, report):
+for _command in (evaluate, demo, detect, list_, replay):
     _usnet.add_command(_command)
 
 

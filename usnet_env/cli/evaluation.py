@@ -13,7 +13,6 @@ import click
 
 from usnet_env.cli.options import PairsCommand, PositiveNumber, WholeNumber, add_place, describe_keys, parse_pairs
 from usnet_env.cli.output import print_message, show
-from usnet_env.cli.replay import check_record_option, record_episodes
 
 if TYPE_CHECKING:
     from usnet_env.evaluation import EvaluationResult, SuiteResult
@@ -122,16 +121,13 @@ def evaluate(
         raise click.UsageError("--cell names a cell of a suite: it needs --suite.")
     if how["secret"] is not None and not isolate and suite is None:
         raise click.UsageError("--secret gives the seeds of an isolated run: it needs --isolate or --suite.")
-    if record is not None:
-        if suite is not None:
-            raise click.UsageError("--record keeps episodes of one environment: it goes without --suite.")
-        check_record_option(record, out)
+    if record is not None and suite is not None:
+        raise click.UsageError("--record keeps episodes of one environment: it goes without --suite.")
     if how["time_limit"] is None and (how["backend"] != "serial" or isolate or suite is not None):
         how["time_limit"] = _TIME_LIMIT
     if out is not None:
         ctx.find_root().obj = partial(_tell_what_is_kept, out)
     from usnet_env import evaluation
-    from usnet_env.processes import Limits
 
     how["progress"] = sys.stderr is not None and sys.stderr.isatty()
     failure: Exception | None = None
@@ -168,11 +164,6 @@ def evaluate(
         if isolate:
             secret = result.config.get("secret", "not known: an earlier part of it was killed before its end")
             print_message(f"The secret of this run is {secret}.")
-        if record is not None:
-            isolation = Limits(seconds=how["time_limit"], megabytes=how["memory_limit"]) if isolate else None
-            written = record_episodes(result, record, detectors, env_kwargs, out, isolation)
-            where = f"are in {out}/episodes; `usnet replay {out}` lists them" if written else "were written"
-            click.echo(f"{len(written)} episode files {where}.", err=True)
     if failure is not None:
         raise failure
     if out is not None and not as_json:

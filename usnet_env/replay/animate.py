@@ -101,7 +101,7 @@ class Painter:
             marks |= {} if record.recorded else {DESTROYED_MARK: "destroyed"}
         else:
             marks = {mark: TRACK_WORDS[mark] for mark in marks}
-        place = {"loc": "center", "bbox_to_anchor": (0.5, 0.35), "ncols": len(marks), "fontsize": 9, "markerscale": 0.6}
+        place = {"loc": "center", "bbox_to_anchor": (0.5, 0.35), "ncols": len(marks), "fontsize": 9, "markerscale": 0.7}
         draw_legend(bottom, marks, **place)
         self.shown: Scene | None = None
 
@@ -134,10 +134,15 @@ class Painter:
 def _write_gif(record: EpisodeRecord, shown: list[Scene], path: Path) -> None:
     from PIL import Image
 
-    painter, frames = Painter(record), []
-    for scene in shown:
+    painter = Painter(record)
+
+    def paint(scene: Scene) -> Any:
         painter.draw(scene)
-        frames.append(Image.fromarray(pixels_of(painter.figure)).quantize(128, dither=Image.Dither.NONE))
+        return Image.fromarray(pixels_of(painter.figure))
+
+    answered = next(scene for scene in reversed(shown) if scene.round == 1)
+    palette = paint(answered).quantize(256, method=Image.Quantize.MAXCOVERAGE)  # of all frames: what rests stays equal
+    frames = [paint(scene).quantize(palette=palette, dither=Image.Dither.NONE) for scene in shown]
     durations = [round(1000 * scene.seconds) for scene in shown]
     frames[0].save(path, format="GIF", save_all=True, append_images=frames[1:], duration=durations, loop=0)
 

@@ -340,8 +340,8 @@ class EpisodeRecord:
                 record = cls(**words, **arrays)
                 fault = record.find_fault()
         except Exception as error:  # a damaged file makes NumPy raise whatever Python's own tokenizer raises
-            reason = getattr(error, "strerror", None) or error
-            fault = " ".join(f"{type(error).__name__}: {reason}".split()).rstrip(".")
+            reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
+            fault = " ".join(reason.split()).rstrip(".")
         if fault:
             raise ArgumentError(f"path must be an intact episode file, got {quote(str(place))}: {fault}.")
         return record

@@ -28,8 +28,8 @@ th, td { text-align: left; padding: 0.3rem 0.9rem 0.3rem 0; border: 0; border-bo
 """
 #: Characters in place of the icons of matplotlib's page, whose font would be fetched from the network.
 _ICONS = {
-    "minus": "−", "plus": "+", "fast-backward": "⏮", "fast-forward": "⏭", "step-backward": "◀|", "step-forward": "|▶",
-    "play fa-flip-horizontal": "◀", "play": "▶", "pause": "⏸",
+    "minus": "−", "plus": "+", "fast-backward": "|◀", "fast-forward": "▶|", "step-backward": "◁", "step-forward": "▷",
+    "play fa-flip-horizontal": "◀", "play": "▶", "pause": "||",
 }  # fmt: skip
 
 

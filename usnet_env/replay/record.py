@@ -28,27 +28,16 @@ from usnet_env.window import Window
 
 @dataclass(frozen=True)
 class Round:
-    """The report of one round.
-
-    Args:
-        number: number of the round, from 1.
-        candidates: number of candidates.
-        hits: candidates that are heads.
-        redundant: candidates that are not.
-        heads_left: living heads after the round.
-        objective: J after the round.
-        over_budget: the round had more candidates than the shot budget, and no UAV was destroyed.
-        seconds: wall time of ``detect``.
-    """
+    """The report of one round: its number from 1, and what it had."""
 
     number: int
     candidates: int
-    hits: int
-    redundant: int
-    heads_left: int
-    objective: float
-    over_budget: bool
-    seconds: float
+    hits: int  # candidates that are heads
+    redundant: int  # candidates that are not
+    heads_left: int  # after the round
+    objective: float  # J after the round
+    over_budget: bool  # more candidates than the shot budget: no UAV was destroyed
+    seconds: float  # wall time of ``detect``
 
 
 def record_episode(

@@ -272,7 +272,7 @@ class EpisodeWriter:
             "J": [0.0, *record.objective],
         }
         for name, values in ({} if record.recorded else curves).items():
-            color = _SERIES[name == "recall" or self.root == "b/"]
+            color = _SERIES[self.root == "b/"]
             look: dict[str, Any] = {"colors": color, "names": f"{CURVES[name]} {self.root}".rstrip(" /")}
             line = rr.SeriesLines(widths=2, interpolation_mode="StepAfter", **look)
             self.log(f"game/{name}", line, rr.SeriesPoints(marker_sizes=5, **look), static=True)

@@ -76,10 +76,10 @@ def _arrange(writers: Sequence[EpisodeWriter], labels: Sequence[str]) -> rrb.Blu
         told = rrb.TextDocumentView(origin=f"{root}this_round", name=f"{prefix}this {name_round(record).lower()}")
         columns += [*spaces, told] if single else [rrb.Vertical(*spaces, told)]
         charts.append(rrb.BarChartView(origin=f"{root}scores", name=f"{prefix}scores by number of the UAV"))
-        if writer.record.attention is not None:
-            charts.append(rrb.Spatial2DView(origin=f"{root}mind/attention", name=f"{prefix}attention of a UAV (row)"))
-        if writer.record.features is not None:
-            charts.append(rrb.Spatial2DView(origin=f"{root}mind/features", name=f"{prefix}feature space"))
+        if single and record.attention is not None:
+            charts.append(rrb.Spatial2DView(origin=f"{root}mind/attention", name="attention of a UAV (row)"))
+        if single and record.features is not None:
+            charts.append(rrb.Spatial2DView(origin=f"{root}mind/features", name="feature space"))
     curves = [
         rrb.TimeSeriesView(origin="/", contents=[f"/{writer.root}game/{name}" for writer in writers], name=title)
         for name, title in ({} if record.recorded else CURVES).items()

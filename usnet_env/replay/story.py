@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -17,7 +16,6 @@ from usnet_env.replay.episode import EpisodeRecord
 HIT, REDUNDANT, MISSED, OTHER, LEADER = "hit", "redundant", "missed", "other", "leader"
 
 _MOST_LISTED = 30  # rows of the table of a round's candidates
-_FEWEST_SCORES, _MOST_SCORES, _UNMARKED = 12, 40, 5
 
 
 def name_uav(record: EpisodeRecord, uav: int) -> str:
@@ -85,32 +83,10 @@ def describe_outcome(record: EpisodeRecord) -> str:
         found, groups = found if heads else "No id leads", ""
         if heads:
             groups = f", group leaders {group_leader_accuracy(record.root[0], record.scores[0]):.2f}"
-        return f"{found} in {windows} with {redundant}: {_tell_score(record, 3)}{groups}."
+        return f"{found} in {windows} with {redundant}: F1 = {name_score(record)[1]:.3f} (1 is best){groups}."
     sense = "J_m, lower is better" if record.problem == "P2" else "J_s, 0 is best"
     rounds = format_count(record.rounds, "round")
     return f"{found} in {rounds} with {redundant}: J = {record.objective[-1]:.3f} ({sense})."
-
-
-def _tell_score(record: EpisodeRecord, digits: int) -> str:
-    """The score that counts, and which value is best, in a few words."""
-    name, value = name_score(record)
-    best = 1 if record.recorded or record.problem == "P2" else 0
-    return f"{name} = {value:.{digits}f} ({best} is best)"
-
-
-def rank_scores(record: EpisodeRecord, number: int) -> NDArray[np.intp]:
-    """Indices of the living UAVs that a chart of a round's scores shows (number from 1), highest score first.
-
-    If there is not room for all, heads are preferred, then candidates. Among equal scores, candidates are first. There
-    are 12 to 40 UAVs, if so many live.
-    """
-    r = number - 1
-    scores, named = record.scores[r], record.candidates[r]
-    living = np.flatnonzero(record.alive[r])
-    marked = int((named | record.head)[living].sum())
-    count = min(max(marked + _UNMARKED, _FEWEST_SCORES), _MOST_SCORES)
-    shown = living[np.lexsort((-scores[living], ~named[living], ~record.head[living]))][:count]
-    return shown[np.lexsort((shown, ~named[shown], -scores[shown]))]
 
 
 def mark_words(record: EpisodeRecord, number: int) -> NDArray[np.object_]:
@@ -133,37 +109,11 @@ def describe_answer(record: EpisodeRecord, number: int) -> str:
     return f"It names {format_count(named, name_kind(record))} as {'a head' if named == 1 else 'heads'}."
 
 
-def describe_verdict(record: EpisodeRecord, number: int) -> str:
-    """The outcome of a round (from 1) in one or two sentences."""
-    r = number - 1
-    named, hits, redundant = int(record.candidates[r].sum()), int(record.hits[r]), int(record.redundant[r])
-    if record.over_budget[r]:
-        return f"{named} candidates exceed the shot budget: no UAV is destroyed."
-    if not named:
-        return f"Without candidates no {'head is hit' if record.recorded else 'UAV is destroyed'}."
-    right = f"{hits} {'is a head' if hits == 1 else 'are heads'} (hit)"
-    wrong = f"{redundant} {'is' if redundant == 1 else 'are'} not (redundant)"
-    parts = [right] * (hits > 0) + [wrong] * (redundant > 0)
-    end = "" if record.recorded else f" {'It is' if named == 1 else f'All {named} are'} destroyed."
-    return f"{', '.join(parts)}.{end}"
-
-
 def describe_remerge(record: EpisodeRecord, number: int) -> str:
     """What the followers of the heads that were destroyed in a round (from 1) do, in one sentence."""
     orphans = int(record.orphans[number - 1].sum())
     join = "joins" if orphans == 1 else "join"
     return f"{format_count(orphans, 'follower')} without a head {join} the nearest remaining head."
-
-
-def describe_ending(record: EpisodeRecord) -> str:
-    """The outcome of the game in one sentence."""
-    left = int(record.heads_left[-1])
-    done = "found" if record.recorded else "destroyed"
-    result = f"{format_count(left, 'head')} not found" if left else f"All heads are {done}"
-    if record.recorded and not record.head.any():
-        result = "No id leads here"
-    rounds = "" if record.recorded else f" after {format_count(record.rounds, 'round')}"
-    return f"{result}{rounds}: {_tell_score(record, 2)}."
 
 
 def explain_uav(record: EpisodeRecord, number: int, uav: int) -> str:
@@ -186,15 +136,12 @@ def explain_uav(record: EpisodeRecord, number: int, uav: int) -> str:
 
 def list_marked(record: EpisodeRecord, number: int) -> list[tuple[int, str, str]]:
     """The candidates and missed heads of a round (from 1), highest score first: index, mark, and reason."""
-    words = mark_words(record, number)
-    order = [i for i in np.argsort(-record.scores[number - 1], kind="stable").tolist() if words[i] != OTHER]
-    return [(i, words[i], _tell_scores(record, number, i)) for i in order[:_MOST_LISTED]]
-
-
-def _tell_scores(record: EpisodeRecord, number: int, uav: int) -> str:
-    r = number - 1
-    sure = "" if record.probability is None else f"p {record.probability[r, uav]:.2f}, "
-    return f"{sure}score {record.scores[r, uav]:.3g}: {explain_uav(record, number, uav)}"
+    words, scores = mark_words(record, number), record.scores[number - 1]
+    marked = []
+    for i in [i for i in np.argsort(-scores, kind="stable").tolist() if words[i] != OTHER][:_MOST_LISTED]:
+        sure = "" if record.probability is None else f"p {record.probability[number - 1, i]:.2f}, "
+        marked.append((i, words[i], f"{sure}score {scores[i]:.3g}: {explain_uav(record, number, i)}"))
+    return marked
 
 
 def tell_round(record: EpisodeRecord, number: int, names: Sequence[str]) -> tuple[str, str, str, str]:
@@ -214,25 +161,13 @@ def tell_round(record: EpisodeRecord, number: int, names: Sequence[str]) -> tupl
     lines += [f"- … and {hidden} more"] * (hidden > 0)
     story = [start, describe_answer(record, number)]
     if record.labelled:
-        end = describe_ending(record) if number == record.rounds else _tell_remerge(record, number, names)
-        story += [describe_verdict(record, number), end]
+        last = number == record.rounds
+        story += [
+            f"{describe_round(record, number)}.",
+            describe_outcome(record) if last else describe_remerge(record, number),
+        ]
     told = ["\n\n".join([*story[: k + 1], *(["\n".join(lines)] if k else [])]) + "\n" for k in range(len(story))]
     return told[0], told[1], told[-2 if record.labelled else -1], told[-1]
-
-
-def _tell_remerge(record: EpisodeRecord, number: int, names: Sequence[str]) -> str:
-    """Which followers join which head after a round (from 1), in Markdown."""
-    r = number - 1
-    orphans = np.flatnonzero(record.orphans[r])
-    if not len(orphans):
-        return "No follower has lost its head."
-    moves = Counter(zip(record.root[r][orphans].tolist(), record.root[r + 1][orphans].tolist(), strict=True))
-    lines = [
-        f"- {format_count(count, 'follower')} of {names[old]} "
-        + (f"{'joins' if count == 1 else 'join'} {names[new]}" if new >= 0 else "stay without a head")
-        for (old, new), count in moves.most_common()
-    ]
-    return "\n".join([describe_remerge(record, number), "", *lines])
 
 
 def explain_replay(records: Sequence[EpisodeRecord], labels: Sequence[str]) -> str:
@@ -258,6 +193,6 @@ found, a larger dot means a higher {"probability" if record.probability is not N
 the leaders that it found.
 
 **The truth** has large points for heads and the colour of their head for followers. With the answer, green spheres
-are hits, orange boxes are redundant candidates, and white spheres are heads that were not named. Yellow diamonds are
+are hits, orange boxes are redundant candidates, and white spheres are heads that were not named. Yellow points are
 decoys, grey crosses destroyed UAVs, blue circles the sensing ranges of observers.
 """

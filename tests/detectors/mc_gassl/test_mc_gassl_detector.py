@@ -12,7 +12,7 @@ from detectors.gassl import Gassl
 from detectors.mc_gassl import McGassl
 from usnet_env import ArgumentError
 from usnet_env.replay import EpisodeRecord, record_episode
-from usnet_env.replay.mind import attention_maps
+from usnet_env.replay.recording import attention_maps
 
 SMALL = {"gassl": {"steps": 2}}
 
