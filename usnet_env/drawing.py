@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usnet_env.arrays import Floats, Indices, Mask, Singles
-from usnet_env.config import MissingExtraError, how_to_install
+from usnet_env.config import MissingExtraError as MissingExtraError  # others import it from here
+from usnet_env.config import how_to_install
 from usnet_env.files import as_path, atomic_write
 
 if TYPE_CHECKING:

@@ -91,7 +91,7 @@ def replay(
     if len(records) == 2:
         for record in records:
             _say(f"{record.detector}: {describe_outcome(record)}")
-        written = write_comparison(*records, rrd or Path("comparison.rrd"))
+        written = write_comparison(records[0], records[1], rrd or Path("comparison.rrd"))
     else:
         record = records[0]
         rounds = [f"  {number}: {describe_round(record, number)}" for number in range(1, record.rounds + 1)]

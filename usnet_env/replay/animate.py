@@ -9,30 +9,13 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from usnet_env import drawing
 from usnet_env.config import ArgumentError, quote, whole_number
-from usnet_env.drawing import (
-    CANDIDATE_MARK,
-    DECOY_MARK,
-    DESTROYED_MARK,
-    FOLLOWER_MARK,
-    HEAD_MARK,
-    HIT_MARK,
-    MISSED_MARK,
-    REDUNDANT_MARK,
-    TRACK_WORDS,
-    draw_legend,
-    draw_round,
-    escape_math,
-    limits_around,
-    new_figure,
-    pixels_of,
-)
 from usnet_env.files import atomic_write
 from usnet_env.replay.episode import EpisodeRecord
 from usnet_env.replay.figure import check_ending, describe_scene, find_least_side
@@ -41,22 +24,16 @@ from usnet_env.replay.story import describe_answer, describe_outcome, describe_r
 _WIDTH, _HEIGHT = 9.6, 5.7  # inches
 _MP4_RATE = 5  # frames per second
 WATCH, NAME, VERDICT, REMERGE = range(4)  # phases of a round
-_SECONDS = (0.2, 2.0, 2.4, 2.0)
+SECONDS = (0.2, 2.0, 2.4, 2.0)  # how long their frames stay
 
 
-@dataclass(frozen=True)
-class Scene:
+class Scene(NamedTuple):
     """What one frame shows: a phase of a round (from 1), with so many samples of its window, and one sentence."""
 
     round: int
     phase: int
     samples: int
     text: str
-
-    @property
-    def seconds(self) -> float:
-        """How long the frame stays."""
-        return _SECONDS[self.phase]
 
 
 def list_scenes(record: EpisodeRecord, frames: int) -> Iterator[Scene]:
@@ -79,7 +56,7 @@ class Painter:
 
     def __init__(self, record: EpisodeRecord, dpi: float = 100) -> None:
         self.record = record
-        self.figure = new_figure(_WIDTH, _HEIGHT, dpi)
+        self.figure = drawing.new_figure(_WIDTH, _HEIGHT, dpi)
         side = 0.45
         bottom = self.figure.add_axes((0, 0, 1, 0.1))
         bottom.axis("off")
@@ -87,22 +64,18 @@ class Painter:
             self.figure.add_axes((left, 0.11, side, side * _WIDTH / _HEIGHT)) for left in (0.04, 0.54)
         )
         known = record.position[record.seen & record.alive[:, None]]
-        self.limits = limits_around(known, 0.08, find_least_side(record))
+        self.limits = drawing.limits_around(known, 0.08, find_least_side(record))
         self.header = self.figure.text(0.02, 0.975, "", fontsize=12, va="top")
-        marks = {HEAD_MARK: "head", FOLLOWER_MARK: "follower"}
-        if record.labelled:
-            marks |= {
-                CANDIDATE_MARK: "candidate",
-                HIT_MARK: "hit",
-                REDUNDANT_MARK: "redundant",
-                MISSED_MARK: "not named",
-            }
-            marks |= {DECOY_MARK: "decoy"} if record.decoys.any() else {}
-            marks |= {} if record.recorded else {DESTROYED_MARK: "destroyed"}
+        names = {drawing.HEAD_MARK: "head", drawing.FOLLOWER_MARK: "follower"}
+        if not record.labelled:
+            names = {mark: drawing.TRACK_WORDS[mark] for mark in names}
         else:
-            marks = {mark: TRACK_WORDS[mark] for mark in marks}
-        place = {"loc": "center", "bbox_to_anchor": (0.5, 0.35), "ncols": len(marks), "fontsize": 9, "markerscale": 0.7}
-        draw_legend(bottom, marks, **place)
+            names |= {drawing.CANDIDATE_MARK: "candidate", drawing.HIT_MARK: "hit"}
+            names |= {drawing.REDUNDANT_MARK: "redundant", drawing.MISSED_MARK: "not named"}
+            names |= {drawing.DECOY_MARK: "decoy"} if record.decoys.any() else {}
+            names |= {} if record.recorded else {drawing.DESTROYED_MARK: "destroyed"}
+        place = {"loc": "center", "bbox_to_anchor": (0.5, 0.35), "ncols": len(names), "fontsize": 9, "markerscale": 0.7}
+        drawing.draw_legend(bottom, names, **place)
         self.shown: Scene | None = None
 
     def draw(self, scene: Scene) -> None:
@@ -122,13 +95,14 @@ class Painter:
         look: dict[str, Any] = {"legend": False, "limits": self.limits}
         for axes in (self.observed, self.truth):
             axes.clear()
-        draw_round(
+        drawing.draw_round(
             **window | {"candidates": named}, axes=self.observed, title="What the detector sees", truth=False, **look
         )
-        draw_round(**right, axes=self.truth, title="The truth" if record.labelled else "What it found", **look)
+        drawing.draw_round(**right, axes=self.truth, title="The truth" if record.labelled else "What it found", **look)
         for axes in (self.observed, self.truth):
             axes.set(xlabel="", ylabel="")
-        self.header.set_text(escape_math(f"{name_round(record)} {scene.round} of {record.rounds}: {scene.text}"))
+        words = f"{name_round(record)} {scene.round} of {record.rounds}: {scene.text}"
+        self.header.set_text(drawing.escape_math(words))
 
 
 def _write_gif(record: EpisodeRecord, shown: list[Scene], path: Path) -> None:
@@ -138,12 +112,12 @@ def _write_gif(record: EpisodeRecord, shown: list[Scene], path: Path) -> None:
 
     def paint(scene: Scene) -> Any:
         painter.draw(scene)
-        return Image.fromarray(pixels_of(painter.figure))
+        return Image.fromarray(drawing.pixels_of(painter.figure))
 
     answered = next(scene for scene in reversed(shown) if scene.round == 1)
     palette = paint(answered).quantize(256, method=Image.Quantize.MAXCOVERAGE)  # of all frames: what rests stays equal
     frames = [paint(scene).quantize(palette=palette, dither=Image.Dither.NONE) for scene in shown]
-    durations = [round(1000 * scene.seconds) for scene in shown]
+    durations = [round(1000 * SECONDS[scene.phase]) for scene in shown]
     frames[0].save(path, format="GIF", save_all=True, append_images=frames[1:], duration=durations, loop=0)
 
 
@@ -168,7 +142,7 @@ def _write_mp4(record: EpisodeRecord, shown: list[Scene], path: Path, ffmpeg: st
     with rc_context({"animation.ffmpeg_path": ffmpeg}), writer.saving(painter.figure, str(path), dpi=100):
         for scene in shown:
             painter.draw(scene)
-            for _ in range(max(1, round(scene.seconds * _MP4_RATE))):
+            for _ in range(max(1, round(SECONDS[scene.phase] * _MP4_RATE))):
                 writer.grab_frame()
 
 

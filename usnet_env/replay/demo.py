@@ -16,7 +16,7 @@ from usnet_env.config import MissingExtraError, whole_number
 from usnet_env.files import as_path
 from usnet_env.plugins import detector_label, make_detector
 from usnet_env.replay.figure import write_picture
-from usnet_env.replay.page import write_episode_page
+from usnet_env.replay.page import write_page
 from usnet_env.replay.record import Round, record_episode
 from usnet_env.replay.rerun import find_viewer, write_recording
 from usnet_env.replay.story import describe_outcome
@@ -34,6 +34,7 @@ DEMO: dict[str, Any] = {
 }
 #: The paper's example: Algorithm 2 on 8 clusters of 185 UAVs.
 PAPER_EXAMPLE: dict[str, Any] = {"clusters": 8, "uavs": 185, "follow": "f1"}
+_TITLE, _LINKS = "Who leads this swarm?", {"The game": "episode.npz"}
 _ROW = "{:>5}  {:>10}  {:>9}  {:>9}  {:>10}  {:>7}"
 
 
@@ -73,7 +74,7 @@ def run_demo(
     detector_seed = int(np.random.SeedSequence(seed, spawn_key=(1,)).generate_state(1)[0])
     with closing(gym.make("USNET/MultiCluster-v0", **game)) as env:
         folder.mkdir(parents=True, exist_ok=True)  # a folder that can't be made should not cost the game
-        print("Who leads this swarm?")
+        print(_TITLE)
         print(
             f"{game['uavs']} UAVs in {game['clusters']} clusters, follow strategy {game['follow']}, seed {seed}; ",
             end="",
@@ -87,7 +88,7 @@ def run_demo(
     makers: dict[str, tuple[Callable[..., Path], str]] = {
         "replay": (write_recording, "replay.rrd"),
         "picture": (write_picture, "episode.png"),
-        "page": (write_episode_page, "report.html"),
+        "page": (lambda record, path: write_page(_TITLE, {"The game": record}, path, links=_LINKS), "report.html"),
     }
     for name, (make, file) in makers.items():
         try:

@@ -71,17 +71,15 @@ class EpisodeRecord:
         over_budget: ``(R,)`` bool, the round had more candidates than the shot budget, and no UAV was destroyed.
         seconds: ``(R,)`` float64, wall time of ``detect`` alone.
         clusters: ``(R, N)`` int64, the detector's cluster labels (-1: none), or ``None``.
-        leader_estimate: ``(R, N)`` int64, index of the UAV that each UAV follows by the detector's answer (-1: none),
-            or ``None``.
-        attention: ``(R, N, N)`` float32, the detector's attention weights: row i holds the weights of UAV i on all
-            UAVs (the paper's α_{i,i'}); or ``None``.
-        attention_heads: ``(R, H, N, N)`` float32, the weights of each of the detector's H attention heads, or ``None``.
-        probability: ``(R, N)`` float64, the detector's probability that each UAV is a head, or ``None``.
-        features: ``(R, N, 2)`` float32, the feature space in which the detector clustered, in the plane of its two
-            principal axes; or ``None``.
-        reasons: for each round a sentence by UAV (``"17"``): why the detector takes it for a head; or ``None``.
-        choices: for each round a text by agent: what the agents of a game of several agents chose, or ``None``.
-        observers: ``(K, 4)`` float64, position and sensing range of each observer in metres, or ``None``.
+        leader_estimate: ``(R, N)`` int64, the UAV that each follows by the answer (-1: none), or ``None``.
+        attention: ``(R, N, N)`` float32, row i holds the attention weights of UAV i on all UAVs (the paper's
+            α_{i,i'}); it and the arrays and texts below may be ``None``.
+        attention_heads: ``(R, H, N, N)`` float32, the weights of each of the detector's H attention heads.
+        probability: ``(R, N)`` float64, the detector's probability that each UAV is a head.
+        features: ``(R, N, 2)`` float32, the detector's feature space, in the plane of its two principal axes.
+        reasons: for each round a sentence by UAV (``"17"``): why the detector takes it for a head.
+        choices: for each round a text by agent: what the agents of a game of several agents chose.
+        observers: ``(K, 4)`` float64, position and sensing range of each observer in metres.
         problem: ``"P1"`` or ``"P2"``.
         env_id: the environment's registered id.
         seed: the environment's seed; ``None``: not seeded.
@@ -313,7 +311,7 @@ class EpisodeRecord:
         links = [np.insert(self.communication_links(n), 0, n, axis=1) for n in range(1, self.rounds + 1)]
         text = json.dumps({**words, "format": _FORMAT, "version": FORMAT_VERSION})
         with atomic_write(path) as aside, aside.open("wb") as file:
-            np.savez_compressed(file, **arrays, **{_LINKS: np.concatenate(links), "metadata": np.array(text)})
+            np.savez_compressed(file, **arrays | {_LINKS: np.concatenate(links), "metadata": np.array(text)})
         return Path(path)
 
     @classmethod

@@ -6,21 +6,8 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
+from usnet_env import drawing
 from usnet_env.config import ArgumentError, format_count, quote
-from usnet_env.drawing import (
-    TRACK_WORDS,
-    caption_figure,
-    draw_legend,
-    draw_round,
-    escape_math,
-    last_seen_position,
-    limits_around,
-    new_figure,
-    round_marks,
-    write_figure,
-)
 from usnet_env.files import as_path
 from usnet_env.replay.episode import EpisodeRecord
 from usnet_env.replay.story import describe_outcome, describe_round, name_game, name_round
@@ -66,47 +53,42 @@ def check_ending(path: str | os.PathLike[str], *endings: str) -> Path:
     return place
 
 
-def _choose_rounds(record: EpisodeRecord) -> list[int]:
-    """Choose the rounds to show: all of them, or six: the first, the last, and first of all those with hits."""
-    numbers = np.arange(1, record.rounds + 1)
-    outer = (numbers == 1) | (numbers == record.rounds)
-    order = np.lexsort((numbers, record.hits == 0, ~outer))
-    return sorted(numbers[order[:_MOST_PANELS]].tolist())
-
-
 def draw_episode(record: EpisodeRecord) -> Figure:
     """Draw an episode: a map for each round, and an explanation.
 
     Returns:
-        A matplotlib figure. If there are more than six rounds, it shows six of them: the first, the last, and first of
-        all those with hits. All maps have the same scale.
+        A matplotlib figure. Of more than six rounds it shows the first five and the last, all with the same scale.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
     """
-    numbers = _choose_rounds(record)
+    numbers = [*range(1, min(record.rounds, _MOST_PANELS)), record.rounds]
     columns = min(len(numbers), _MOST_COLUMNS)
     rows = -(-len(numbers) // columns)
-    figure = new_figure(max(5.4 * columns + 2.8, 9.0), 5.8 * rows + 1.2)
+    figure = drawing.new_figure(max(5.4 * columns + 2.8, 9.0), 5.8 * rows + 1.2)
     figure.set_layout_engine("constrained")
     hidden = f" The picture shows {len(numbers)} of {format_count(record.rounds, name_round(record).lower())}."
-    about = escape_math(f"{describe_outcome(record)} {_ABOUT if record.labelled else _ABOUT_UNKNOWN}")
-    caption_figure(figure, escape_math(name_game(record)), about + hidden * (len(numbers) < record.rounds))
+    about = drawing.escape_math(f"{describe_outcome(record)} {_ABOUT if record.labelled else _ABOUT_UNKNOWN}")
+    about += hidden * (len(numbers) < record.rounds)
+    drawing.caption_figure(figure, drawing.escape_math(name_game(record)), about)
     grid = figure.subplots(rows, columns, squeeze=False).ravel()
     scenes = [describe_scene(record, number) for number in numbers]
     least = find_least_side(record)
-    limits = [limits_around(scene["position"][scene["seen"] & scene["alive"]], least=least) for scene in scenes]
+    squares = [
+        drawing.limits_around(scene["position"][scene["seen"] & scene["alive"]], least=least) for scene in scenes
+    ]
     marks: dict[str, Any] = {}
-    for axes, number, scene, (x, y, _) in zip(grid, numbers, scenes, limits, strict=False):
-        title = escape_math(f"{name_round(record)} {number}: {describe_round(record, number)}")
+    for axes, number, scene, (x, y, _) in zip(grid, numbers, scenes, squares, strict=False):
+        title = drawing.escape_math(f"{name_round(record)} {number}: {describe_round(record, number)}")
         scene["candidates"] = record.candidates[number - 1] if record.labelled else None
-        draw_round(**scene, axes=axes, title=title, legend=False, limits=(x, y, max(half for *_, half in limits)))
-        place = last_seen_position(scene.pop("position"), scene.pop("seen"))
-        marks |= {mark: mark for mark, who in round_marks(place, **scene).items() if who.any()}
+        limits = x, y, max(half for *_, half in squares)
+        drawing.draw_round(**scene, axes=axes, title=title, legend=False, limits=limits)
+        place = drawing.last_seen_position(scene.pop("position"), scene.pop("seen"))
+        marks |= {mark: mark for mark, who in drawing.round_marks(place, **scene).items() if who.any()}
     for axes in grid[len(numbers) :]:
         axes.remove()
-    words = {} if record.labelled else TRACK_WORDS
-    draw_legend(grid[columns - 1], {mark: words.get(mark, mark) for mark in marks})
+    words = {} if record.labelled else drawing.TRACK_WORDS
+    drawing.draw_legend(grid[columns - 1], {mark: words.get(mark, mark) for mark in marks})
     return figure
 
 
@@ -118,4 +100,4 @@ def write_picture(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path:
         MissingExtraError: matplotlib is not installed.
     """
     place = check_ending(path, ".png", ".pdf")
-    return write_figure(draw_episode(record), place, [place.suffix.lower()[1:]])[0]
+    return drawing.write_figure(draw_episode(record), place, [place.suffix.lower()[1:]])[0]

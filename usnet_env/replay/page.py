@@ -110,8 +110,3 @@ def write_page(
     with atomic_write(path) as aside:
         aside.write_text(page, encoding="utf-8")
     return Path(path)
-
-
-def write_episode_page(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path:
-    """Write a page of one episode, which links to ``episode.npz`` beside it; see :func:`write_page`."""
-    return write_page("Who leads this swarm?", {"The game": record}, path, links={"The game": "episode.npz"})

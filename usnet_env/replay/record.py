@@ -48,7 +48,6 @@ def record_episode(
     on_round: Callable[[Round], None] | None = None,
     *,
     label: str | None = None,
-    keep_attention: bool = True,
 ) -> EpisodeRecord:
     """Play one episode to its end, and record the windows, the truth and the answers.
 
@@ -62,11 +61,6 @@ def record_episode(
         detector_seed: seed of the detector.
         on_round: called with the report of every round.
         label: name of the detector in the record; by default its name in tables, see ``detector_label``.
-        keep_attention: record the attention, if the detector gives any: N² numbers a round, and N² for each of its
-            attention heads.
-
-    Returns:
-        The record of the whole episode.
 
     Raises:
         ArgumentError: ``env`` is no environment of this project, a seed is no whole number from 0, or an answer is no
@@ -90,9 +84,11 @@ def record_episode(
     for played in play_rounds(env, answer, seed):
         rounds.append(played)
         if on_round is not None:
-            on_round(_report(played, len(rounds), seconds[-1]))
+            named, info = int(played.answer.candidates.sum()), played.info
+            result = int(info["hits"]), int(info["redundant"]), int(played.left.heads_left), float(info["J"])
+            on_round(Round(len(rounds), named, *result, bool(info["over_budget"]), seconds[-1]))
     label = label or detector_label(detector)
-    return _make_record(env, rounds, seconds, seed, detector_seed, label, keep_attention)
+    return _make_record(env, rounds, seconds, seed, detector_seed, label)
 
 
 def _check_environment(env: Any) -> None:
@@ -100,20 +96,6 @@ def _check_environment(env: Any) -> None:
     game: Any = env.unwrapped if isinstance(env, gym.Env) else None
     if not all(hasattr(game, name) for name in ("config", "rules", "problem")):
         raise ArgumentError(f"env must be a USNET environment, got {quote(env)}.")
-
-
-def _report(played: PlayedRound[Detection], number: int, seconds: float) -> Round:
-    info = played.info
-    return Round(
-        number=number,
-        candidates=int(played.answer.candidates.sum()),
-        hits=int(info["hits"]),
-        redundant=int(info["redundant"]),
-        heads_left=int(played.left.heads_left),
-        objective=float(info["J"]),
-        over_budget=bool(info["over_budget"]),
-        seconds=seconds,
-    )
 
 
 def _stack(values: Sequence[NDArray[Any] | None], absent: int = 0) -> Any:
@@ -181,7 +163,6 @@ def _make_record(
     seed: int | None,
     detector_seed: int | None,
     label: str,
-    keep_attention: bool = True,
 ) -> EpisodeRecord:
     """The record of the rounds of an episode; the arguments are those of :func:`record_episode`.
 
@@ -210,8 +191,8 @@ def _make_record(
         seconds=np.array(seconds),
         clusters=_stack([answer.clusters for answer in answers], absent=-1),
         leader_estimate=_stack([answer.leader for answer in answers], absent=-1),
-        attention=_stack([answer.attention for answer in answers]) if keep_attention else None,
-        attention_heads=_stack(heads) if keep_attention else None,
+        attention=_stack([answer.attention for answer in answers]),
+        attention_heads=_stack(heads),
         probability=_stack([_read_extra(answer, "probability", bool) for answer in answers]),
         features=_stack([_flatten_features(answer) for answer in answers]),
         reasons=_list_reasons(answers),
@@ -261,7 +242,8 @@ class RecordReplay(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorA
                 stacklevel=2,
             )
         self._trigger, self._label = trigger, label
-        self._episode, self._seed = -1, None
+        self._episode = -1
+        self._seed: int | None = None
         self._wanted = False
         self._observation: Any = None
         self._noted: Detection | None = None

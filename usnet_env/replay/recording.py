@@ -114,7 +114,7 @@ class EpisodeWriter:
             self._write_answer(r)
             self._write_end(r)
             texts = tell_round(self.record, r + 1, self.names)
-            for instant, text in zip((0, self.answer, self.destroy, self.remerge), texts, strict=True):
+            for instant, text in zip((0, self.answer), texts, strict=True):
                 self.at(r, instant)
                 self.log("this_round", self.rr.TextDocument(text, media_type="text/markdown"))
         self._write_curves()

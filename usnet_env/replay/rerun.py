@@ -67,7 +67,8 @@ def _arrange(writers: Sequence[EpisodeWriter], labels: Sequence[str]) -> rrb.Blu
     import rerun.blueprint as rrb
 
     record, single = writers[0].record, len(writers) == 1
-    columns, charts = [], []
+    columns: list[Any] = []
+    charts: list[Any] = []
     for writer, label in zip(writers, labels, strict=True):
         root, prefix = f"/{writer.root}", "" if single else f"{label}: "
         spaces = [_space(writer, f"{prefix}the truth" if record.labelled else f"{prefix}the tracks", truth=True)]

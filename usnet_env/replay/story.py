@@ -26,11 +26,6 @@ def name_uav(record: EpisodeRecord, uav: int) -> str:
     return str(ids[uav])
 
 
-def name_kind(record: EpisodeRecord) -> str:
-    """The word for what moves: a UAV, or an id of recorded tracks."""
-    return "id" if record.recorded else "UAV"
-
-
 def name_round(record: EpisodeRecord) -> str:
     """The word for a part of an episode: a round of a game, or a window of recorded tracks."""
     return "Window" if record.recorded else "Round"
@@ -106,7 +101,8 @@ def describe_answer(record: EpisodeRecord, number: int) -> str:
     named = int(record.candidates[number - 1].sum())
     if not record.labelled:
         return f"It finds {format_count(named, 'leader')}."
-    return f"It names {format_count(named, name_kind(record))} as {'a head' if named == 1 else 'heads'}."
+    kind = format_count(named, "id" if record.recorded else "UAV")
+    return f"It names {kind} as {'a head' if named == 1 else 'heads'}."
 
 
 def describe_remerge(record: EpisodeRecord, number: int) -> str:
@@ -121,17 +117,11 @@ def explain_uav(record: EpisodeRecord, number: int, uav: int) -> str:
     r = number - 1
     if record.reasons is not None and (reason := record.reasons[r].get(str(uav))):
         return reason
-    others = record.alive[r] & (np.arange(record.uavs) != uav)
-    parts = []
     if record.leader_estimate is not None:
-        parts.append(format_count(int((record.leader_estimate[r][others] == uav).sum()), "follower"))
-    if record.attention is not None and record.attention[r].any():
-        weight, count = float(record.attention[r][others, uav].sum()), int(others.sum())
-        parts.append(f"receives attention {weight:.3g} (sum over the other {format_count(count, name_kind(record))})")
-    if not parts:
-        rank = int((record.scores[r][record.alive[r]] > record.scores[r, uav]).sum()) + 1
-        parts.append(f"score rank {rank} of {int(record.alive[r].sum())}")
-    return "; ".join(parts) + "."
+        others = record.alive[r] & (np.arange(record.uavs) != uav)
+        return f"{format_count(int((record.leader_estimate[r][others] == uav).sum()), 'follower')}."
+    rank = int((record.scores[r][record.alive[r]] > record.scores[r, uav]).sum()) + 1
+    return f"score rank {rank} of {int(record.alive[r].sum())}."
 
 
 def list_marked(record: EpisodeRecord, number: int) -> list[tuple[int, str, str]]:
@@ -144,30 +134,18 @@ def list_marked(record: EpisodeRecord, number: int) -> list[tuple[int, str, str]
     return marked
 
 
-def tell_round(record: EpisodeRecord, number: int, names: Sequence[str]) -> tuple[str, str, str, str]:
-    """Tell a round (from 1) in Markdown: as it is in the window, with the answer, the destruction and the re-merge.
-
-    ``names`` are those of all UAVs.
-    """
+def tell_round(record: EpisodeRecord, number: int, names: Sequence[str]) -> tuple[str, str]:
+    """Tell a round (from 1) in Markdown, before the answer and with it; ``names`` are those of all UAVs."""
     r, steps = number - 1, record.position.shape[1] - 1
-    start = f"**Round {number} of {record.rounds}:** the detector watches {steps} steps. To it, all UAVs look alike."
-    if record.recorded:
-        start = f"**Window {number} of {record.rounds}:** {steps} steps."
+    start = f"**{name_round(record)} {number} of {record.rounds}:** the detector watches {steps} steps."
     if record.choices is not None and record.choices[r]:
         lines = [f"- {agent}, {text}" for agent, text in record.choices[r].items()]
         start = "\n".join([start, "", "What the heads chose for this window:", "", *lines])
     lines = [f"- **{names[i]}** {word}, {reason}" for i, word, reason in list_marked(record, number)]
     hidden = int((mark_words(record, number) != OTHER).sum()) - len(lines)
     lines += [f"- … and {hidden} more"] * (hidden > 0)
-    story = [start, describe_answer(record, number)]
-    if record.labelled:
-        last = number == record.rounds
-        story += [
-            f"{describe_round(record, number)}.",
-            describe_outcome(record) if last else describe_remerge(record, number),
-        ]
-    told = ["\n\n".join([*story[: k + 1], *(["\n".join(lines)] if k else [])]) + "\n" for k in range(len(story))]
-    return told[0], told[1], told[-2 if record.labelled else -1], told[-1]
+    end = f"\n\n{describe_outcome(record)}" if number == record.rounds else ""
+    return start, f"{start}\n\n{describe_round(record, number)}.{end}\n\n" + "\n".join(lines)
 
 
 def explain_replay(records: Sequence[EpisodeRecord], labels: Sequence[str]) -> str:
