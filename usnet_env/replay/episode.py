@@ -327,7 +327,7 @@ class EpisodeRecord:
         """
         place = as_path("path", path)
         try:
-            with np.load(place, allow_pickle=False) as file:
+            with place.open("rb") as source, np.load(source, allow_pickle=False) as file:
                 arrays: dict[str, Any] = {name: file[name] for name in file.files if name != _LINKS}
             words = json.loads(str(arrays.pop("metadata")))
             version = words.pop("version") if words.pop("format") == _FORMAT else None

@@ -7,6 +7,7 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pandas as pd
 
@@ -35,12 +36,18 @@ _ICONS = {
 
 def _animate(record: EpisodeRecord, most: int) -> str:
     """The animation of the first ``most`` rounds with its controls, as matplotlib writes it."""
-    from matplotlib.animation import FuncAnimation
+    from matplotlib.animation import HTMLWriter
 
     painter = Painter(record, _DPI)
     shown = [scene for scene in list_scenes(record, _FRAMES) if scene.round <= most]
-    movie = FuncAnimation(painter.figure, painter.draw, shown, init_func=lambda: None, cache_frame_data=False)
-    text = re.sub("<link[^>]*>", "", movie.to_jshtml(fps=_RATE, default_mode="once"))
+    writer = HTMLWriter(fps=_RATE, embed_frames=True, default_mode="once")
+    with TemporaryDirectory() as folder:
+        path = Path(folder, "animation.html")
+        with writer.saving(painter.figure, path, _DPI):
+            for scene in shown:
+                painter.draw(scene)
+                writer.grab_frame()
+        text = re.sub("<link[^>]*>", "", path.read_text(encoding="utf-8"))
     text = text.replace("<img id", '<img alt="animation of the episode" id')
     return re.sub(r'<i class="fa fa-([^"]*)"></i>', lambda icon: _ICONS[icon[1]], text)
 
