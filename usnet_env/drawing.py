@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from usnet_env.arrays import Floats, Indices, Mask, Singles
 from usnet_env.config import MissingExtraError as MissingExtraError  # others import it from here
-from usnet_env.config import how_to_install
+from usnet_env.config import format_count, how_to_install
 from usnet_env.files import as_path, atomic_write
 
 if TYPE_CHECKING:
@@ -279,9 +279,8 @@ def describe_frame(
     number: int, hits: int, redundant: int, objective: float, reward: float | None = None, over_budget: bool = False
 ) -> str:
     """The title of the frame of a round that was played: its result, J so far, and the reward."""
-    found = f"{hits} {'head' if hits == 1 else 'heads'} hit, {redundant} redundant"
-    result = "over the shot budget" if over_budget else found
-    return f"round {number}: {result}   J {objective:.3f}" + ("" if reward is None else f"   reward {reward:.3f}")
+    found = "over the shot budget" if over_budget else f"{format_count(hits, 'head')} hit, {redundant} redundant"
+    return f"round {number}: {found}   J {objective:.3f}" + ("" if reward is None else f"   reward {reward:.3f}")
 
 
 class EpisodeFrames:
@@ -377,7 +376,7 @@ def write_figure(figure: Figure, path: str | os.PathLike[str], formats: Sequence
     Args:
         figure: the figure.
         path: the file; its suffix is replaced by that of each format.
-        formats: ``"png"`` (200 pixels per inch), ``"pdf"`` (vectors, fonts embedded as TrueType), or both.
+        formats: ``"png"`` (200 pixels per inch), ``"pdf"`` (vectors), or both.
 
     Raises:
         ArgumentError: the place can't be written to.
@@ -388,12 +387,14 @@ def write_figure(figure: Figure, path: str | os.PathLike[str], formats: Sequence
 
     files = [as_path("path", path).with_suffix(f".{kind}") for kind in formats]
     installed = set(fontManager.get_font_names())
-    with warnings.catch_warnings(), rc_context({"pdf.fonttype": 42}):  # publishers refuse Type 3 fonts
-        warnings.filterwarnings("ignore", "Glyph .* missing from")  # a box in the picture says it
+    with warnings.catch_warnings(record=True, action="always") as caught, rc_context({"pdf.fonttype": 42}):
         figure.draw_without_rendering()  # labels of ticks have their texts from then on
         for text in figure.findobj(Text):
             text.set_fontfamily([*text.get_fontfamily(), *(name for name in _FONTS if name in installed)])
+        caught.clear()
         for file in files:
             with atomic_write(file) as aside:
                 figure.savefig(aside, format=file.suffix[1:], dpi=200, metadata=_METADATA[file.suffix[1:]])
+    if any("missing from font" in str(each.message) for each in caught):
+        warnings.warn("The fonts of this machine lack some characters of the figure: it has boxes there.", stacklevel=2)
     return files

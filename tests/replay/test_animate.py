@@ -113,7 +113,7 @@ def test_the_page_holds_everything_and_loads_nothing(page):
     text = page.read_text()
     assert not re.findall(r"""(?:src|href)=["'](?!episode\.npz)[^"']*""", text)
     assert "http" not in re.sub("base64,[^'\"]*", "", text)
-    assert len(re.findall("data:image/png;base64", text)) == 16
+    assert len(re.findall("data:image/png;base64", text)) == 13
     words = " ".join(read_words(text).split())
     assert "All 2 heads found in 2 rounds with 1 redundant candidate: J = 2.083" in words
     assert "UAV 3 redundant, p 0.10, score" in words

@@ -54,8 +54,8 @@ def run_demo(
     """Play one episode of ``USNET/MultiCluster-v0``, print a line for each round, and keep the episode.
 
     Args:
-        out: folder for ``episode.npz`` (the neutral record), ``replay.rrd`` (for the Rerun viewer), ``episode.png`` and
-            ``report.html``. Without its extra, a file is left out, and a line says which extra is missing.
+        out: folder for ``episode.npz``, ``replay.rrd`` (for the Rerun viewer), ``episode.png`` and ``report.html``.
+            Without its extra, a file is left out, and a line says which extra is missing.
         seed: seed of the swarm; the detector's seed is derived from it. ``None``: the seed of the game that shows most.
         detector: name of the detector; ``None``: ``lagged-correlation``, or ``mc-gassl`` with ``paper_example``.
         paper_example: play the paper's example, M = 8 and N = 185 with f1, by Algorithm 2; this takes minutes.

@@ -209,15 +209,11 @@ class EpisodeRecord:
         return np.asarray((self.head & self.alive & ~self.fired).sum(axis=1))
 
     def _index(self, number: int) -> int:
-        """Index of a round, from its number."""
+        """Index of a round, from its number; :class:`ArgumentError` if there is no such round."""
         return whole_number("number", number, 1, self.rounds) - 1
 
     def last_position(self, number: int) -> Singles:
-        """Where each UAV was seen last, up to the end of a round (from 1): ``(N, 3)`` metres, NaN if never.
-
-        Raises:
-            ArgumentError: no such round.
-        """
+        """Where each UAV was seen last, up to the end of a round (from 1): ``(N, 3)`` metres, NaN if never."""
         rounds = self._index(number) + 1
         position = self.position[:rounds].reshape(-1, self.uavs, 3)
         return last_seen_position(position, self.seen[:rounds].reshape(-1, self.uavs))
@@ -228,9 +224,6 @@ class EpisodeRecord:
         Returns:
             ``(L, 2)`` int64: a row for each living follower, its index and the index of its head, in ascending order of
             the followers. The graph is undirected.
-
-        Raises:
-            ArgumentError: no such round.
         """
         r = self._index(number)
         return _list_links(self.root[r], self.alive[r], self.head & self.alive[r])
@@ -245,9 +238,6 @@ class EpisodeRecord:
         Returns:
             ``(L, 2)`` int64: index of the UAV and of its candidate, in ascending order of the UAVs; ``None`` if the
             record has neither ``leader_estimate`` nor ``attention``.
-
-        Raises:
-            ArgumentError: no such round.
         """
         r = self._index(number)
         candidates = self.candidates[r] & self.alive[r]

@@ -18,8 +18,8 @@ from usnet_env.replay.animate import Painter, list_scenes
 from usnet_env.replay.episode import EpisodeRecord
 from usnet_env.replay.story import describe_outcome, describe_round, list_marked, name_game, name_round, name_uav
 
-_FRAMES, _RATE, _DPI = 5, 1, 80  # frames of a growing window, frames per second, pixels per inch
-_MOST_ROUNDS, _LEAST_ROUNDS = 18, 3  # with pictures: of all episodes together, and of each; the tables have all of them
+_FRAMES, _RATE, _DPI = 4, 1, 75  # frames of a growing window, frames per second, pixels per inch
+_MOST_ROUNDS, _LEAST_ROUNDS = 12, 2  # with pictures: of all episodes together, and of each; the tables have all of them
 _STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 0 auto; padding: 1rem; }
 h2 { margin-top: 2.5rem; border-top: 1px solid #d5d9de; padding-top: 1.2rem; }
@@ -40,13 +40,13 @@ def _animate(record: EpisodeRecord, most: int) -> str:
 
     painter = Painter(record, _DPI)
     shown = [scene for scene in list_scenes(record, _FRAMES) if scene.round <= most]
-    writer = HTMLWriter(fps=_RATE, embed_frames=True, default_mode="once")
+    writer = HTMLWriter(fps=_RATE, embed_frames=True, default_mode="once", embed_limit=200)
     with TemporaryDirectory() as folder:
         path = Path(folder, "animation.html")
         with writer.saving(painter.figure, path, _DPI):
             for scene in shown:
                 painter.draw(scene)
-                writer.grab_frame()
+                writer.grab_frame()  # type: ignore[no-untyped-call]
         text = re.sub("<link[^>]*>", "", path.read_text(encoding="utf-8"))
     text = text.replace("<img id", '<img alt="animation of the episode" id')
     return re.sub(r'<i class="fa fa-([^"]*)"></i>', lambda icon: _ICONS[icon[1]], text)

@@ -215,8 +215,10 @@ class EpisodeWriter:
             self.log("mind/attention", rr.Image((255 * np.clip(sheet, 0, 1)).astype(np.uint8)))
             usable = record.alive[r] & np.isfinite(place[:, 0])
             weights = np.where(usable[:, None] & usable & ~np.eye(len(usable), dtype=bool), record.attention[r], 0.0)
-            pairs = np.argwhere((weights >= np.sort(weights, axis=1)[:, -2:-1]) & (weights > 0.05 * weights.max()))
+            most = np.argsort(-weights, axis=1, kind="stable")[:, :2]  # the two largest weights of each UAV
+            pairs = np.stack([np.repeat(np.arange(len(most)), most.shape[1]), most.ravel()], axis=1)
             share = weights[pairs[:, 0], pairs[:, 1]] / max(float(weights.max()), 1e-12)
+            pairs, share = pairs[share > 0.05], share[share > 0.05]
             white = np.column_stack([np.full((len(share), 3), 255), 20 + 90 * share]).astype(np.uint8)
             width = (0.2 + 1.6 * share) * self.scale
             self.log("world/found/attention", rr.LineStrips3D(place[pairs], colors=white, radii=width))
