@@ -65,6 +65,17 @@ def test_the_detector_is_not_shown_the_truth(scenes):
         assert painted(frame, "#0072B2")[0] == (scene.phase in (NAME, VERDICT))
 
 
+def test_where_the_truth_is_unknown_no_verdict_is_given():
+    record = small_episode(labelled=False, over_budget=[True, True], alive=np.ones((ROUNDS, UAVS), bool))
+    shown = list(list_scenes(record, 2))
+    assert [scene.phase for scene in shown] == [WATCH, WATCH, NAME] * ROUNDS + [NAME]
+    assert shown[2].text == "It finds 2 leaders."
+    painter = Painter(record)
+    for scene in shown[1:3]:
+        painter.draw(scene)
+        assert painted(pixels_of(painter.figure), "#332288") == (False, scene.phase == NAME)  # of the first leader
+
+
 def test_a_gif_has_each_scene_with_its_duration(tmp_path, scenes):
     path = animate(small_episode(), tmp_path / "game.gif", frames=3)
     with Image.open(path) as image:
@@ -113,7 +124,7 @@ def test_the_page_holds_everything_and_loads_nothing(page):
     text = page.read_text()
     assert not re.findall(r"""(?:src|href)=["'](?!episode\.npz)[^"']*""", text)
     assert "http" not in re.sub("base64,[^'\"]*", "", text)
-    assert len(re.findall("data:image/png;base64", text)) == 13
+    assert len(re.findall("data:image/png;base64", text)) == 14
     words = " ".join(read_words(text).split())
     assert "All 2 heads found in 2 rounds with 1 redundant candidate: J = 2.083" in words
     assert "UAV 3 redundant, p 0.10, score" in words

@@ -22,7 +22,7 @@ _ABOUT = (
 )
 _ABOUT_UNKNOWN = (
     "Recorded tracks, seen from above. Stars are the leaders that were found in the window, and dots are the others, "
-    "in the colour of the leader that they follow. The truth is unknown."
+    "in the colour of the leader that they follow."
 )
 
 

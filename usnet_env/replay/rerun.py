@@ -26,7 +26,6 @@ from usnet_env.replay.story import explain_replay, name_round
 if TYPE_CHECKING:
     import rerun.blueprint as rrb
 
-_MOST_LINKS, _MOST_ATTENTION = 60, 30  # UAVs; in a larger swarm, these lines are hidden until they are asked for
 _UNKNOWN, _BACKGROUND = [140, 148, 156], [16, 20, 24]
 
 
@@ -34,17 +33,14 @@ def _space(writer: EpisodeWriter, name: str, truth: bool) -> rrb.Spatial3DView:
     """A view of the swarm: the truth with the verdict, or what the detector sees, with its answer."""
     import rerun.blueprint as rrb
 
-    rr, root, uavs = writer.rr, f"/{writer.root}", writer.record.uavs
-    hidden: Any = rrb.EntityBehavior(visible=False)
-    overrides: dict[Any, Any] = {f"{root}world/swarm/links": hidden} if uavs > _MOST_LINKS else {}
+    rr, root = writer.rr, f"/{writer.root}"
     parts = ["swarm", "verdict", "observers"]
+    overrides: dict[Any, Any] = {}
     if not truth:
         parts = ["swarm/heads", "swarm/followers", "swarm/tracks", "swarm/decoys", "found", "observers"]
         alike = rr.Points3D.from_fields(colors=[_UNKNOWN], radii=[5.0 * writer.scale])
         overrides = {f"{root}world/swarm/{kind}": alike for kind in ("heads", "followers", "decoys")}
         overrides[f"{root}world/swarm/tracks"] = rr.LineStrips3D.from_fields(colors=[[*_UNKNOWN, 110]])
-        if uavs > _MOST_ATTENTION:
-            overrides[f"{root}world/found/attention"] = hidden
     eye = rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital,
         position=writer.span * np.array([0.0, -0.8, 0.9]),
@@ -70,17 +66,17 @@ def _arrange(writers: Sequence[EpisodeWriter], labels: Sequence[str]) -> rrb.Blu
     columns: list[Any] = []
     charts: list[Any] = []
     for writer, label in zip(writers, labels, strict=True):
-        root, prefix = f"/{writer.root}", "" if single else f"{label}: "
-        spaces = [_space(writer, f"{prefix}the truth" if record.labelled else f"{prefix}the tracks", truth=True)]
+        root, prefix = f"/{writer.root}", f"{label}: "
+        spaces = [_space(writer, f"{prefix}the truth" if record.labelled else f"{prefix}tracks", truth=True)]
         if record.labelled:
-            spaces.insert(0, _space(writer, f"{prefix}what the detector sees and answers", truth=False))
+            spaces.insert(0, _space(writer, f"{prefix}what it sees and answers", truth=False))
         told = rrb.TextDocumentView(origin=f"{root}this_round", name=f"{prefix}this {name_round(record).lower()}")
         columns += [*spaces, told] if single else [rrb.Vertical(*spaces, told)]
-        charts.append(rrb.BarChartView(origin=f"{root}scores", name=f"{prefix}scores by number of the UAV"))
+        charts.append(rrb.BarChartView(origin=f"{root}scores", name=f"{prefix}scores by index"))
         if single and record.attention is not None:
-            charts.append(rrb.Spatial2DView(origin=f"{root}mind/attention", name="attention of a UAV (row)"))
+            charts.append(rrb.Spatial2DView(origin=f"{root}mind/attention", name="Attention of a UAV (row)"))
         if single and record.features is not None:
-            charts.append(rrb.Spatial2DView(origin=f"{root}mind/features", name="feature space"))
+            charts.append(rrb.Spatial2DView(origin=f"{root}mind/features", name="Feature space"))
     curves = [
         rrb.TimeSeriesView(origin="/", contents=[f"/{writer.root}game/{name}" for writer in writers], name=title)
         for name, title in ({} if record.recorded else CURVES).items()
@@ -127,16 +123,11 @@ def _find_span(record: EpisodeRecord) -> float:
 
 
 def write_recording(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path:
-    """Write an episode as a Rerun recording that contains its layout; the file appears whole.
+    """Write an episode as a Rerun recording that contains its layout; the file appears whole. ``rerun PATH`` opens it.
 
     One view shows what the detector sees, and its answer when it is given: found groups, found leaders, attention.
     Another one shows the truth and the verdict. The timelines are ``time``, seconds of the replay with a pause after
     each answer, destruction and re-merge; ``step``, see :func:`usnet_env.replay.recording.list_steps`; and ``round``.
-    ``rerun PATH`` opens the file.
-
-    Args:
-        record: the episode.
-        path: the file to write, with the suffix ``.rrd`` by convention; an existing file is replaced.
 
     Raises:
         ArgumentError: the place can't be written to.

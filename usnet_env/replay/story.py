@@ -151,12 +151,13 @@ def tell_round(record: EpisodeRecord, number: int, names: Sequence[str]) -> tupl
 def explain_replay(records: Sequence[EpisodeRecord], labels: Sequence[str]) -> str:
     """Explain a recording of one or two episodes in Markdown."""
     record = records[0]
+    seed = "" if record.seed is None else f", seed {record.seed}"
     outcomes = "\n".join(
         f"- **{label}:** {describe_outcome(each)}" for label, each in zip(labels, records, strict=True)
     )
     heading = f"""# Who leads this {"group" if record.recorded else "swarm"}?
 
-{record.env_id or "An episode"}, seed {record.seed}: {record.uavs} {"tracks" if record.recorded else "UAVs"}.
+{record.env_id or "An episode"}{seed}: {record.uavs} {"tracks" if record.recorded else "UAVs"}.
 
 {outcomes}
 
