@@ -41,9 +41,8 @@ def test_the_demo_plays_prints_and_keeps_an_episode(tmp_path, capsys):
 @pytest.fixture
 def quick(monkeypatch):
     """The demo without its pictures, which take long."""
-    for name in ("write_recording", "write_picture"):
+    for name in ("write_recording", "write_picture", "write_page"):
         monkeypatch.setattr(demo, name, lambda record, path: path)
-    monkeypatch.setattr(demo, "write_page", lambda title, records, path, links: path)
 
 
 def test_the_game_of_the_demo_has_an_error_and_a_recovery(tmp_path, quick):

@@ -96,7 +96,7 @@ def replay(
         record = records[0]
         rounds = [f"  {number}: {describe_round(record, number)}" for number in range(1, record.rounds + 1)]
         _say("\n".join([name_game(record), *rounds, describe_outcome(record)]))
-        if not _write_files(record, chosen[0][0].stem, **files) or rrd is not None or open_viewer:
+        if not _write_files(record, **files) or rrd is not None or open_viewer:
             written = write_recording(record, rrd or chosen[0][0].with_suffix(".rrd"))
         else:
             return
@@ -145,7 +145,7 @@ def _list_episodes(files: Sequence[Path]) -> None:
     show(table)
 
 
-def _write_files(record: EpisodeRecord, name: str, animation: str | None, page: str | None, figure: str | None) -> bool:
+def _write_files(record: EpisodeRecord, animation: str | None, page: str | None, figure: str | None) -> bool:
     """Write what was asked for besides a replay, and say where it is; whether anything was."""
     from usnet_env.replay import animate, write_picture
     from usnet_env.replay.page import write_page
@@ -153,7 +153,7 @@ def _write_files(record: EpisodeRecord, name: str, animation: str | None, page: 
     if animation is not None:
         click.echo(f"animation  {animate(record, animation)}")
     if page is not None:
-        click.echo(f"page       {write_page('Who leads this swarm?', {name: record}, page)}")
+        click.echo(f"page       {write_page(record, page)}")
     if figure is not None:
         click.echo(f"figure     {write_picture(record, figure)}")
     return (animation, page, figure) != (None, None, None)

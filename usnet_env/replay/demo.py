@@ -34,7 +34,6 @@ DEMO: dict[str, Any] = {
 }
 #: The paper's example: Algorithm 2 on 8 clusters of 185 UAVs.
 PAPER_EXAMPLE: dict[str, Any] = {"clusters": 8, "uavs": 185, "follow": "f1"}
-_TITLE, _LINKS = "Who leads this swarm?", {"The game": "episode.npz"}
 _ROW = "{:>5}  {:>10}  {:>9}  {:>9}  {:>10}  {:>7}"
 
 
@@ -74,7 +73,7 @@ def run_demo(
     detector_seed = int(np.random.SeedSequence(seed, spawn_key=(1,)).generate_state(1)[0])
     with closing(gym.make("USNET/MultiCluster-v0", **game)) as env:
         folder.mkdir(parents=True, exist_ok=True)  # a folder that can't be made should not cost the game
-        print(_TITLE)
+        print("Who leads this swarm?")
         print(
             f"{game['uavs']} UAVs in {game['clusters']} clusters, follow strategy {game['follow']}, seed {seed}; ",
             end="",
@@ -88,7 +87,7 @@ def run_demo(
     makers: dict[str, tuple[Callable[..., Path], str]] = {
         "replay": (write_recording, "replay.rrd"),
         "picture": (write_picture, "episode.png"),
-        "page": (lambda record, path: write_page(_TITLE, {"The game": record}, path, links=_LINKS), "report.html"),
+        "page": (write_page, "report.html"),
     }
     for name, (make, file) in makers.items():
         try:

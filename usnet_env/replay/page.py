@@ -1,11 +1,10 @@
-"""A page of episodes that any browser opens without a network: animation, table of rounds, reasons."""
+"""A page of an episode that any browser opens without a network: animation, table of rounds, reasons."""
 
 from __future__ import annotations
 
-import html
 import os
 import re
-from collections.abc import Mapping, Sequence
+from html import escape
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -19,10 +18,9 @@ from usnet_env.replay.episode import EpisodeRecord
 from usnet_env.replay.story import describe_outcome, describe_round, list_marked, name_game, name_round, name_uav
 
 _FRAMES, _RATE, _DPI = 4, 1, 75  # frames of a growing window, frames per second, pixels per inch
-_MOST_ROUNDS, _LEAST_ROUNDS = 12, 2  # with pictures: of all episodes together, and of each; the tables have all of them
+_MOST_ROUNDS = 12  # of the animation; the tables have all of them
 _STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 0 auto; padding: 1rem; }
-h2 { margin-top: 2.5rem; border-top: 1px solid #d5d9de; padding-top: 1.2rem; }
 img { max-width: 100%; } .scroll { overflow-x: auto; } summary { cursor: pointer; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
 th, td { text-align: left; padding: 0.3rem 0.9rem 0.3rem 0; border: 0; border-bottom: 1px solid #d5d9de; }
@@ -34,12 +32,12 @@ _ICONS = {
 }  # fmt: skip
 
 
-def _animate(record: EpisodeRecord, most: int) -> str:
-    """The animation of the first ``most`` rounds with its controls, as matplotlib writes it."""
+def _animate(record: EpisodeRecord) -> str:
+    """The animation of the first rounds with its controls, as matplotlib writes it."""
     from matplotlib.animation import HTMLWriter
 
     painter = Painter(record, _DPI)
-    shown = [scene for scene in list_scenes(record, _FRAMES) if scene.round <= most]
+    shown = [scene for scene in list_scenes(record, _FRAMES) if scene.round <= _MOST_ROUNDS]
     writer = HTMLWriter(fps=_RATE, embed_frames=True, default_mode="once", embed_limit=200)
     with TemporaryDirectory() as folder:
         path = Path(folder, "animation.html")
@@ -69,49 +67,25 @@ def _write_rounds(record: EpisodeRecord) -> str:
     return f"<div class='scroll'>{table.to_html(index=False, border=0, float_format='{:.3g}'.format)}</div>"
 
 
-def _write_episode(name: str, link: str | None, record: EpisodeRecord, most: int) -> str:
-    escape = html.escape
-    more = f" The animation shows the first {format_count(most, name_round(record).lower())}."
-    file = "" if link is None else f" Episode file: <a href='{escape(link)}'>{escape(link)}</a>."
+def write_page(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path:
+    """Write a page of an episode in place of an existing file; the file appears whole.
+
+    Raises:
+        ArgumentError: the place can't be written to.
+        MissingExtraError: matplotlib is not installed.
+    """
+    more = f" The animation shows the first {format_count(_MOST_ROUNDS, name_round(record).lower())}."
     rounds = []
     for number in range(1, record.rounds + 1):
         marked = [(name_uav(record, i), word, why) for i, word, why in list_marked(record, number)]
         lines = "".join(f"<li><b>{escape(uav)}</b> {word}, {escape(why)}</li>" for uav, word, why in marked)
         title = escape(f"{name_round(record)} {number}: {describe_round(record, number)}")
         rounds.append(f"<details{' open' * (number == 1)}><summary>{title}</summary><ul>{lines}</ul></details>")
-    return f"""<section><h2>{escape(name)}</h2>
-<p>{escape(name_game(record))}. {escape(describe_outcome(record))}{more * (record.rounds > most)}{file}</p>
-{_animate(record, most)}{_write_rounds(record)}{"".join(rounds)}</section>"""
-
-
-def write_page(
-    title: str,
-    records: Mapping[str, EpisodeRecord],
-    path: str | os.PathLike[str],
-    *,
-    links: Mapping[str, str] | None = None,
-    tables: Sequence[str] = (),
-) -> Path:
-    """Write a page of episodes; the file appears whole.
-
-    Args:
-        title: of the page.
-        records: the episodes by their headings.
-        path: the file to write; an existing file is replaced.
-        links: for a heading the link to its episode file, relative to the page.
-        tables: HTML that comes before the episodes.
-
-    Raises:
-        ArgumentError: the place can't be written to.
-        MissingExtraError: matplotlib is not installed.
-    """
-    most = max(_MOST_ROUNDS // max(len(records), 1), _LEAST_ROUNDS)
-    sections = [_write_episode(name, (links or {}).get(name), record, most) for name, record in records.items()]
     page = f"""<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{html.escape(title)}</title><style>{_STYLE}</style></head><body>
-<h1>{html.escape(title)}</h1>
-{"".join(f'<div class="scroll">{table}</div>' for table in tables)}{"".join(sections)}
+<title>{escape(name_game(record))}</title><style>{_STYLE}</style></head><body>
+<h1>{escape(name_game(record))}</h1><p>{escape(describe_outcome(record))}{more * (record.rounds > _MOST_ROUNDS)}</p>
+{_animate(record)}{_write_rounds(record)}{"".join(rounds)}
 </body></html>
 """
     with atomic_write(path) as aside:
