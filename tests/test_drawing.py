@@ -197,22 +197,6 @@ def test_figures_are_written_at_200_pixels_an_inch_or_as_pdf(tmp_path):
         assert picture.size == (400, 200)
 
 
-@pytest.mark.slow
-def test_a_video_has_a_frame_for_each_step(tmp_path):
-    pytest.importorskip("moviepy")
-    from gymnasium.wrappers import RecordVideo
-
-    env = gym.make("USNET/MultiCluster-v0", render_mode="rgb_array", clusters=2, uavs=12, max_rounds=3)
-    with RecordVideo(env, str(tmp_path / "videos"), disable_logger=True) as recorder:
-        recorder.reset(seed=0)
-        for _ in range(3):
-            recorder.step(np.zeros(12, np.int8))
-        assert len(recorder.recorded_frames) in (0, 4)  # none after the last step: the video is written
-    (video,) = (tmp_path / "videos").iterdir()
-    assert video.suffix == ".mp4"
-    assert video.stat().st_size > 1000
-
-
 def test_long_names_keep_their_ends():
     names = ["zzz_female_collar-1-leader", "zzz_female_collar-2-leader", "short", "a name that is much too long"]
     assert drawing.abbreviate(names, 13) == [*names[:2], "short", "a name…o long"]
