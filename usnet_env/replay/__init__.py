@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from usnet_env.replay.animation import animate
+from usnet_env.replay.animate import animate
 from usnet_env.replay.episode import EpisodeRecord
 from usnet_env.replay.figure import draw_episode, write_picture
-from usnet_env.replay.play import Round, record_episode
-from usnet_env.replay.record_replay import RecordReplay
-from usnet_env.replay.recording import write_comparison, write_recording
+from usnet_env.replay.record import RecordReplay, Round, record_episode
+from usnet_env.replay.rerun import write_comparison, write_recording
 
 __all__ = [
     "EpisodeRecord",

@@ -10,51 +10,39 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from usnet_env.config import ArgumentError, format_count, is_whole_number, plain_text, quote, whole_number
+from usnet_env.arrays import Floats, Indices, Mask, Singles
+from usnet_env.config import ArgumentError, format_count, quote, whole_number
 from usnet_env.drawing import last_seen_position
+from usnet_env.files import as_path, atomic_write
 from usnet_env.objectives import hits_and_redundant
-from usnet_env.replay.episode_file import read_episode_file, write_episode_file
-from usnet_env.window import frozen_array
 
-MOST_SEED = 2**128 - 1  # the seeds that NumPy draws from the operating system have 128 bits
-_LINKS = "communication_links"  # derived from ``root`` when a file is written, compared when it is read
-
-
-def _freeze_indices(name: str, value: Any, shape: tuple[int, int], high: int) -> NDArray[np.int64]:
-    """Convert ``value`` to read-only int64; refuse numbers that are not whole or not within -1 to ``high``."""
-    exact = frozen_array(name, value, np.float64, shape)
-    if not ((exact >= -1) & (exact <= high) & (exact == np.floor(exact))).all():
-        raise ArgumentError(f"{name} must hold whole numbers from -1 to {high}, got {quote(np.asarray(value))}.")
-    return frozen_array(name, value, np.int64, shape)
-
-
-def _convert_to_json(name: str, value: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert a mapping to what JSON holds, so that saving and loading changes nothing."""
-    try:
-        if not isinstance(value, Mapping):
-            raise TypeError
-        plain: dict[str, Any] = json.loads(json.dumps(dict(value), allow_nan=False))
-    except (TypeError, ValueError):
-        raise ArgumentError(f"{name} must map names to plain values that JSON holds, got {quote(value)}.") from None
-    return plain
+#: Version 2 added ``attention`` and ``communication_links``, version 3 ``labelled``, version 4 ``attention_heads``,
+#: ``probability``, ``features``, ``reasons``, ``choices`` and ``observers``. In version 5 ``leader`` became ``root``.
+#: Older files are read as well.
+FORMAT_VERSION = 5
+_FORMAT = "usnet-episode"
+_LINKS = "communication_links"  # derived from ``root`` when a file is written, for readers without this class
+_KINDS = {"Singles": np.float32, "Floats": np.float64, "Indices": np.int64, "Mask": np.bool_}
+#: The axes of the arrays: R rounds, S instants, T velocities between them, N UAVs; other letters have any length.
+_AXES = {
+    **dict.fromkeys(("head", "decoy"), "N"),
+    **dict.fromkeys(("objective", "over_budget", "seconds"), "R"),
+    **dict.fromkeys(("alive", "root", "candidates", "scores", "clusters", "leader_estimate", "probability"), "RN"),
+    "position": "RSN3",
+    "velocity": "RTN3",
+    "seen": "RSN",
+    "features": "RN2",
+    "attention": "RNN",
+    "attention_heads": "RHNN",
+    "observers": "K4",
+}
 
 
-def _list_links(
-    followed: NDArray[np.int64], followers: NDArray[np.bool_], heads: NDArray[np.bool_]
-) -> NDArray[np.int64]:
+def _list_links(followed: Indices, followers: Mask, heads: Mask) -> Indices:
     """``(L, 2)`` int64: which of ``followers`` ``(N,)`` follow which of ``heads`` ``(N,)``."""
     linked = np.flatnonzero(followers & (followed >= 0) & heads[followed] & (followed != np.arange(len(followed))))
     return np.column_stack([linked, followed[linked]])
-
-
-def _convert_to_texts(name: str, value: Any, rounds: int) -> tuple[dict[str, str], ...]:
-    """Check texts of every round, each by the name of what it is about."""
-    good = isinstance(value, Sequence) and len(value) == rounds and all(isinstance(each, Mapping) for each in value)
-    if not good or not all(isinstance(word, str) for each in value for word in (*each, *each.values())):
-        raise ArgumentError(f"{name} must hold for each of {rounds} rounds a mapping of texts, got {quote(value)}.")
-    return tuple(dict(each) for each in value)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -83,17 +71,15 @@ class EpisodeRecord:
         over_budget: ``(R,)`` bool, the round had more candidates than the shot budget, and no UAV was destroyed.
         seconds: ``(R,)`` float64, wall time of ``detect`` alone.
         clusters: ``(R, N)`` int64, the detector's cluster labels (-1: none), or ``None``.
-        leader_estimate: ``(R, N)`` int64, index of the UAV that each UAV follows by the detector's answer (-1: none),
-            or ``None``.
-        attention: ``(R, N, N)`` float32, the detector's attention weights: row i holds the weights of UAV i on all
-            UAVs (the paper's α_{i,i'}); or ``None``.
-        attention_heads: ``(R, H, N, N)`` float32, the weights of each of the detector's H attention heads, or ``None``.
-        probability: ``(R, N)`` float64, the detector's probability that each UAV is a head, or ``None``.
-        features: ``(R, N, 2)`` float32, the feature space in which the detector clustered, in the plane of its two
-            principal axes; or ``None``.
-        reasons: for each round a sentence by UAV (``"17"``): why the detector takes it for a head; or ``None``.
-        choices: for each round a text by agent: what the agents of a game of several agents chose, or ``None``.
-        observers: ``(K, 4)`` float64, position and sensing range of each observer in metres, or ``None``.
+        leader_estimate: ``(R, N)`` int64, the UAV that each follows by the answer (-1: none), or ``None``.
+        attention: ``(R, N, N)`` float32, row i holds the attention weights of UAV i on all UAVs (the paper's
+            α_{i,i'}); it and the arrays and texts below may be ``None``.
+        attention_heads: ``(R, H, N, N)`` float32, the weights of each of the detector's H attention heads.
+        probability: ``(R, N)`` float64, the detector's probability that each UAV is a head.
+        features: ``(R, N, 2)`` float32, the detector's feature space, in the plane of its two principal axes.
+        reasons: for each round a sentence by UAV (``"17"``): why the detector takes it for a head.
+        choices: for each round a text by agent: what the agents of a game of several agents chose.
+        observers: ``(K, 4)`` float64, position and sensing range of each observer in metres.
         problem: ``"P1"`` or ``"P2"``.
         env_id: the environment's registered id.
         seed: the environment's seed; ``None``: not seeded.
@@ -103,32 +89,29 @@ class EpisodeRecord:
         versions: version of Python and of each package that computed the episode.
         labelled: whether the truth is known. In recorded tracks it is not: then ``head`` and ``root`` hold what the
             detector found, the UAVs that are candidates in a round and the candidate that each UAV follows.
-
-    Raises:
-        ArgumentError: an array has another shape or impossible values, or two rounds contradict each other.
     """
 
-    position: NDArray[np.float32]
-    velocity: NDArray[np.float32]
-    seen: NDArray[np.bool_]
-    alive: NDArray[np.bool_]
-    root: NDArray[np.int64]
-    candidates: NDArray[np.bool_]
-    scores: NDArray[np.float64]
-    objective: NDArray[np.float64]
-    head: NDArray[np.bool_]
-    decoy: NDArray[np.bool_]
-    over_budget: NDArray[np.bool_]
-    seconds: NDArray[np.float64]
-    clusters: NDArray[np.int64] | None = None
-    leader_estimate: NDArray[np.int64] | None = None
-    attention: NDArray[np.float32] | None = None
-    attention_heads: NDArray[np.float32] | None = None
-    probability: NDArray[np.float64] | None = None
-    features: NDArray[np.float32] | None = None
+    position: Singles
+    velocity: Singles
+    seen: Mask
+    alive: Mask
+    root: Indices
+    candidates: Mask
+    scores: Floats
+    objective: Floats
+    head: Mask
+    decoy: Mask
+    over_budget: Mask
+    seconds: Floats
+    clusters: Indices | None = None
+    leader_estimate: Indices | None = None
+    attention: Singles | None = None
+    attention_heads: Singles | None = None
+    probability: Floats | None = None
+    features: Singles | None = None
     reasons: Sequence[Mapping[str, str]] | None = None
     choices: Sequence[Mapping[str, str]] | None = None
-    observers: NDArray[np.float64] | None = None
+    observers: Floats | None = None
     problem: str = "P2"
     env_id: str = ""
     seed: int | None = None
@@ -145,69 +128,33 @@ class EpisodeRecord:
         )
 
     def __post_init__(self) -> None:
-        def put(name: str, value: Any) -> None:
-            object.__setattr__(self, name, value)
+        for item in fields(self):
+            value, kind = getattr(self, item.name), _KINDS.get(str(item.type).partition(" ")[0])
+            if kind is not None and value is not None:
+                value = np.array(value, kind)
+                value.setflags(write=False)
+            elif kind is None and not isinstance(value, str):  # so that saving and loading changes nothing
+                value = json.loads(json.dumps(value))
+            object.__setattr__(self, item.name, value)
 
-        position = frozen_array("position", self.position, np.float32, (None, None, None, 3))
-        rounds, instants, uavs = position.shape[:3]
-        if rounds < 1 or instants < 2 or uavs < 1:
-            raise ArgumentError(
-                "position must hold at least 1 round of at least 2 instants of at least 1 UAV, "
-                f"got shape {position.shape}."
-            )
-        put("position", position)
-        forms: dict[str, tuple[type, tuple[int | None, ...]]] = {
-            "velocity": (np.float32, (rounds, instants - 1, uavs, 3)),
-            "seen": (bool, (rounds, instants, uavs)),
-            "alive": (bool, (rounds, uavs)),
-            "candidates": (bool, (rounds, uavs)),
-            "head": (bool, (uavs,)),
-            "decoy": (bool, (uavs,)),
-            "over_budget": (bool, (rounds,)),
-            "objective": (np.float64, (rounds,)),
-            "seconds": (np.float64, (rounds,)),
-            "scores": (np.float64, (rounds, uavs)),
-            "attention": (np.float32, (rounds, uavs, uavs)),
-            "attention_heads": (np.float32, (rounds, None, uavs, uavs)),
-            "probability": (np.float64, (rounds, uavs)),
-            "features": (np.float32, (rounds, uavs, 2)),
-            "observers": (np.float64, (None, 4)),
-        }
-        highest = {"root": uavs - 1, "clusters": 2**53, "leader_estimate": uavs - 1}
-        absent = {item.name for item in fields(self) if item.default is None and getattr(self, item.name) is None}
-        for name, (kind, shape) in forms.items():
-            if name not in absent:
-                put(name, frozen_array(name, getattr(self, name), kind, shape))
-        for name, high in highest.items():
-            if name not in absent:
-                put(name, _freeze_indices(name, getattr(self, name), (rounds, uavs), high))
-        for name in ("reasons", "choices"):
-            if name not in absent:
-                put(name, _convert_to_texts(name, getattr(self, name), rounds))
-        self._check_labels()
-        for name in ("config", "versions"):
-            put(name, _convert_to_json(name, getattr(self, name)))
-        self._check_rounds()
-
-    def _check_labels(self) -> None:
-        if not isinstance(self.problem, str) or self.problem not in ("P1", "P2"):
-            raise ArgumentError(f"problem must be 'P1' or 'P2', got {quote(self.problem)}.")
-        if not isinstance(self.labelled, bool):
-            raise ArgumentError(f"labelled must be true or false, got {quote(self.labelled)}.")
-        for name in ("env_id", "detector"):
-            plain_text(name, getattr(self, name))
-        for name in ("seed", "detector_seed"):
-            if (value := getattr(self, name)) is not None:
-                object.__setattr__(self, name, whole_number(name, value, 0, MOST_SEED))
-
-    def _check_rounds(self) -> None:
-        if (self.head & self.decoy).any():
-            raise ArgumentError(
-                f"decoy must exclude the heads, got UAVs {quote(np.flatnonzero(self.head & self.decoy))} as both."
-            )
+    def find_fault(self) -> str:
+        """What is impossible in the record, or contradicts itself; an empty text if nothing does."""
+        sizes = dict(zip("RSN", self.position.shape, strict=False))
+        sizes |= {"T": sizes.get("S", 0) - 1, "2": 2, "3": 3, "4": 4}
+        for name, axes in _AXES.items():
+            value = getattr(self, name)
+            if value is None:
+                continue
+            if value.ndim != len(axes) or any(
+                sizes.get(axis, n) != n for axis, n in zip(axes, value.shape, strict=True)
+            ):
+                return f"{name} has the shape {value.shape}"
+            if not np.isfinite(value).all():
+                return f"{name} is not finite"
+            if name in ("root", "leader_estimate") and ((value < -1) | (value >= self.uavs)).any():
+                return f"{name} has indices of no UAV"
         left = self.alive & ~self.destroyed
-        if not np.array_equal(self.alive[1:], left[:-1]):
-            raise ArgumentError("alive must be, in every later round, what the previous round left; it is not.")
+        return "" if np.array_equal(self.alive[1:], left[:-1]) else "alive differs from what the round before left"
 
     @property
     def rounds(self) -> int:
@@ -226,93 +173,71 @@ class EpisodeRecord:
         return not self.labelled or "ids" in self.config or self.env_id == "USNET/Tracks-v0"
 
     @property
-    def destroyed(self) -> NDArray[np.bool_]:
+    def destroyed(self) -> Mask:
         """``(R, N)`` bool: UAVs that are destroyed in each round."""
         return self.fired & (not self.recorded)
 
     @property
-    def fired(self) -> NDArray[np.bool_]:
+    def fired(self) -> Mask:
         """``(R, N)`` bool: candidates that were shot at; none in a round over budget."""
         return self.candidates & ~self.over_budget[:, None]
 
     @property
-    def decoys(self) -> NDArray[np.bool_]:
+    def decoys(self) -> Mask:
         """``(R, N)`` bool: living decoys, also those of one window in the game of evasion, which lead themselves."""
         return self.alive & ~self.head & (self.decoy | (self.root == np.arange(self.uavs)))
 
     @property
-    def orphans(self) -> NDArray[np.bool_]:
+    def orphans(self) -> Mask:
         """``(R, N)`` bool: living followers whose head is destroyed in the round."""
         behind = np.take_along_axis(self.destroyed, np.maximum(self.root, 0), axis=1)
         return self.alive & ~self.destroyed & (self.root >= 0) & behind
 
     @property
-    def hits(self) -> NDArray[np.int64]:
+    def hits(self) -> Indices:
         """``(R,)`` heads hit in each round."""
         return hits_and_redundant(self.head, self.alive, self.fired)[0]
 
     @property
-    def redundant(self) -> NDArray[np.int64]:
+    def redundant(self) -> Indices:
         """``(R,)`` redundant candidates of each round."""
         return hits_and_redundant(self.head, self.alive, self.fired)[1]
 
     @property
-    def heads_left(self) -> NDArray[np.int64]:
+    def heads_left(self) -> Indices:
         """``(R,)`` living heads after each round."""
         return np.asarray((self.head & self.alive & ~self.fired).sum(axis=1))
 
     def _index(self, number: int) -> int:
-        """Index of a round; refuses a number that is no round."""
+        """Index of a round, from its number; :class:`ArgumentError` if there is no such round."""
         return whole_number("number", number, 1, self.rounds) - 1
 
-    def last_position(self, number: int) -> NDArray[np.float32]:
-        """Where each UAV was seen last, up to the end of a round.
-
-        Args:
-            number: the round, from 1.
-
-        Returns:
-            ``(N, 3)`` metres; NaN for a UAV that was never seen.
-
-        Raises:
-            ArgumentError: no such round.
-        """
+    def last_position(self, number: int) -> Singles:
+        """Where each UAV was seen last, up to the end of a round (from 1): ``(N, 3)`` metres, NaN if never."""
         rounds = self._index(number) + 1
         position = self.position[:rounds].reshape(-1, self.uavs, 3)
         return last_seen_position(position, self.seen[:rounds].reshape(-1, self.uavs))
 
-    def communication_links(self, number: int) -> NDArray[np.int64]:
-        """The true communication links of a round: the paper's edge sets E_{j,t} of all clusters, §II-A.
-
-        Args:
-            number: the round, from 1.
+    def communication_links(self, number: int) -> Indices:
+        """The true communication links of a round (from 1): the paper's edge sets E_{j,t} of all clusters, §II-A.
 
         Returns:
             ``(L, 2)`` int64: a row for each living follower, its index and the index of its head, in ascending order of
             the followers. The graph is undirected.
-
-        Raises:
-            ArgumentError: no such round.
         """
         r = self._index(number)
         return _list_links(self.root[r], self.alive[r], self.head & self.alive[r])
 
-    def hierarchy(self, number: int) -> NDArray[np.int64] | None:
-        """The hierarchy graph that the detector found in a round: links to its candidates.
+    def hierarchy(self, number: int) -> Indices | None:
+        """The hierarchy graph that the detector found in a round (from 1): links to its candidates.
 
         A living UAV that is no candidate is linked to the candidate that ``leader_estimate`` names. If the detector
         gave no leaders, its attention decides: the UAV's leader is the other UAV with the largest weight. A UAV without
         a leader, or with a leader that is no candidate, has no link.
 
-        Args:
-            number: the round, from 1.
-
         Returns:
             ``(L, 2)`` int64: index of the UAV and of its candidate, in ascending order of the UAVs; ``None`` if the
-            record has neither ``leader_estimate`` nor ``attention``. The same form as :meth:`communication_links`.
-
-        Raises:
-            ArgumentError: no such round.
+            record has neither ``leader_estimate`` nor ``attention``.
         """
         r = self._index(number)
         candidates = self.candidates[r] & self.alive[r]
@@ -325,9 +250,7 @@ class EpisodeRecord:
             return None
         return _list_links(leader, self.alive[r] & ~candidates, candidates)
 
-    def topology_matrix(
-        self, number: int, t: int, head: int | None = None, memory: int | None = None
-    ) -> NDArray[np.float32]:
+    def topology_matrix(self, number: int, t: int, head: int | None = None, memory: int | None = None) -> Singles:
         """The time series topology matrix X of equation (5) at velocity ``t`` of a round's window.
 
         Three rows (x, y, z) for each UAV, in ascending order of the UAVs. The columns are the position p_{i,t-T_0+1}
@@ -355,7 +278,7 @@ class EpisodeRecord:
         members = np.arange(self.uavs)
         if head is not None:
             living = np.flatnonzero(self.head & self.alive[r])
-            if not is_whole_number(head) or head not in living.tolist():
+            if head not in living.tolist():
                 raise ArgumentError(f"head must be one of the living heads {quote(living)}, got {quote(head)}.")
             members = np.flatnonzero(self.alive[r] & ((self.root[r] == head) | (members == head)))
         first = t - past + 1
@@ -364,16 +287,10 @@ class EpisodeRecord:
         return np.concatenate([position, velocity], axis=-1).reshape(3 * len(members), past + 1)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the record as one compressed ``.npz``; the file appears whole.
+        """Write the record as one compressed ``.npz``, in place of an existing file; the file appears whole.
 
         The file also holds ``communication_links`` ``(L, 3)`` int64 for readers without this class: round, follower
         and head of every true link.
-
-        Args:
-            path: the file to write; an existing file is replaced.
-
-        Returns:
-            The path.
 
         Raises:
             ArgumentError: the place can't be written to.
@@ -381,51 +298,38 @@ class EpisodeRecord:
         values = {item.name: getattr(self, item.name) for item in fields(self)}
         arrays: dict[str, Any] = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
         words = {name: values[name] for name in values if name not in arrays and values[name] is not None}
-        return write_episode_file(path, words, {**arrays, _LINKS: self._all_links()})
-
-    def _all_links(self) -> NDArray[np.int64]:
-        """``(L, 3)`` round, follower and head of every communication link of the episode."""
-        each = [self.communication_links(number) for number in range(1, self.rounds + 1)]
-        numbers = np.repeat(np.arange(1, self.rounds + 1), [len(links) for links in each])
-        return np.column_stack([numbers, np.concatenate(each)])
+        links = [np.insert(self.communication_links(n), 0, n, axis=1) for n in range(1, self.rounds + 1)]
+        text = json.dumps({**words, "format": _FORMAT, "version": FORMAT_VERSION})
+        with atomic_write(path) as aside, aside.open("wb") as file:
+            np.savez_compressed(file, **arrays | {_LINKS: np.concatenate(links), "metadata": np.array(text)})
+        return Path(path)
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str], *, max_bytes: int | None = None) -> EpisodeRecord:
-        """Read a record; nothing in the file is ever executed.
-
-        Args:
-            path: a file that :meth:`save` of this or an earlier version wrote.
-            max_bytes: the largest number of bytes that the arrays may need in memory. The file is compressed, so a
-                small file can hold very large arrays. ``None``: 256 MiB, or 20 times the size of the file if that is
-                more.
+    def load(cls, path: str | os.PathLike[str]) -> EpisodeRecord:
+        """Read a file that :meth:`save` of this or an earlier version wrote; nothing in it is ever executed.
 
         Returns:
             The record; every array and text equals the saved one. Fields that an earlier version did not have are
             ``None``.
 
         Raises:
-            ArgumentError: the file does not exist, is of another kind or a newer version, is damaged, or holds more
-                than ``max_bytes``.
+            ArgumentError: the file can't be read, is of another kind or a newer version, or is damaged.
         """
-        most = None if max_bytes is None else whole_number("max_bytes", max_bytes, 1)
-        where, words, arrays = read_episode_file(path, most)
+        place = as_path("path", path)
         try:
-            version = words.pop("version")
-            links = arrays.pop(_LINKS) if version > 1 else None
-            if version < 5:
+            with place.open("rb") as source, np.load(source, allow_pickle=False) as file:
+                arrays: dict[str, Any] = {name: file[name] for name in file.files if name != _LINKS}
+            words = json.loads(str(arrays.pop("metadata")))
+            version = words.pop("version") if words.pop("format") == _FORMAT else None
+            if version in range(1, 5):
                 arrays["root"] = arrays.pop("leader")
-            record = cls(**words, **arrays)
-            if links is not None and not np.array_equal(links, record._all_links()):
-                raise ArgumentError(f"{_LINKS} must agree with root; it does not.")
-            return record
-        except KeyError as error:
-            raise ArgumentError(f"path must be an intact episode file, got {where}: {error} is missing.") from None
-        except (ArgumentError, TypeError) as error:  # TypeError: a field is missing, doubled or unknown
-            raise ArgumentError(f"path must be an intact episode file, got {where}: {error}") from None
-
-
-def check_record(record: Any) -> EpisodeRecord:
-    """Return the argument ``record``; raise :class:`ArgumentError` if it is not an :class:`EpisodeRecord`."""
-    if not isinstance(record, EpisodeRecord):
-        raise ArgumentError(f"record must be an EpisodeRecord, got {quote(record)}.")
-    return record
+            fault = f"version {quote(version)} is not known, only those up to {FORMAT_VERSION}"
+            if version in range(1, FORMAT_VERSION + 1):
+                record = cls(**words, **arrays)
+                fault = record.find_fault()
+        except Exception as error:  # a damaged file makes NumPy raise whatever Python's own tokenizer raises
+            reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
+            fault = " ".join(reason.split()).rstrip(".")
+        if fault:
+            raise ArgumentError(f"path must be an intact episode file, got {quote(str(place))}: {fault}.")
+        return record

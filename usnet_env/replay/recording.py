@@ -1,120 +1,283 @@
-"""Rerun recordings: one of an episode, and one of two detectors on the same swarm.
-
-Rerun is an extra (``pip install 'usnet[replay]'``) and is imported only when a recording is written. Each recording has
-a stream of its own; Rerun's global state does not change.
-"""
+"""What a Rerun recording of an episode holds: the swarm, the answers, what the detector thought, texts and curves."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING
-from uuid import uuid4
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from usnet_env.config import ArgumentError, how_to_install
-from usnet_env.drawing import MissingExtraError
-from usnet_env.files import as_path, atomic_write
-from usnet_env.replay.course import ABOUT, CURVES, write_course
-from usnet_env.replay.episode import EpisodeRecord, check_record
-from usnet_env.replay.layout import arrange_comparison, arrange_views
-from usnet_env.replay.mind import write_mind
-from usnet_env.replay.scribe import Scribe
-from usnet_env.replay.story import explain_comparison
-from usnet_env.replay.world import write_world
+from usnet_env.arrays import Indices, Singles
+from usnet_env.drawing import CLUSTER_COLORS, NO_CLUSTER_COLOR, cluster_colors, last_seen_position
+from usnet_env.replay.episode import EpisodeRecord
+from usnet_env.replay.story import HIT, LEADER, MISSED, OTHER, REDUNDANT, mark_words, name_uav, tell_round
 
 if TYPE_CHECKING:
     import rerun as rr
-    import rerun.blueprint as rrb
+
+_WATCH_SECONDS, _BEAT_SECONDS = 6.0, 2.0  # of the timeline "time": a window, and the pause after each beat
+_STAGES, _POINTS = 12, 41  # how often the tracks of a window grow, and the most points of a track
+_SMALL, _LARGE, _RING = 6.0, 14.0, 30.0  # metres: radii of a follower, of a head, and of a mark
+_USUAL_SPAN = 800.0  # metres: a swarm may be smaller or larger, and all sizes with it
+_MOST_LABELS = 16  # in a round with more marks, they have no labels
+_MARKS = {HIT: 0x1ED9A0FF, LEADER: 0x1ED9A0FF, REDUNDANT: 0xFF7A1AFF, MISSED: 0xF5F5F5FF, OTHER: 0x6A6A6AFF}
+CURVES = {"heads_left": "Heads left", "precision": "Precision", "recall": "Recall", "J": "J so far"}
+_NAMED, _GONE, _OBSERVER, _DECOY = 0x35A7FFFF, 0x8A8A8AFF, 0x7CC7FFFF, "#FFE45C"
+_SERIES = (0x56B4E9FF, 0xF0C04AFF)  # of the curves
+_CROSS = 11.0 * np.array([[[-1, -1, 0], [1, 1, 0]], [[-1, 1, 0], [1, -1, 0]]], np.float32)
 
 
-def _make_stream() -> rr.RecordingStream:
-    """The stream of a recording, without a file yet."""
-    try:
-        import rerun as rr
-    except ImportError:
-        raise MissingExtraError(f"Replays need rerun-sdk; {how_to_install('replay')}.") from None
-    # Recordings with the same application id share one camera and one layout in the viewer.
-    recording_id = str(uuid4())
-    stream = rr.RecordingStream(f"usnet {recording_id}", recording_id=recording_id)
-    stream.set_log_time_enabled(False)
-    stream.set_log_tick_enabled(False)
-    return stream
+def list_steps(record: EpisodeRecord) -> Indices:
+    """List the simulated step of every sample, ``(R, T_ob + 1)`` int64, counted from the start of the swarm.
 
-
-def _write(
-    scribes: Sequence[Scribe], layout: rrb.Blueprint, name: str, path: str | os.PathLike[str], about: str = ""
-) -> Path:
-    """Write the episodes of some scribes, which share a stream, and the text ``about`` them; the file appears whole."""
-    place = as_path("path", path)
-    rr, stream = scribes[0].rr, scribes[0].stream
-    with atomic_write(place) as aside:
-        stream.save(aside, default_blueprint=layout)
-        try:
-            stream.send_recording_name(name)
-            for scribe in scribes:
-                for write in (write_world, write_mind, write_course):
-                    write(scribe)
-            if about:
-                stream.log(ABOUT, rr.TextDocument(about, media_type=rr.MediaType.MARKDOWN), static=True)
-        finally:
-            stream.disconnect()  # writes the rest and closes the file
-    return place
-
-
-def write_recording(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path:
-    """Write an episode as a Rerun recording that contains its layout; the file appears whole.
-
-    The left view shows what the detector sees, and its answer when it is given: found groups, found leaders,
-    probabilities, attention. The right view shows the truth and the verdict. The timelines are ``time``, seconds of the
-    replay with a pause after each answer, destruction and re-merge; ``step``, see
-    :func:`usnet_env.replay.scribe.list_steps`; and ``round``. ``rerun PATH`` opens the file.
-
-    Args:
-        record: the episode.
-        path: the file to write, with the suffix ``.rrd`` by convention; an existing file is replaced.
-
-    Returns:
-        The path.
-
-    Raises:
-        ArgumentError: the place can't be written to.
-        MissingExtraError: rerun-sdk is not installed.
+    A round begins with ``memory`` unobserved steps after a re-merge; the window follows, with a sample every
+    ``sample_every`` steps. Where ``config`` lacks these two, the steps count the samples.
     """
-    scribe = Scribe(check_record(record), _make_stream())
-    return _write([scribe], arrange_views(scribe), f"{record.env_id} seed {record.seed}: {record.detector}", path)
+    every, memory = int(record.config.get("sample_every", 1)), int(record.config.get("memory", 0))
+    samples = record.position.shape[1]
+    flown = memory + (samples - 1) * every
+    return flown * np.arange(record.rounds)[:, None] + memory + every * np.arange(samples)[None]
 
 
-def write_comparison(first: EpisodeRecord, second: EpisodeRecord, path: str | os.PathLike[str]) -> Path:
-    """Write two episodes that began with the same swarm as one recording, side by side.
+def lighten(colors: Sequence[str] | NDArray[np.str_], alpha: int = 255) -> NDArray[np.uint8]:
+    """Lighten colours ``"#RRGGBB"`` made for white paper for a dark view: ``(n, 4)`` uint8."""
+    paper = np.array([[*bytes.fromhex(str(color)[1:])] for color in colors], np.float64).reshape(-1, 3)
+    return np.insert(90 + 0.65 * paper, 3, alpha, axis=1).astype(np.uint8)
 
-    Args:
-        first: the episode of one detector.
-        second: that of another one.
-        path: the file to write; an existing file is replaced.
 
-    Returns:
-        The path.
+def find_groups(record: EpisodeRecord, r: int) -> Indices:
+    """``(N,)``: the number of the group that was found for each UAV in round ``r`` (from 0); -1: none."""
+    values = np.full(record.uavs, -1)
+    if record.clusters is not None and (record.clusters[r][record.alive[r]] >= 0).any():
+        values = record.clusters[r]
+    elif record.leader_estimate is not None:
+        values = np.where(record.candidates[r], np.arange(record.uavs), record.leader_estimate[r])
+    values = np.where(record.alive[r], values, -1)
+    labels, number = np.unique(values, return_inverse=True)
+    return np.where(values < 0, -1, number - int(labels[0] < 0))
 
-    Raises:
-        ArgumentError: the first windows of the episodes differ, or the place can't be written to.
-        MissingExtraError: rerun-sdk is not installed.
+
+def attention_maps(record: EpisodeRecord, r: int) -> list[tuple[str, Singles]]:
+    """The weights of round ``r`` (from 0) with their titles: all of them, then those of each attention head.
+
+    Rows and columns are the living UAVs, sorted by their found group, so that groups are blocks on the diagonal.
     """
-    records = [check_record(first), check_record(second)]
-    same = np.array_equal(first.position[0], second.position[0]) and first.labelled == second.labelled
-    if not same or (first.labelled and not np.array_equal(first.head, second.head)):  # else they are those found
-        raise ArgumentError("second must begin with the same swarm as first, got an episode with another first window.")
-    names = [record.detector or f"detector {letter}" for record, letter in zip(records, "AB", strict=True)]
-    labels = [f"{letter} {name}" if names[0] == names[1] else name for letter, name in zip("AB", names, strict=True)]
-    stream = _make_stream()
-    scribes = [
-        Scribe(first, stream, "a/", color=CURVES["precision"][1]),
-        Scribe(second, stream, "b/", color=CURVES["recall"][1]),
-    ]
-    for scribe in scribes:  # one scale, so that both views show the swarm from the same place
-        scribe.span = max(each.span for each in scribes)
-        scribe.scale = max(each.scale for each in scribes)
-    layout, about = arrange_comparison(scribes, labels), explain_comparison(records, labels)
-    return _write(scribes, layout, f"{' and '.join(labels)}, seed {first.seed}", path, about)
+    assert record.attention is not None
+    groups = np.where(find_groups(record, r) < 0, record.uavs, find_groups(record, r))
+    order = np.lexsort((~record.candidates[r], groups))
+    order = order[record.alive[r][order]]
+    heads = () if record.attention_heads is None else record.attention_heads[r]
+    maps = [("all weights", record.attention[r]), *((f"attention head {h + 1}", each) for h, each in enumerate(heads))]
+    return [(title, values[np.ix_(order, order)]) for title, values in maps]
+
+
+class EpisodeWriter:
+    """Writes an episode into a stream, below the path ``root``; ``span`` is the side of the swarm in metres."""
+
+    def __init__(self, record: EpisodeRecord, stream: rr.RecordingStream, root: str, span: float) -> None:
+        import rerun
+
+        self.rr, self.record, self.stream, self.root, self.span = rerun, record, stream, root, span
+        self.scale = span / _USUAL_SPAN
+        self.samples = record.position.shape[1]
+        self.answer, self.destroy, self.remerge = range(self.samples, self.samples + 3)
+        beats = np.minimum([0, 1, 2], int(record.config.get("memory", 0)))
+        self.steps = np.concatenate([steps := list_steps(record), steps[:, -1:] + beats], axis=1)
+        self.last = np.stack([last_seen_position(*each) for each in zip(record.position, record.seen, strict=True)])
+        self.names = [name_uav(record, i).removeprefix("UAV ") for i in range(record.uavs)]
+        self.colors = np.stack([lighten(cluster_colors(record.head, root)[0]) for root in record.root])
+
+    def at(self, r: int, instant: int) -> None:
+        """Set the time of what is logged next: the samples of round ``r`` (from 0) are followed by three beats."""
+        self.stream.set_time("round", sequence=r + 1)
+        self.stream.set_time("step", sequence=int(self.steps[r, instant]))
+        watched = _WATCH_SECONDS * min(instant / (self.samples - 1), 1.0)
+        beats = 0.25 + _BEAT_SECONDS * (instant - self.answer) if instant >= self.answer else 0.0
+        round_seconds = _WATCH_SECONDS + 3 * _BEAT_SECONDS + 0.5
+        self.stream.set_time("time", duration=round_seconds * r + watched + beats)
+
+    def log(self, path: str, value: Any, *more: Any, static: bool = False) -> None:
+        """Log a value below the root."""
+        self.stream.log(self.root + path, value, *more, static=static)
+
+    def write(self) -> None:
+        """Write all of it."""
+        self.log("world", self.rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        self._write_observers()
+        for r in range(self.record.rounds):
+            self.at(r, 0)
+            self.log("world", self.rr.Transform3D(translation=-self._middle(r)))  # a fixed camera shows all rounds
+            for path in ("world/found", "world/verdict", "mind", "scores"):
+                self.log(path, self.rr.Clear(recursive=True))
+            self._write_window(r)
+            self._write_answer(r)
+            self._write_end(r)
+            texts = tell_round(self.record, r + 1, self.names)
+            for instant, text in zip((0, self.answer), texts, strict=True):
+                self.at(r, instant)
+                self.log("this_round", self.rr.TextDocument(text, media_type="text/markdown"))
+        self._write_curves()
+
+    def _middle(self, r: int) -> Singles:
+        known = self.record.position[r][self.record.seen[r]]
+        return (known.min(axis=0) + known.max(axis=0)) / 2 if len(known) else np.zeros(3, np.float32)
+
+    def _write_window(self, r: int) -> None:
+        record, stages = self.record, np.linspace(0, self.samples - 1, min(_STAGES, self.samples)).astype(int)
+        self._log_uavs(r, record.alive[r], self.colors[r], range(self.samples))
+        for instant in stages.tolist():
+            self.at(r, instant)
+            kept = np.unique(np.linspace(0, instant, min(instant + 1, _POINTS)).astype(int))
+            seen, position = record.seen[r, kept] & record.alive[r], record.position[r, kept]
+            strips = [position[seen[:, i], i] for i in np.flatnonzero(record.alive[r])]
+            colors = self.colors[r][record.alive[r]] * np.array([1, 1, 1, 0.6])
+            look: dict[str, Any] = {"colors": colors.astype(np.uint8), "radii": 0.9 * self.scale}
+            self.log("world/swarm/tracks", self.rr.LineStrips3D(strips, **look))
+            place = last_seen_position(record.position[r, : instant + 1], record.seen[r, : instant + 1])
+            self._log_links(place, np.where(record.alive[r], record.root[r], -1), self.colors[r])
+
+    def _log_uavs(self, r: int, shown: NDArray[np.bool_], colors: NDArray[np.uint8], instants: Sequence[int]) -> None:
+        """Log UAVs at the samples of a round, or at its beats, where they are as they were seen last."""
+        record = self.record
+        decoys = record.decoys[r]
+        kinds = {"heads": (record.head, _LARGE), "followers": (~record.head & ~decoys, _SMALL)}
+        if record.decoys.any():
+            kinds["decoys"] = (decoys, _LARGE)
+            colors = np.where(decoys[:, None], lighten([_DECOY]), colors)
+        for name, (kind, radius) in kinds.items():
+            for instant in instants:
+                seen = record.seen[r, instant] if instant < self.samples else np.isfinite(self.last[r, :, 0])
+                who = np.flatnonzero(kind & shown & seen)
+                place = record.position[r, instant] if instant < self.samples else self.last[r]
+                self.at(r, instant)
+                look: dict[str, Any] = {"colors": colors[who], "radii": radius * self.scale, "show_labels": False}
+                labels = [self.names[i] for i in who]
+                self.log(f"world/swarm/{name}", self.rr.Points3D(place[who], labels=labels, **look))
+
+    def _log_links(self, place: Singles, root: Indices, colors: NDArray[np.uint8]) -> None:
+        linked = np.flatnonzero(
+            (root >= 0) & (root != np.arange(len(root))) & np.isfinite(place[:, 0] + place[root, 0])
+        )
+        faint = (colors[linked] * np.array([1, 1, 1, 0.3])).astype(np.uint8)
+        strips = place[np.stack([linked, root[linked]], axis=1)]
+        self.log("world/swarm/links", self.rr.LineStrips3D(strips, colors=faint, radii=0.5 * self.scale))
+
+    def _write_answer(self, r: int) -> None:
+        """Write what the detector found, what it thought, and the verdict."""
+        record, rr, place = self.record, self.rr, self.last[r]
+        self.at(r, self.answer)
+        seen = np.isfinite(place[:, 0])
+        groups, living = find_groups(record, r), np.flatnonzero(record.alive[r] & seen)
+        palette = np.array([*CLUSTER_COLORS, NO_CLUSTER_COLOR])
+        colors = lighten(palette[np.where(groups < 0, len(CLUSTER_COLORS), groups % len(CLUSTER_COLORS))])
+        scores = np.maximum(record.scores[r], 0)
+        sure = scores / max(float(scores.max()), 1e-300) if record.probability is None else record.probability[r]
+        radii = _SMALL * self.scale * (0.9 + 1.8 * sure)
+        labels = np.array(
+            [f"{name}: score {score:.3g}" for name, score in zip(self.names, record.scores[r], strict=True)]
+        )
+        look: dict[str, Any] = {"radii": radii[living], "labels": labels[living].tolist(), "show_labels": False}
+        self.log("world/found/uavs", rr.Points3D(place[living], colors=colors[living], **look))
+        pairs = record.hierarchy(r + 1)
+        if pairs is not None:
+            pairs = pairs[seen[pairs].all(axis=1)]
+            faint = (colors[pairs[:, 0]] * np.array([1, 1, 1, 0.35])).astype(np.uint8)
+            self.log("world/found/links", rr.LineStrips3D(place[pairs], colors=faint, radii=0.6 * self.scale))
+        self._log_rings("world/found/candidates", r, record.candidates[r] & seen, _NAMED, labels)
+        words = mark_words(record, r + 1)
+        marks = [word for word in _MARKS if (words == word).any()]
+        for word in marks:
+            texts = np.array([f"{word} {name}" for name in self.names])
+            if word != OTHER:
+                self._log_rings(f"world/verdict/{word}", r, (words == word) & seen, _MARKS[word], texts)
+            who = np.flatnonzero((words == word) & record.alive[r])
+            self.log(f"scores/{word}", rr.BarChart(record.scores[r, who], color=_MARKS[word], abscissa=who))
+        self._write_mind(r, colors)
+
+    def _log_rings(self, path: str, r: int, who: NDArray[np.bool_], color: int, labels: NDArray[np.str_]) -> None:
+        half = np.full((int(who.sum()), 3), self.scale * _RING, np.float32)
+        kind, width = (self.rr.Boxes3D, "radii") if path.endswith(REDUNDANT) else (self.rr.Ellipsoids3D, "line_radii")
+        frame = self.rr.components.FillMode.MajorWireframe
+        look: dict[str, Any] = {"colors": color, width: 0.6 * self.scale, "fill_mode": frame}
+        look |= {"labels": labels[who].tolist(), "show_labels": bool(who.sum() <= _MOST_LABELS)}
+        self.log(path, kind(centers=self.last[r][who], half_sizes=half * (0.8 if width == "radii" else 1.0), **look))
+
+    def _write_mind(self, r: int, colors: NDArray[np.uint8]) -> None:
+        """Write attention and features."""
+        record, rr, place = self.record, self.rr, self.last[r]
+        living = np.flatnonzero(record.alive[r])
+        if record.attention is not None:
+            maps = [
+                values / np.maximum(values.max(axis=1, keepdims=True), 1e-12) for _, values in attention_maps(record, r)
+            ]
+            sheet = np.hstack([np.pad(values, 1, constant_values=0.3) for values in maps])
+            self.log("mind/attention", rr.Image((255 * np.clip(sheet, 0, 1)).astype(np.uint8)))
+            usable = record.alive[r] & np.isfinite(place[:, 0])
+            weights = np.where(usable[:, None] & usable & ~np.eye(len(usable), dtype=bool), record.attention[r], 0.0)
+            most = np.argsort(-weights, axis=1, kind="stable")[:, :2]  # the two largest weights of each UAV
+            pairs = np.stack([np.repeat(np.arange(len(most)), most.shape[1]), most.ravel()], axis=1)
+            share = weights[pairs[:, 0], pairs[:, 1]] / max(float(weights.max()), 1e-12)
+            pairs, share = pairs[share > 0.05], share[share > 0.05]
+            white = np.column_stack([np.full((len(share), 3), 255), 20 + 90 * share]).astype(np.uint8)
+            width = (0.2 + 1.6 * share) * self.scale
+            self.log("world/found/attention", rr.LineStrips3D(place[pairs], colors=white, radii=width))
+        if record.features is not None:
+            size = 2 * max(float(np.abs(record.features[r]).max()), 1e-12)
+            radii = np.where(record.candidates[r], 0.022, 0.01)[living]
+            look: dict[str, Any] = {"labels": [self.names[i] for i in living], "show_labels": False}
+            points = rr.Points2D(record.features[r, living] / size, colors=colors[living], radii=radii, **look)
+            self.log("mind/features", points)
+
+    def _write_end(self, r: int) -> None:
+        """Write the destruction, and the followers that join another head."""
+        record = self.record
+        left = record.alive[r] & ~record.destroyed[r]
+        grey = np.where(record.orphans[r][:, None], lighten([NO_CLUSTER_COLOR]), self.colors[r])
+        following = min(r + 1, record.rounds - 1)
+        for instant, root, colors in (
+            (self.destroy, np.where(record.orphans[r], -1, record.root[r]), grey),
+            (self.remerge, record.root[following], self.colors[following]),
+        ):
+            self._log_uavs(r, left, colors, [instant])
+            kept = left & (root >= 0) & left[root]
+            self._log_links(self.last[r], np.where(kept, root, -1), colors)
+        gone = ~record.alive[r] | record.destroyed[r]
+        if gone.any():
+            self.at(r, self.destroy)
+            place = record.last_position(r + 1)[gone]
+            strips = (place[np.isfinite(place[:, 0]), None, None] + self.scale * _CROSS).reshape(-1, 2, 3)
+            look: dict[str, Any] = {"colors": _GONE, "radii": 1.4 * self.scale}
+            self.log("world/swarm/destroyed", self.rr.LineStrips3D(strips, **look))
+
+    def _write_observers(self) -> None:
+        """Write the places of the observers, with circles of their sensing ranges."""
+        if self.record.observers is None:
+            return
+        place, ranges = self.record.observers[:, None, :3], self.record.observers[:, 3]
+        angle = np.linspace(0, 2 * np.pi, 65)
+        circle = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+        names = [f"observer {k}, range {each:g} m" for k, each in enumerate(ranges)]
+        look: dict[str, Any] = {"colors": _OBSERVER, "labels": names, "radii": 1.2 * self.scale}
+        rings = self.rr.LineStrips3D((place + ranges[:, None, None] * circle).astype(np.float32), **look)
+        self.log("world/observers", rings, static=True)
+
+    def _write_curves(self) -> None:
+        """Write numbers over the rounds: before the first round, and after each."""
+        record, rr = self.record, self.rr
+        heads, hits = max(int(record.head.sum()), 1), np.cumsum(record.hits)
+        shots = hits + np.cumsum(record.redundant)
+        curves = {
+            "heads_left": [heads, *record.heads_left],
+            "precision": [1.0, *np.where(shots, hits / np.maximum(shots, 1), 1.0)],
+            "recall": [0.0, *hits / heads],
+            "J": [0.0, *record.objective],
+        }
+        for name, values in ({} if record.recorded else curves).items():
+            color = _SERIES[self.root == "b/"]
+            look: dict[str, Any] = {"colors": color, "names": f"{CURVES[name]} {self.root}".rstrip(" /")}
+            line = rr.SeriesLines(widths=2, interpolation_mode="StepAfter", **look)
+            self.log(f"game/{name}", line, rr.SeriesPoints(marker_sizes=5, **look), static=True)
+            for r, value in enumerate(values):
+                self.at(max(r - 1, 0), self.destroy if r else 0)
+                self.log(f"game/{name}", rr.Scalars(value))

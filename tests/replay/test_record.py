@@ -1,4 +1,4 @@
-"""A played episode is recorded as it happened."""
+"""A played episode is recorded as it happened, by ``record_episode`` and by the wrapper."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from usnet_env import ArgumentError, Detection, Window
-from usnet_env.replay import EpisodeRecord, record_episode
+import usnet_env.envs  # noqa: F401  # registers the environments
+from usnet_env import ArgumentError, Detection, Window, make_detector
+from usnet_env.replay import EpisodeRecord, RecordReplay, record_episode
 
 
 class Scripted:
@@ -51,9 +52,8 @@ def test_records_what_was_seen_true_and_answered():
     observation, _ = twin.reset(seed=0)
     for r, named in enumerate(script):
         truth = twin.unwrapped.swarm
-        np.testing.assert_array_equal(record.position[r], observation["position"])
-        np.testing.assert_array_equal(record.velocity[r], observation["velocity"])
-        np.testing.assert_array_equal(record.seen[r], observation["seen"])
+        for name in ("position", "velocity", "seen"):
+            np.testing.assert_array_equal(getattr(record, name)[r], observation[name])
         np.testing.assert_array_equal(record.alive[r], truth.alive)
         np.testing.assert_array_equal(record.root[r], truth.root)
         observation, _, over, _, info = twin.step(np.isin(np.arange(16), named).astype(np.int8))
@@ -69,34 +69,19 @@ def test_records_what_was_seen_true_and_answered():
     np.testing.assert_array_equal(record.attention, [np.eye(16)] * 2)
     assert [(this.number, this.candidates, this.heads_left) for this in reports] == [(1, 2, 2), (2, 2, 0)]
     assert record.seconds.tolist() == [this.seconds for this in reports]
+    assert all(type(window) is Window for window in detector.windows)
 
 
 def test_says_where_it_comes_from(tmp_path):
     heads, _ = roles(5)
     detector = Scripted(heads)
-    record = record_episode(multi(shot_budget=9), detector, 5, 7)
+    record = record_episode(gym.wrappers.RecordEpisodeStatistics(multi(shot_budget=9)), detector, 5, 7)
     assert detector.seed == 7
     assert (record.seed, record.detector_seed, record.detector) == (5, 7, "Scripted")
     assert (record.env_id, record.problem) == ("USNET/MultiCluster-v0", "P2")
     assert {"follow": "f1", "clusters": 3, "memory": 4, "shot_budget": 9}.items() <= record.config.items()
     assert record.versions["numpy"] == np.__version__
     assert EpisodeRecord.load(record.save(tmp_path / "e.npz")).config == record.config
-
-
-def test_attention_can_be_left_out():
-    heads, _ = roles(0)
-    whole, short = (
-        record_episode(multi(), Scripted(heads, attention=np.eye(16)), 0, None, keep_attention=keep)
-        for keep in (True, False)
-    )
-    assert whole.attention.sum() == 16
-    assert short.attention is None
-
-
-def test_the_detector_gets_windows_and_nothing_else():
-    detector = Scripted(roles(1)[0])
-    record_episode(multi(), detector, 1, None)
-    assert all(type(window) is Window for window in detector.windows)
 
 
 def test_over_budget_and_truncated():
@@ -115,25 +100,15 @@ def test_single_cluster_with_decoys():
     assert record.objective[0] == record.hits[0] - 2
 
 
-def test_wrappers_are_fine():
-    record = record_episode(gym.wrappers.RecordEpisodeStatistics(multi()), Scripted(roles(0)[0]), 0, None)
-    assert record.heads_left[-1] == 0
-
-
 class Mute(Scripted):
     def detect(self, window):
         return self.answer.get("says")
 
 
-@pytest.mark.parametrize("says", [None, np.zeros(16), Detection(np.zeros(3, bool), np.zeros(3))])
+@pytest.mark.parametrize("says", [None, Detection(np.zeros(3, bool), np.zeros(3))])
 def test_refuses_other_answers(says):
     with pytest.raises(ArgumentError, match="detector must answer a Detection for 16 UAVs"):
         record_episode(multi(), Mute(says=says), 0, None)
-
-
-def test_refuses_other_environments():
-    with pytest.raises(ArgumentError, match="env must be a USNET environment"):
-        record_episode(gym.make("CartPole-v1"), Scripted(), 0, None)
 
 
 def test_the_mind_of_the_detector_is_recorded():
@@ -145,10 +120,74 @@ def test_the_mind_of_the_detector_is_recorded():
     record = record_episode(multi(), Scripted((others[0],), heads, extras=extras), 0, 7)
     np.testing.assert_array_equal(record.probability[0], extras["probability"])
     assert record.attention_heads.shape == (2, 2, 16, 16)
-    assert record.reasons == ({str(heads[0]): "Because."},) * 2
+    assert record.reasons == [{str(heads[0]): "Because."}] * 2
     flat = features.reshape(16, -1)
     spread = np.linalg.svd(flat - flat.mean(axis=0), compute_uv=False)[:2]
     np.testing.assert_allclose(np.linalg.norm(record.features[1], axis=0), spread, rtol=1e-5)
-    odd = {"features": np.ones(3), "attention_heads": np.ones(3)}
+    odd = {"features": np.ones(3), "attention_heads": np.ones((2, 16, 3))}
     bare = record_episode(multi(), Scripted(heads, extras=odd), 0, 7)
     assert bare.probability is bare.features is bare.attention_heads is bare.reasons is None
+
+
+# --- the wrapper -----------------------------------------------------------------------------------------------------
+
+
+def small():
+    return gym.make("USNET/MultiCluster-v0", clusters=2, uavs=12, observation_steps=20, max_rounds=3)
+
+
+def play(env, detector, seed, note=False):
+    detector.reset(1)
+    observation, _ = env.reset(seed=seed)
+    over = False
+    while not over:
+        detection = detector.detect(Window.from_observation(observation))
+        if note:
+            env.note(detection)
+        observation, _, terminated, truncated, _ = env.step(detection.candidates.astype(np.int8))
+        over = terminated or truncated
+
+
+def test_the_episodes_of_the_trigger_are_written(tmp_path):
+    env = RecordReplay(small(), tmp_path / "new", lambda episode: episode % 2 == 1, label="mine")
+    for seed in range(4):
+        play(env, make_detector("one-per-round"), seed)
+    assert sorted(path.name for path in (tmp_path / "new").iterdir()) == ["episode-1.npz", "episode-3.npz"]
+    found = EpisodeRecord.load(tmp_path / "new" / "episode-3.npz")
+    assert (found.seed, found.detector, found.env_id) == (3, "mine", "USNET/MultiCluster-v0")
+    np.testing.assert_array_equal(found.scores, found.candidates)
+    assert repr(found).startswith(f"<EpisodeRecord of USNET/MultiCluster-v0: {found.rounds} rounds, 12 UAVs, ")
+    with pytest.warns(UserWarning, match=r"^folder '.*' holds episode files"):
+        RecordReplay(small(), tmp_path / "new")
+
+
+def test_a_noted_detection_is_kept_whole(tmp_path):
+    env = RecordReplay(small(), tmp_path)
+    play(env, make_detector("lagged-correlation"), 5, note=True)
+    found = EpisodeRecord.load(tmp_path / "episode-0.npz")
+    same = record_episode(small(), make_detector("lagged-correlation"), 5, 1)
+    for name in ("position", "alive", "root", "candidates", "scores", "clusters", "attention", "objective", "head"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(same, name))
+
+
+def test_an_episode_that_is_left_is_written_when_the_next_begins_or_at_the_end(tmp_path):
+    env = RecordReplay(small(), tmp_path)
+    for seed in (7, 8, 9):
+        env.reset(seed=seed)
+        for _ in range(seed - 7):  # no round of the first episode
+            env.step(np.zeros(12, np.int8))
+    env.close()
+    env.close()
+    found = {path.name: EpisodeRecord.load(path) for path in tmp_path.iterdir()}
+    assert {name: (each.seed, each.rounds) for name, each in found.items()} == {
+        "episode-1.npz": (8, 1),
+        "episode-2.npz": (9, 2),
+    }
+
+
+def test_other_environments_are_refused(tmp_path):
+    other = gym.make("CartPole-v1")
+    with pytest.raises(ArgumentError, match=r"^env must be"):
+        record_episode(other, Scripted(), 0, None)
+    with pytest.raises(ArgumentError, match=r"^env must be"):
+        RecordReplay(other, tmp_path)

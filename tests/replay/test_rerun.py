@@ -1,0 +1,216 @@
+"""The recording, read back by Rerun's own tools."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_episode import DECOY, ROUNDS, SAMPLES, UAVS, large_episode, small_episode
+
+from usnet_env import ArgumentError
+from usnet_env.config import MissingExtraError
+from usnet_env.replay import write_comparison, write_recording
+from usnet_env.replay.recording import attention_maps, find_groups, list_steps
+
+rr = pytest.importorskip("rerun")
+
+
+def read(path):
+    from rerun.chunk import RrdReader
+
+    return RrdReader(path).stream().to_chunks()
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    return write_recording(small_episode(), tmp_path_factory.mktemp("recording") / "new" / "replay.rrd")
+
+
+@pytest.fixture(scope="module")
+def chunks(recording):
+    return read(recording)
+
+
+def column(chunks, entity, component):
+    """The rows of one component of one entity, as lists of instances, in the order of time."""
+    rows = []
+    for chunk in chunks:
+        batch = chunk.to_record_batch()
+        if chunk.entity_path == entity and component in batch.schema.names:
+            times = [0] * batch.num_rows if chunk.is_static else batch.column("time").cast("int64").to_pylist()
+            rows += [(time, row) for time, row in zip(times, batch.column(component).to_pylist(), strict=True) if row]
+    return [row for _, row in sorted(rows, key=lambda row: row[0])]
+
+
+def test_rerun_verifies_the_file(recording):
+    tool = Path(sys.executable).with_name("rerun")
+    if not tool.exists():
+        pytest.skip("the rerun command is not beside this Python")
+    done = subprocess.run([tool, "rrd", "verify", recording], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_positions_are_those_seen(chunks):
+    episode = small_episode()
+    heads = column(chunks, "/world/swarm/heads", "Points3D:positions")
+    np.testing.assert_array_equal(heads[0], episode.position[0, 0, [0, 5]])
+    np.testing.assert_array_equal(heads[-1], episode.position[1, -1, [5]])
+    followers = column(chunks, "/world/swarm/followers", "Points3D:positions")
+    beats = [~episode.head & ~episode.decoy & episode.alive[r] & ~episode.destroyed[r] for r in range(ROUNDS)]
+    watched = episode.seen[:, :, ~episode.head & ~episode.decoy].sum()
+    assert sum(map(len, followers)) == watched + 2 * sum(int(who.sum()) for who in beats)
+    decoys = column(chunks, "/world/swarm/decoys", "Points3D:positions")
+    np.testing.assert_array_equal(decoys[0], episode.position[0, 0, [DECOY]])
+
+
+def test_tracks_grow_behind_the_uavs(chunks):
+    strips = column(chunks, "/world/swarm/tracks", "LineStrips3D:strips")
+    lengths = [len(row[1]) for row in strips]
+    assert lengths[0] == 1
+    assert lengths[:12] == sorted(lengths[:12])
+    assert lengths[11] == SAMPLES
+    np.testing.assert_array_equal(strips[11][4], small_episode().position[0, :, 4])
+
+
+def test_the_answer_is_shown_when_it_is_given(chunks):
+    episode = small_episode()
+    found = column(chunks, "/world/found/uavs", "Points3D:positions")
+    assert [len(row) for row in found] == [UAVS, UAVS - 2]
+    radii = column(chunks, "/world/found/uavs", "Points3D:radii")[0]
+    assert sorted(np.argsort(radii)[-2:].tolist()) == [0, 5]  # the UAVs with the highest probability
+    labels = column(chunks, "/world/found/candidates", "Ellipsoids3D:labels")
+    assert labels == [[f"{i}: score {episode.scores[r, i]:.3g}" for i in who] for r, who in enumerate(([0, 3], [5]))]
+    links = column(chunks, "/world/found/links", "LineStrips3D:strips")
+    np.testing.assert_allclose(links[0], episode.position[0, -1][episode.hierarchy(1)], rtol=1e-6)
+    for chunk in chunks:
+        if chunk.entity_path == "/world/found/uavs" and "Points3D:positions" in chunk.to_record_batch().schema.names:
+            steps = chunk.to_record_batch().column("step").to_pylist()
+            assert set(steps) <= {list_steps(episode)[r, -1] for r in range(ROUNDS)}
+
+
+def test_destruction_and_remerge_follow_the_answer(chunks):
+    episode = small_episode()
+    crosses = column(chunks, "/world/swarm/destroyed", "LineStrips3D:strips")
+    assert [len(row) for row in crosses] == [4, 6]
+    middles = np.array(crosses[0]).reshape(2, 4, 3).mean(axis=1)
+    np.testing.assert_allclose(middles, episode.position[0, -1, [0, 3]], rtol=1e-5)
+    colors = column(chunks, "/world/swarm/followers", "Points3D:colors")
+    before, orphans, after = colors[0], colors[SAMPLES], colors[SAMPLES + 1]  # followers 1, 2, 3, 4, 6 … and without 3
+    assert before[0] != before[4]
+    assert orphans[0] not in (before[0], before[4])
+    assert after[0] == after[3] == before[4]
+
+
+def test_marks_and_scores_are_the_answers(chunks):
+    episode = small_episode()
+    kinds = {"hit": "Ellipsoids3D", "missed": "Ellipsoids3D", "redundant": "Boxes3D"}
+    labels = {name: column(chunks, f"/world/verdict/{name}", f"{kind}:labels") for name, kind in kinds.items()}
+    assert labels == {"hit": [["hit 0"], ["hit 5"]], "missed": [["missed 5"]], "redundant": [["redundant 3"]]}
+    bars = {name: column(chunks, f"/scores/{name}", "BarChart:values")[0][0]["buffer"] for name in (*kinds, "other")}
+    expected = {"hit": [0], "missed": [5], "redundant": [3], "other": [1, 2, 4, *range(6, UAVS)]}
+    assert bars == {name: pytest.approx(episode.scores[0, who].tolist()) for name, who in expected.items()}
+
+
+def test_attention_and_features_are_those_of_the_record(chunks):
+    episode = small_episode()
+    strips = column(chunks, "/world/found/attention", "LineStrips3D:strips")
+    assert [len(row) for row in strips] == [UAVS - 3, UAVS - 4]  # the heads and the decoy attend to themselves
+    (title, first), (_, head), _ = attention_maps(episode, 0)
+    assert title == "all weights"
+    np.testing.assert_array_equal(first, head)
+    assert attention_maps(episode, 1)[0][1].shape == (UAVS - 2,) * 2
+    points = column(chunks, "/mind/features", "Points2D:positions")
+    plane = episode.features[1]
+    np.testing.assert_allclose(points[-1], plane[episode.alive[1]] / (2 * np.abs(plane).max()), rtol=1e-5)
+    assert len(column(chunks, "/mind/attention", "Image:buffer")) == ROUNDS
+
+
+def test_groups_are_clusters_or_those_of_one_leader():
+    episode = small_episode()
+    assert find_groups(episode, 0).tolist() == [0] * 5 + [1] * 6 + [-1]
+    by_leader = small_episode(clusters=None)
+    assert find_groups(by_leader, 0).tolist() == [0, 0, 0, 1, 0, 2, 2, 2, 2, 2, 2, 3]
+    assert find_groups(small_episode(clusters=None, leader_estimate=None), 0).tolist() == [-1] * UAVS
+
+
+def test_the_game_is_told_and_counted(chunks):
+    texts = [text for (text,) in column(chunks, "/this_round", "TextDocument:text")]
+    assert len(texts) == 2 * ROUNDS
+    assert "All 2 heads found in 2 rounds" in texts[-1]
+    ((about,),) = column(chunks, "/about", "TextDocument:text")
+    assert "**by hand:** All 2 heads found in 2 rounds" in about
+    curves = {name: [x for (x,) in column(chunks, f"/game/{name}", "Scalars:scalars")] for name in ("recall", "J")}
+    assert curves == {"recall": [0.0, 0.5, 1.0], "J": pytest.approx([0.0, 1 + 1 / UAVS, 2 + 1 / UAVS])}
+
+
+def test_timelines_are_named_and_in_steps(chunks):
+    assert {name for chunk in chunks for name in chunk.timeline_names} == {"round", "step", "time"}
+    steps = list_steps(small_episode())
+    assert steps[0].tolist() == list(range(4, 4 + 2 * SAMPLES, 2))
+    assert steps[1, 0] == steps[0, -1] + 4  # the unobserved steps after the re-merge
+
+
+def test_observers_are_shown(tmp_path):
+    record = small_episode(observers=[[0, 0, 0, 300.0], [400, 0, 0, 200.0]])
+    found = read(write_recording(record, tmp_path / "e.rrd"))
+    assert column(found, "/world/observers", "LineStrips3D:labels")[0][0] == "observer 0, range 300 m"
+    ((ring, _),) = column(found, "/world/observers", "LineStrips3D:strips")
+    np.testing.assert_allclose(np.linalg.norm(ring, axis=1), 300.0, rtol=1e-5)
+
+
+@pytest.mark.parametrize("drift", [0, -5000])
+def test_every_round_is_moved_to_the_middle_of_the_view(tmp_path, drift):
+    small = small_episode()
+    position = (small.position + np.array([0, drift], np.float32)[:, None, None, None]) * small.seen[..., None]
+    found = read(write_recording(small_episode(position=position), tmp_path / "e.rrd"))
+    shift = np.array(column(found, "/world", "Transform3D:translation")).reshape(ROUNDS, 3)
+    for r in range(ROUNDS):
+        places = position[r][small.seen[r]] + shift[r]
+        np.testing.assert_allclose(places.min(axis=0), -places.max(axis=0), atol=1e-2)
+
+
+def test_two_detectors_on_one_swarm(tmp_path):
+    from rerun.chunk import RrdReader
+
+    other = np.zeros((ROUNDS, UAVS), bool)
+    other[0, [0, 3]] = other[1, 4] = True
+    path = write_comparison(small_episode(), small_episode(candidates=other, detector="another"), tmp_path / "both.rrd")
+    found = read(path)
+    entities = {chunk.entity_path for chunk in found}
+    assert {"/a/world/swarm/heads", "/b/world/swarm/heads", "/a/game/J", "/b/game/J", "/about"} <= entities
+    ((text,),) = column(found, "/about", "TextDocument:text")
+    assert "**by hand:**" in text
+    assert "**another:**" in text
+    assert len(RrdReader(path).blueprints()) == 1
+    elsewhere = small_episode(position=np.zeros((ROUNDS, SAMPLES, UAVS, 3)))
+    with pytest.raises(ArgumentError, match=r"^second must begin with the same swarm"):
+        write_comparison(small_episode(), elsewhere, tmp_path / "c.rrd")
+
+
+def test_records_without_a_mind_or_a_sighting_can_be_written(tmp_path):
+    unseen = small_episode(seen=np.zeros((ROUNDS, SAMPLES, UAVS), bool))
+    assert write_recording(unseen, tmp_path / "unseen.rrd").stat().st_size > 0
+    bare = large_episode(candidates=np.ones((1, 60), bool))
+    found = read(write_recording(bare, tmp_path / "bare.rrd"))
+    assert not any("features" in chunk.entity_path for chunk in found)
+    assert column(found, "/world/verdict/hit", "Ellipsoids3D:show_labels") == [[True]]
+    assert column(found, "/world/verdict/redundant", "Boxes3D:show_labels") == [[False]]  # too many
+
+
+def test_nothing_global_is_touched_and_a_place_that_cannot_be_written_is_named(tmp_path):
+    write_recording(small_episode(), tmp_path / "e.rrd")
+    assert rr.get_global_data_recording() is None
+    assert rr.get_thread_local_data_recording() is None
+    assert [file.name for file in tmp_path.iterdir()] == ["e.rrd"]
+    with pytest.raises(ArgumentError, match=r"^path must"):
+        write_recording(small_episode(), tmp_path)
+
+
+def test_without_rerun_one_sentence_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'usnet\[replay\]'"):
+        write_recording(small_episode(), tmp_path / "e.rrd")
+    assert list(tmp_path.iterdir()) == []

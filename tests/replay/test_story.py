@@ -1,0 +1,185 @@
+"""The words about an episode, and its picture."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from small_episode import MIND, ROUNDS, UAVS, large_episode, small_episode
+
+from usnet_env import ArgumentError
+from usnet_env.replay import EpisodeRecord, draw_episode, record_episode, write_picture
+from usnet_env.replay.story import describe_outcome, describe_round, explain_replay, list_marked, tell_round
+
+pytest.importorskip("matplotlib")
+
+
+def long_episode(rounds, **changes):
+    """``rounds`` rounds without candidates."""
+    small = small_episode()
+    repeated = ("position", "velocity", "seen", "root", "scores", *MIND[:-1])
+    values = {
+        **{name: np.repeat(getattr(small, name)[:1], rounds, axis=0) for name in repeated},
+        "alive": np.ones((rounds, UAVS), bool),
+        "candidates": np.zeros((rounds, UAVS), bool),
+        "objective": np.arange(rounds) + 1.0,
+        "over_budget": np.zeros(rounds, bool),
+        "seconds": np.zeros(rounds),
+        "reasons": None,
+    }
+    return small_episode(**values | changes)
+
+
+def test_words_say_what_happened():
+    episode = small_episode()
+    assert describe_round(episode, 1) == "2 candidates (1 head hit, 1 redundant), 1 head left"
+    assert describe_round(episode, 2) == "1 candidate (1 head hit, 0 redundant), 0 heads left"
+    assert describe_outcome(episode) == (
+        "All 2 heads found in 2 rounds with 1 redundant candidate: J = 2.083 (J_m, lower is better)."
+    )
+    assert describe_outcome(long_episode(4)).startswith(
+        "0 of 2 heads found in 4 rounds with 0 redundant candidates: J = 4.000"
+    )
+    over = small_episode(over_budget=[True, False], alive=np.ones((ROUNDS, UAVS), bool))
+    assert describe_round(over, 1) == "2 candidates, over the shot budget: no UAV destroyed, 2 heads left"
+
+
+def test_zero_is_the_best_score_of_p1():
+    """J_s of P1 is 0 for the right answer and falls with every mistake; J_m of P2 is at least 1."""
+    env = gym.make("USNET/SingleCluster-v0", observation_steps=20)
+    record = record_episode(env, Names(), 0, None)
+    assert "1 of 1 head found in 1 round with 0 redundant candidates: J = 0.000 (J_s, 0 is best)." in tell(record)
+    assert "lower is better" not in tell(record)
+
+
+class Names:
+    """Names the head of episode 0."""
+
+    def reset(self, seed=None):
+        pass
+
+    def detect(self, window):
+        from usnet_env import Detection
+
+        env = gym.make("USNET/SingleCluster-v0", observation_steps=20)
+        env.reset(seed=0)
+        head = env.unwrapped.swarm.head
+        return Detection(head, head.astype(float))
+
+
+def tell(record):
+    names = [str(i) for i in range(record.uavs)]
+    told = [text for number in range(1, record.rounds + 1) for text in tell_round(record, number, names)]
+    return "\n".join([*told, explain_replay([record], ["it"])])
+
+
+def test_a_round_is_told_as_it_happens():
+    watched, answered = tell_round(small_episode(), 1, [str(i) for i in range(UAVS)])
+    assert watched == "**Round 1 of 2:** the detector watches 20 steps."
+    assert "2 candidates (1 head hit, 1 redundant), 1 head left." in answered
+    assert "- **3** redundant, p 0.10, score" in answered
+    assert "Adds 2 nats." in answered
+    chosen = [{"head_0": "UAV 0: iid, jitter; price 0.1"}, {}]
+    assert "- head_0, UAV 0: iid, jitter; price 0.1" in tell(small_episode(choices=chosen))
+
+
+def test_reasons_are_the_detectors_or_what_its_answer_shows():
+    episode = small_episode()
+    assert [(i, word) for i, word, _ in list_marked(episode, 1)] == [
+        (i, {0: "hit", 3: "redundant", 5: "missed"}[i]) for i in np.argsort(-episode.scores[0]) if i in (0, 3, 5)
+    ]
+    bare = small_episode(reasons=None, probability=None)
+    assert {i: why.rpartition(": ")[2] for i, _, why in list_marked(bare, 1)} == {
+        0: "4 followers.",
+        3: "0 followers.",
+        5: "5 followers.",
+    }
+    nothing = large_episode(scores=np.arange(60.0)[None])
+    assert {i: why.rpartition(": ")[2] for i, _, why in list_marked(nothing, 1)} == {
+        55: "score rank 5 of 60.",
+        40: "score rank 20 of 60.",
+        31: "score rank 29 of 60.",
+        30: "score rank 30 of 60.",
+    }
+    all_named = large_episode(candidates=np.ones((1, 60), bool))
+    assert "… and 30 more" in tell(all_named)
+
+
+def unlabelled(**changes):
+    """The small episode as tracks whose truth is not known: in each window, what was found."""
+    small = small_episode()
+    found = {"alive": np.ones((ROUNDS, UAVS), bool), "head": small.candidates.any(axis=0), "labelled": False}
+    return small_episode(**found | {"over_budget": [True, True], "decoy": np.zeros(UAVS, bool)} | changes)
+
+
+def test_what_is_true_of_tracks_is_said_of_tracks():
+    record = unlabelled(
+        config={"ids": [f"bird-{i}" for i in range(UAVS)], "start": ["0 s", "9 s"], "end": ["9 s", "18 s"]}
+    )
+    assert describe_outcome(record) == "In 2 windows, 3 of 12 ids lead at least once; the truth is unknown."
+    assert describe_round(record, 1) == "0 s to 9 s: 2 leaders found"
+    assert not record.destroyed.any()
+    for word in ("UAV", "destroyed", "J =", "Round", "round"):
+        assert word not in tell(record), word
+
+
+# --- the picture -----------------------------------------------------------------------------------------------------
+
+
+def titles(figure):
+    return [axes.get_title(loc="left") for axes in figure.axes]
+
+
+def test_a_map_of_each_round_in_one_scale():
+    small = small_episode()
+    spread = small.position.copy()
+    spread[1] *= 3
+    figure = draw_episode(small_episode(position=spread))
+    assert [title.partition(":")[0] for title in titles(figure)] == ["Round 1", "Round 2"]
+    assert len({np.ptp(axes.get_xlim()).round(3) for axes in figure.axes}) == 1
+    assert "All 2 heads found in 2 rounds" in figure.get_suptitle()
+    texts = {text.get_text() for text in figure.axes[-1].get_legend().get_texts()}
+    assert {"candidate: redundant", "head, not a candidate", "destroyed earlier", "decoy: has no followers"} <= texts
+    assert figure.axes[0].get_legend() is None
+
+
+def test_many_rounds_are_cut_short_and_it_says_so():
+    figure = draw_episode(long_episode(9))
+    assert [title.partition(":")[0] for title in titles(figure)] == [f"Round {n}" for n in (1, 2, 3, 4, 5, 9)]
+    assert "6 of 9 rounds" in " ".join(figure.get_suptitle().split())
+    assert len(draw_episode(long_episode(4)).axes) == 4
+
+
+def test_a_map_of_tracks_shows_what_was_found():
+    figure = draw_episode(unlabelled(env_id="birds $ 3"))
+    texts = {text.get_text() for text in figure.axes[-1].get_legend().get_texts()}
+    assert texts == {"leader", "other (colour = leader)", "link from follower to leader"}
+
+
+def test_the_file_is_whole_and_of_the_kind_that_its_name_says(tmp_path):
+    path = write_picture(small_episode(), tmp_path / "new" / "e.png")
+    assert path.read_bytes().startswith(b"\x89PNG")
+    assert list(path.parent.iterdir()) == [path]
+    assert write_picture(small_episode(), path.with_name("e.pdf")).read_bytes().startswith(b"%PDF")
+    (tmp_path / "file").write_text("")
+    for place in (tmp_path / "file" / "e.png", tmp_path / "e.jpg"):
+        with pytest.raises(ArgumentError, match=r"^path must"):
+            write_picture(small_episode(), place)
+
+
+@pytest.mark.parametrize("name", ["observers", "evasion"])
+def test_games_of_several_agents_have_records(name, tmp_path):
+    """Their observers, choices and decoys of one window are kept, told and drawn."""
+    pytest.importorskip("pettingzoo")
+    from usnet_env.multiagent import usnet_evasion_v0, usnet_observers_v0
+    from usnet_env.multiagent.play import play_game
+    from usnet_env.multiagent.policies import RandomHead, RandomObserver
+
+    module = {"observers": usnet_observers_v0, "evasion": usnet_evasion_v0}[name]
+    env = module.parallel_env(clusters=2, uavs=12, observation_steps=12, max_rounds=3)
+    record = EpisodeRecord(**play_game(env, {"observer": RandomObserver(), "head": RandomHead()}, 1).record)
+    loaded = EpisodeRecord.load(record.save(tmp_path / "game.npz"))
+    assert loaded.choices == record.choices
+    assert (loaded.observers is not None) == (name == "observers")
+    assert ("What the heads chose" in tell(loaded)) == (name == "evasion")
+    assert len(draw_episode(loaded).axes) == min(loaded.rounds, 6)

@@ -1,0 +1,400 @@
+"""Pictures of a swarm: one drawing of a round, which ``render``, figures and animations share, and the look of figures.
+
+Matplotlib is an optional dependency (``pip install 'usnet[render]'``), imported when a figure is drawn. Its global
+state (pyplot, ``rcParams``) is not changed.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+from textwrap import fill
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usnet_env.arrays import Floats, Indices, Mask, Singles
+from usnet_env.config import MissingExtraError as MissingExtraError  # others import it from here
+from usnet_env.config import format_count, how_to_install
+from usnet_env.files import as_path, atomic_write
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.text import Text
+
+# The first nine are Paul Tol's "muted" scheme without its grey. The others differ for normal and colour-blind eyes, on
+# white and on black. Further clusters reuse the colours.
+CLUSTER_COLORS = (
+    "#332288", "#88CCEE", "#44AA99", "#999933", "#DDCC77", "#CC6677", "#AA4499", "#117733", "#882255", "#923DFF",
+    "#9E92FF", "#AADB24", "#18F3B6", "#0000FF", "#AA0000", "#2461CE", "#79AA61", "#552424", "#799EDB", "#5500B6",
+    "#FFAA92", "#55246D", "#925579", "#AADBDB",
+)  # fmt: skip
+NO_CLUSTER_COLOR = "#9A9A9A"  # UAVs without a head: decoys, destroyed UAVs, and followers if no head is left
+HIT, REDUNDANT, MISSED = "#009E73", "#D55E00", "#000000"  # their shapes differ too: circle, square, dashed circle
+#: The colours of Okabe and Ito, which colour-blind readers can distinguish, without their yellow; and their markers.
+COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+
+HEAD_MARK, FOLLOWER_MARK, LINK_MARK = "head", "follower (colour = cluster)", "link from follower to head"
+DECOY_MARK, DESTROYED_MARK = "decoy: has no followers", "destroyed earlier"
+HIT_MARK, REDUNDANT_MARK, MISSED_MARK = "candidate: hit", "candidate: redundant", "head, not a candidate"
+CANDIDATE_MARK = "candidate"
+UNLED_MARK = "other (no leader found)"  # of recorded tracks
+#: The words for these marks in recorded tracks.
+TRACK_WORDS = {HEAD_MARK: "leader", FOLLOWER_MARK: "other (colour = leader)", LINK_MARK: "link from follower to leader"}
+_RING = {"marker": "o", "facecolors": "none", "linewidths": 2.2}
+_STYLES: dict[str, dict[str, Any]] = {  # of the marks, in the order of the legend
+    HEAD_MARK: {"marker": "*", "s": 210, "c": "#555555", "edgecolors": "black", "linewidths": 0.8, "zorder": 5},
+    FOLLOWER_MARK: {"marker": "o", "s": 22, "c": "#777777", "edgecolors": "white", "linewidths": 0.4, "zorder": 3},
+    UNLED_MARK: {"marker": "o", "s": 22, "c": NO_CLUSTER_COLOR},
+    DECOY_MARK: {"marker": "D", "s": 46, "c": "white", "edgecolors": "black", "linewidths": 1, "zorder": 4},
+    CANDIDATE_MARK: _RING | {"s": 260, "edgecolors": "#0072B2"},
+    HIT_MARK: _RING | {"s": 400, "edgecolors": HIT},
+    REDUNDANT_MARK: _RING | {"s": 130, "edgecolors": REDUNDANT, "marker": "s"},
+    MISSED_MARK: _RING | {"s": 400, "edgecolors": MISSED, "linestyles": [(0, (2, 1.2))], "linewidths": 1.6},
+    DESTROYED_MARK: {"marker": "x", "s": 34, "c": NO_CLUSTER_COLOR, "linewidths": 1.5, "zorder": 2.5},
+}
+_SHAPES = "o^sD"
+_CLUSTERS_PER_SHAPE = 9  # a second sign beside the colour: clusters with the same colour have other markers
+_TRACK_PARTS = 6  # number of segments of a track, from faint to strong
+_TRACK_SAMPLES = 49  # maximum number of points of a track; more would not be visible
+_MARGIN_OF_FRAMES = 0.4  # room for the swarm to drift and spread before the axes have to grow
+_METADATA: dict[str, Any] = {  # without the date and the versions, so that equal figures have equal bytes
+    "png": {"Software": None},
+    "pdf": {"Creator": None, "Producer": None, "CreationDate": None},
+}
+FORMATS = tuple(_METADATA)
+_FONTS = ("Noto Sans CJK JP", "WenQuanYi Zen Hei", "Microsoft YaHei", "Arial Unicode MS", "DejaVu Sans Mono")
+_BESIDE = [(side, row) for row in (1, -1, 0, 2, -2, 3, -3, 4, -4) for side in (1, -1, 0) if side or row]  # of a point
+
+#: The square that a map shows, in metres: its centre (x, y) and half of its side.
+Limits = tuple[float, float, float]
+
+
+def new_figure(width: float, height: float, dpi: float = 100) -> Figure:
+    """Create an empty figure of ``width`` by ``height`` inches with the Agg canvas, without pyplot.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise MissingExtraError(f"Drawing needs matplotlib; {how_to_install('render')}.") from None
+    figure = Figure(figsize=(width, height), dpi=dpi, facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def last_seen_position(position: Singles, seen: Mask) -> Singles:
+    """Where each UAV was last ``seen`` ``(T_ob + 1, N)`` in a window: ``(N, 3)`` metres, NaN for one never seen."""
+    when = len(seen) - 1 - np.argmax(seen[::-1], axis=0)
+    place = position[when, np.arange(position.shape[1])]
+    return np.asarray(np.where(np.any(seen, axis=0, keepdims=True).T, place, np.float32(np.nan)))
+
+
+def limits_around(place: NDArray[np.floating[Any]], margin: float = 0.12, least: float = 1.0) -> Limits:
+    """The smallest square around positions ``(..., 3)`` (NaN: none), of at least ``least`` metres, and a margin."""
+    known = place[np.isfinite(place[..., 0])][:, :2]
+    low, high = (known.min(axis=0), known.max(axis=0)) if len(known) else (np.zeros(2), np.ones(2))
+    x, y = ((low + high) / 2).tolist()
+    return x, y, (1 + margin) / 2 * max(float((high - low).max()), least)
+
+
+def cluster_colors(head: Mask, root: Indices, number: Indices | None = None) -> tuple[NDArray[np.str_], Indices]:
+    """The colour and the marker number of every UAV by its head, ``(N,)``; the arguments are as in :func:`draw_round`.
+
+    The colours differ for 24 clusters, colours and markers together for 72.
+    """
+    numbers = np.asarray(np.cumsum(head) - 1 if number is None else number)
+    cluster = np.asarray(np.where((root >= 0) & head[root], numbers[root], -1))
+    colors = np.where(cluster >= 0, np.array(CLUSTER_COLORS)[cluster % len(CLUSTER_COLORS)], NO_CLUSTER_COLOR)
+    return colors, np.maximum(cluster, 0) // _CLUSTERS_PER_SHAPE % len(_SHAPES)
+
+
+def round_marks(
+    place: Singles,
+    alive: Mask,
+    head: Mask,
+    root: Indices,
+    decoy: Mask,
+    candidates: Mask | None = None,
+    destroyed_at: Singles | None = None,
+) -> dict[str, Mask]:
+    """The mask ``(N,)`` of UAVs for each mark in the picture of a round. The keys are the texts of the legend.
+
+    ``place`` ``(N, 3)`` holds positions, NaN for UAVs that are not drawn; all others are as in :func:`draw_round`.
+    """
+    shown = np.isfinite(place[:, 0])
+    target = head & alive
+    none = np.zeros_like(alive)
+    named, missed = (none, none) if candidates is None else (candidates, target & ~candidates)
+    follower = shown & ~head & ~decoy
+    return {
+        HEAD_MARK: shown & head,
+        FOLLOWER_MARK: follower,
+        LINK_MARK: follower & (root >= 0) & shown[root],
+        DECOY_MARK: shown & decoy,
+        HIT_MARK: named & target,
+        REDUNDANT_MARK: named & ~target,
+        MISSED_MARK: missed,
+        DESTROYED_MARK: none if destroyed_at is None else ~alive & np.isfinite(destroyed_at[:, 0]),
+    }
+
+
+def draw_legend(axes: Axes, labels: Mapping[str, str], **place: Any) -> None:
+    """Draw a legend at the right of ``axes``, or at the ``place`` that arguments of ``Axes.legend`` give.
+
+    ``labels`` holds the text for each mark: those of :func:`round_marks`, ``CANDIDATE_MARK`` and ``UNLED_MARK``.
+    """
+    from matplotlib.lines import Line2D
+
+    link = Line2D([], [], color="#777777", alpha=0.6, linewidth=1)
+    sizes = {mark: {"s": min(max(style["s"], 40), 180)} for mark, style in _STYLES.items()}
+    keys = [link if mark == LINK_MARK else axes.scatter([], [], **_STYLES[mark] | sizes[mark]) for mark in labels]
+    look: dict[str, Any] = {"frameon": False, "labelspacing": 0.9, "scatterpoints": 1}
+    place = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "fontsize": 9.5} | place
+    axes.legend(keys, list(labels.values()), **look | place)
+
+
+def _draw_tracks(axes: Axes, position: Singles, seen: Mask, colors: NDArray[np.str_]) -> None:
+    from matplotlib.collections import LineCollection
+    from matplotlib.colors import to_rgba_array
+
+    path = np.where(seen[..., None], position[..., :2], np.nan)
+    path = path[np.unique(np.linspace(0, len(path) - 1, min(len(path), _TRACK_SAMPLES)).astype(int))]
+    edges = np.linspace(0, len(path) - 1, min(_TRACK_PARTS, len(path) - 1) + 1).astype(int)
+    for part, (first, last) in enumerate(pairwise(edges), start=1):
+        shades = to_rgba_array(colors.tolist(), 0.75 * part / (len(edges) - 1))
+        lines = list(np.swapaxes(path[first : last + 1], 0, 1))
+        axes.add_collection(LineCollection(lines, colors=shades, linewidths=0.9, capstyle="round", zorder=2))
+
+
+def _set_up_axes(axes: Axes, limits: Limits, title: str) -> None:
+    x, y, half = limits
+    axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half), aspect="equal", facecolor="#FBFBFB")
+    axes.set(xlabel="x in m", ylabel="y in m")
+    axes.tick_params(labelsize=8, colors="#555555")
+    axes.grid(color="#E8E8E8", linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.spines[:].set_color("#CCCCCC")
+    axes.set_title(title, fontsize=11, loc="left")
+
+
+def draw_round(
+    position: Singles,
+    seen: Mask,
+    alive: Mask,
+    head: Mask,
+    root: Indices,
+    decoy: Mask,
+    candidates: Mask | None = None,
+    *,
+    number: Indices | None = None,
+    destroyed_at: Singles | None = None,
+    axes: Axes | None = None,
+    title: str = "",
+    legend: bool = True,
+    limits: Limits | None = None,
+    truth: bool = True,
+) -> Figure:
+    """Draw a window and a round's answer, seen from above; the arrays have one place for each of N UAVs.
+
+    Args:
+        position: ``(T_ob + 1, N, 3)`` metres.
+        seen: ``(T_ob + 1, N)`` bool.
+        alive: bool, before the candidates are destroyed.
+        head: bool, H_0.
+        root: int64, the head of each UAV; a head's or decoy's own index; -1: no head.
+        decoy: bool.
+        candidates: bool, or ``None`` before the first answer.
+        number: int64, the number of each head's cluster, which gives its colour; ``None``: heads are counted.
+        destroyed_at: ``(N, 3)`` metres, last positions of destroyed UAVs (NaN: unknown); ``None``: not drawn.
+        axes: the axes to draw on; ``None``: a new figure.
+        title: the title above the picture.
+        legend: whether to draw a legend on the right.
+        limits: the square to show; ``None``: the one around all that is drawn.
+        truth: whether to show roles and clusters; otherwise UAVs are equal dots, and blue circles mark candidates.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
+    from matplotlib.collections import LineCollection
+
+    if axes is None:
+        axes = new_figure(9.6, 7.2).add_axes((0.07, 0.08, 0.66, 0.86) if legend else (0.09, 0.08, 0.88, 0.86))
+    place = last_seen_position(position, seen & alive)
+    shown = np.isfinite(place[:, 0])
+    if truth:
+        marks = round_marks(place, alive, head, root, decoy, candidates, destroyed_at)
+    else:
+        head, root = np.zeros_like(head), np.full_like(root, -1)
+        marks = round_marks(place, alive, head, root, head, None, destroyed_at)
+        marks[CANDIDATE_MARK] = head if candidates is None else candidates
+    gone = marks[DESTROYED_MARK]
+    everywhere = place if destroyed_at is None else np.asarray(np.where(gone[:, None], destroyed_at, place))
+    # The limits come first: otherwise they are computed anew for everything that is drawn.
+    _set_up_axes(axes, limits_around(everywhere) if limits is None else limits, title)
+    colors, shape = cluster_colors(head, root, number)
+    linked = marks[LINK_MARK]
+    links = list(np.stack([place[linked, :2], place[root[linked], :2]], axis=1))
+    axes.add_collection(LineCollection(links, colors=colors[linked], alpha=0.28, linewidths=0.7, zorder=1))
+    _draw_tracks(axes, position[:, shown], (seen & alive)[:, shown], colors[shown])
+
+    def draw(mark: str, who: Mask, **look: Any) -> None:
+        if who.any():
+            axes.scatter(everywhere[who, 0], everywhere[who, 1], **{"zorder": 6, **_STYLES[mark], **look})
+
+    for mark in (DECOY_MARK, CANDIDATE_MARK, HIT_MARK, REDUNDANT_MARK, MISSED_MARK, DESTROYED_MARK):
+        draw(mark, marks.get(mark, gone & ~gone))
+    stars = marks[HEAD_MARK]
+    draw(HEAD_MARK, stars, c=colors[stars])
+    for kind, sign in enumerate(_SHAPES):
+        dots = marks[FOLLOWER_MARK] & (shape == kind)
+        draw(FOLLOWER_MARK, dots, c=colors[dots], marker=sign)
+        if kind:  # heads with the same colour have their followers' marker
+            draw(FOLLOWER_MARK, stars & (shape == kind), c="white", marker=sign, linewidths=0, zorder=5.5)
+    if legend:
+        counts = {mark: int(who.sum()) for mark, who in marks.items()}
+        draw_legend(axes, {mark: f"{mark} ({count})" for mark, count in counts.items() if count})
+    figure: Any = axes.get_figure(root=True)
+    return figure
+
+
+def pixels_of(figure: Figure) -> NDArray[np.uint8]:
+    """Draw a figure and return its pixels, ``(H, W, 3)`` uint8."""
+    canvas: Any = figure.canvas
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+
+def describe_frame(
+    number: int, hits: int, redundant: int, objective: float, reward: float | None = None, over_budget: bool = False
+) -> str:
+    """The title of the frame of a round that was played: its result, J so far, and the reward."""
+    found = "over the shot budget" if over_budget else f"{format_count(hits, 'head')} hit, {redundant} redundant"
+    return f"round {number}: {found}   J {objective:.3f}" + ("" if reward is None else f"   reward {reward:.3f}")
+
+
+class EpisodeFrames:
+    """Renders the frames of one episode: on axes that stay in place, with the UAVs destroyed in earlier rounds.
+
+    The axes fit the first window with a margin. If a later window does not fit, they are fitted to all windows so far.
+    """
+
+    def __init__(self) -> None:
+        self.limits: Limits | None = None
+        self._places: list[Singles] = []  # where each UAV was seen last, in every window
+        self._last: Singles | None = None  # and in all of them
+
+    def watch(self, position: Singles, seen: Mask) -> None:
+        """Take note of a window, once for each, in their order; the arrays are those of :func:`draw_round`."""
+        place = last_seen_position(position, seen)
+        self._last = place if self._last is None else np.where(np.isfinite(place), place, self._last)
+        self._places.append(place)
+        x, y, half = self.limits or (0.0, 0.0, -1.0)
+        if (np.abs(place[:, :2] - (x, y)) > half).any():
+            self.limits = limits_around(np.stack(self._places), _MARGIN_OF_FRAMES)
+
+    def render(self, **scene: Any) -> NDArray[np.uint8]:
+        """Render a window, ``(720, 960, 3)`` uint8; ``scene`` holds arguments of :func:`draw_round` by name."""
+        return pixels_of(draw_round(**scene, destroyed_at=self._last, limits=self.limits))
+
+
+def abbreviate(names: Sequence[str], longest: int) -> list[str]:
+    """Shorten names in their middle to ``longest`` characters, at least 5; those that would become equal are kept."""
+    half = (longest - 1) // 2
+    short = {each: each if len(each) <= longest else f"{each[: longest - 1 - half]}…{each[-half:]}" for each in names}
+    counts = Counter(short.values())
+    return [short[each] if counts[short[each]] == 1 else each for each in names]
+
+
+def escape_math(text: str) -> str:
+    """Text that matplotlib shows as it is: a dollar sign begins no formula."""
+    return text.replace("$", r"\$")
+
+
+def text_size(text: Text) -> tuple[float, float]:
+    """Width and height of a text in pixels. Characters that the font lacks count as boxes."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the figure's file shows them
+        box = text.get_window_extent()
+    return float(box.width), float(box.height)
+
+
+def annotate_points(axes: Axes, places: Floats, names: Sequence[str], **style: Any) -> None:
+    """Write names beside points ``(n, 2)``, inside the frame, where they cover the fewest other names and points.
+
+    The limits of ``axes`` and their place in the figure must be final; ``style`` is that of the texts.
+    """
+    figure: Any = axes.get_figure(root=True)
+    pixels = figure.dpi / 72
+    frame = axes.get_window_extent().padded(-4 * pixels)
+    points = axes.transData.transform(places)
+    taken = np.hstack([points - 6 * pixels, points + 6 * pixels])  # boxes: what names should leave free
+    for k, (name, point) in enumerate(zip(names, points, strict=True)):
+        text = axes.annotate(
+            escape_math(name), places[k].tolist(), (0, 0), textcoords="offset points", annotation_clip=False, **style
+        )
+        size = np.array(text_size(text))
+        centres = point + np.array(_BESIDE) * (size / (2, 1) + (7 * pixels, 0))
+        low = np.clip(centres - size / 2, (frame.x0, frame.y0), (frame.x1, frame.y1) - size)
+        shared = np.minimum(low[:, None] + size, taken[:, 2:]) - np.maximum(low[:, None], taken[:, :2])
+        weight = np.where(np.arange(len(taken)) < len(points), 1, 10)  # a name on a name is worse than on a point
+        best = low[int(np.argmin(np.maximum(shared, 0).prod(axis=2) @ weight))]
+        text.set_position(((best - point) / pixels).tolist())
+        taken = np.vstack([taken, [*best, *(best + size)]])
+
+
+def style_axes(axes: Axes) -> None:
+    """Give axes the look that all figures share: a faint grid behind the data, and no frame at the top and right."""
+    axes.grid(color="#e3e3e3", linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.tick_params(labelsize=9, color="#888888")
+    axes.spines[:].set_color("#888888")
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def caption_figure(figure: Figure, title: str, caption: str) -> None:
+    """Write a title above a figure, and below it a caption: what is shown, n, and the meaning of intervals."""
+    lines = fill(caption, int(12.5 * figure.get_figwidth()))
+    figure.suptitle(f"{title}\n{lines}", x=0.01, ha="left", fontsize=10.5)
+
+
+def write_figure(figure: Figure, path: str | os.PathLike[str], formats: Sequence[str] = ("png",)) -> list[Path]:
+    """Write a figure in some formats; the same figure gives the same bytes, and each file appears whole.
+
+    Characters that the font of a text lacks are written in other common fonts, if they are installed.
+
+    Args:
+        figure: the figure.
+        path: the file; its suffix is replaced by that of each format.
+        formats: ``"png"`` (200 pixels per inch), ``"pdf"`` (vectors), or both.
+
+    Raises:
+        ArgumentError: the place can't be written to.
+    """
+    from matplotlib import rc_context
+    from matplotlib.font_manager import fontManager
+    from matplotlib.text import Text
+
+    files = [as_path("path", path).with_suffix(f".{kind}") for kind in formats]
+    installed = set(fontManager.get_font_names())
+    with warnings.catch_warnings(record=True, action="always") as caught, rc_context({"pdf.fonttype": 42}):
+        figure.draw_without_rendering()  # labels of ticks have their texts from then on
+        for text in figure.findobj(Text):
+            text.set_fontfamily([*text.get_fontfamily(), *(name for name in _FONTS if name in installed)])
+        caught.clear()
+        for file in files:
+            with atomic_write(file) as aside:
+                figure.savefig(aside, format=file.suffix[1:], dpi=200, metadata=_METADATA[file.suffix[1:]])
+    if any("missing from font" in str(each.message) for each in caught):
+        warnings.warn("The fonts of this machine lack some characters of the figure: it has boxes there.", stacklevel=2)
+    return files

@@ -1,0 +1,174 @@
+"""An animation of one game: what the detector sees beside the truth, round by round, as a GIF or MP4.
+
+It is made from the neutral episode file alone. Matplotlib is an extra (``pip install 'usnet[render]'``) and brings
+Pillow, which writes the GIF, and moviepy, which brings the program ffmpeg for the MP4.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from usnet_env import drawing
+from usnet_env.config import ArgumentError, quote, whole_number
+from usnet_env.files import atomic_write
+from usnet_env.replay.episode import EpisodeRecord
+from usnet_env.replay.figure import check_ending, describe_scene, find_least_side
+from usnet_env.replay.story import describe_answer, describe_outcome, describe_remerge, describe_round, name_round
+
+_WIDTH, _HEIGHT = 9.6, 5.7  # inches
+_MP4_RATE = 5  # frames per second
+WATCH, NAME, VERDICT, REMERGE = range(4)  # phases of a round
+SECONDS = (0.2, 2.0, 2.4, 2.0)  # how long their frames stay
+
+
+class Scene(NamedTuple):
+    """What one frame shows: a phase of a round (from 1), with so many samples of its window, and one sentence."""
+
+    round: int
+    phase: int
+    samples: int
+    text: str
+
+
+def list_scenes(record: EpisodeRecord, frames: int) -> Iterator[Scene]:
+    """The frames of an episode in their order; ``frames`` are those in which the tracks of one window grow."""
+    samples = record.position.shape[1]
+    watch = f"The detector watches {samples - 1} steps."
+    for number in range(1, record.rounds + 1):
+        for grown in np.unique(np.linspace(1, samples, frames).round().astype(int)).tolist():
+            yield Scene(number, WATCH, grown, watch)
+        yield Scene(number, NAME, samples, describe_answer(record, number))
+        if record.labelled:
+            yield Scene(number, VERDICT, samples, describe_round(record, number) + ".")
+        if number < record.rounds and record.orphans[number - 1].any():
+            yield Scene(number, REMERGE, samples, describe_remerge(record, number))
+    yield Scene(record.rounds, VERDICT if record.labelled else NAME, samples, describe_outcome(record))
+
+
+class Painter:
+    """Draws the scenes of one record into one figure with fixed axes."""
+
+    def __init__(self, record: EpisodeRecord, dpi: float = 100) -> None:
+        self.record = record
+        self.figure = drawing.new_figure(_WIDTH, _HEIGHT, dpi)
+        side = 0.45
+        bottom = self.figure.add_axes((0, 0, 1, 0.1))
+        bottom.axis("off")
+        self.observed, self.truth = (
+            self.figure.add_axes((left, 0.11, side, side * _WIDTH / _HEIGHT)) for left in (0.04, 0.54)
+        )
+        known = record.position[record.seen & record.alive[:, None]]
+        self.limits = drawing.limits_around(known, 0.08, find_least_side(record))
+        self.header = self.figure.text(0.02, 0.975, "", fontsize=12, va="top")
+        names = {drawing.HEAD_MARK: "head", drawing.FOLLOWER_MARK: "follower"}
+        if not record.labelled:
+            names = {mark: drawing.TRACK_WORDS[mark] for mark in names}
+        else:
+            names |= {drawing.CANDIDATE_MARK: "candidate", drawing.HIT_MARK: "hit"}
+            names |= {drawing.REDUNDANT_MARK: "redundant", drawing.MISSED_MARK: "not named"}
+            names |= {drawing.DECOY_MARK: "decoy"} if record.decoys.any() else {}
+            names |= {} if record.recorded else {drawing.DESTROYED_MARK: "destroyed"}
+        place = {"loc": "center", "bbox_to_anchor": (0.5, 0.35), "ncols": len(names), "fontsize": 9, "markerscale": 0.7}
+        drawing.draw_legend(bottom, names, **place)
+        self.shown: Scene | None = None
+
+    def draw(self, scene: Scene) -> None:
+        """Draw a scene in place of the one before."""
+        if scene is self.shown:
+            return
+        record, r, self.shown = self.record, scene.round - 1, scene
+        window = describe_scene(record, scene.round)
+        window |= {name: window[name][: scene.samples] for name in ("position", "seen")}
+        named = record.candidates[r] if scene.phase in (NAME, VERDICT) else None
+        if scene.phase == REMERGE:
+            window |= {"alive": record.alive[scene.round], "root": record.root[scene.round]}
+        right = dict(window)
+        if not record.labelled and scene.phase == WATCH:
+            right |= {"head": np.zeros_like(record.head), "root": np.full(record.uavs, -1)}
+        right["candidates"] = named if record.labelled and scene.phase == VERDICT else None
+        look: dict[str, Any] = {"legend": False, "limits": self.limits}
+        for axes in (self.observed, self.truth):
+            axes.clear()
+        drawing.draw_round(
+            **window | {"candidates": named}, axes=self.observed, title="What the detector sees", truth=False, **look
+        )
+        drawing.draw_round(**right, axes=self.truth, title="The truth" if record.labelled else "What it found", **look)
+        for axes in (self.observed, self.truth):
+            axes.set(xlabel="", ylabel="")
+        words = f"{name_round(record)} {scene.round} of {record.rounds}: {scene.text}"
+        self.header.set_text(drawing.escape_math(words))
+
+
+def _write_gif(record: EpisodeRecord, shown: list[Scene], path: Path) -> None:
+    from PIL import Image
+
+    painter = Painter(record)
+
+    def paint(scene: Scene) -> Any:
+        painter.draw(scene)
+        return Image.fromarray(drawing.pixels_of(painter.figure))
+
+    answered = next(scene for scene in reversed(shown) if scene.round == 1)
+    palette = paint(answered).quantize(256, method=Image.Quantize.MAXCOVERAGE)  # of all frames: what rests stays equal
+    frames = [paint(scene).quantize(palette=palette, dither=Image.Dither.NONE) for scene in shown]
+    durations = [round(1000 * SECONDS[scene.phase]) for scene in shown]
+    frames[0].save(path, format="GIF", save_all=True, append_images=frames[1:], duration=durations, loop=0)
+
+
+def _find_ffmpeg(path: Path) -> str:
+    """The path of ffmpeg: of the one that moviepy installs, or the system's."""
+    try:
+        from imageio_ffmpeg import get_ffmpeg_exe
+
+        return str(get_ffmpeg_exe())
+    except (ImportError, RuntimeError):
+        found = shutil.which("ffmpeg")
+    if found is None:
+        raise ArgumentError(f"path must end in .gif where ffmpeg is not installed, got {quote(str(path))}.")
+    return found
+
+
+def _write_mp4(record: EpisodeRecord, shown: list[Scene], path: Path, ffmpeg: str) -> None:
+    from matplotlib import rc_context
+    from matplotlib.animation import FFMpegWriter
+
+    painter, writer = Painter(record), FFMpegWriter(fps=_MP4_RATE, extra_args=["-f", "mp4"])
+    with rc_context({"animation.ffmpeg_path": ffmpeg}), writer.saving(painter.figure, str(path), dpi=100):
+        for scene in shown:
+            painter.draw(scene)
+            for _ in range(max(1, round(SECONDS[scene.phase] * _MP4_RATE))):
+                writer.grab_frame()
+
+
+def animate(record: EpisodeRecord, path: str | os.PathLike[str], *, frames: int = 12) -> Path:
+    """Write an animation of an episode; the file appears whole.
+
+    Two maps from above share fixed axes. The left one shows what the detector sees: equal dots whose tracks grow, then
+    rings around its candidates. The right one shows the truth: heads as stars, followers in the colour of their head,
+    hits, redundant candidates, destroyed UAVs, and how followers without a head join another one.
+
+    Args:
+        record: the episode.
+        path: where to; the suffix ``.gif`` or ``.mp4`` chooses the format. An existing file is replaced.
+        frames: frames in which the tracks of one window grow.
+
+    Raises:
+        ArgumentError: ``path`` has another suffix or can't be written to, ``frames`` is below 2, or an MP4 is asked for
+            and ffmpeg is not installed.
+        MissingExtraError: matplotlib is not installed.
+    """
+    place = check_ending(path, ".gif", ".mp4")
+    shown = list(list_scenes(record, whole_number("frames", frames, 2)))
+    ffmpeg = _find_ffmpeg(place) if place.suffix.lower() == ".mp4" else None
+    with atomic_write(place) as aside:
+        if ffmpeg is None:
+            _write_gif(record, shown, aside)
+        else:
+            _write_mp4(record, shown, aside, ffmpeg)
+    return place

@@ -1,0 +1,294 @@
+"""Record episodes: play one with a detector, or wrap an environment that somebody else plays."""
+
+from __future__ import annotations
+
+import os
+import time
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from usnet_env.arrays import Floats, Indices
+from usnet_env.config import ArgumentError, describe_arguments, optional_seed, quote
+from usnet_env.detection import Detection, fit_window
+from usnet_env.envs.play import PlayedRound, play_rounds
+from usnet_env.files import as_path
+from usnet_env.objectives import list_followers
+from usnet_env.plugins import DetectorLike, detector_label
+from usnet_env.provenance import versions
+from usnet_env.replay.episode import EpisodeRecord
+from usnet_env.swarm import SwarmState
+from usnet_env.window import Window
+
+
+@dataclass(frozen=True)
+class Round:
+    """The report of one round: its number from 1, and what it had."""
+
+    number: int
+    candidates: int
+    hits: int  # candidates that are heads
+    redundant: int  # candidates that are not
+    heads_left: int  # after the round
+    objective: float  # J after the round
+    over_budget: bool  # more candidates than the shot budget: no UAV was destroyed
+    seconds: float  # wall time of ``detect``
+
+
+def record_episode(
+    env: gym.Env[Any, Any],
+    detector: DetectorLike,
+    seed: int | None,
+    detector_seed: int | None,
+    on_round: Callable[[Round], None] | None = None,
+    *,
+    label: str | None = None,
+) -> EpisodeRecord:
+    """Play one episode to its end, and record the windows, the truth and the answers.
+
+    The detector receives windows only. The truth is read from ``env.unwrapped.swarm``. Where it is unknown, as in
+    recorded tracks without leaders, the record is not ``labelled`` and holds what the detector found.
+
+    Args:
+        env: an environment of this project; wrappers must keep the form of observations and actions.
+        detector: any object with ``reset(seed)`` and ``detect(window) -> Detection``.
+        seed: seed of the environment; ``None`` continues with its generator.
+        detector_seed: seed of the detector.
+        on_round: called with the report of every round.
+        label: name of the detector in the record; by default its name in tables, see ``detector_label``.
+
+    Raises:
+        ArgumentError: ``env`` is no environment of this project, a seed is no whole number from 0, or an answer is no
+            ``Detection`` for its N UAVs.
+    """
+    _check_environment(env)
+    seed, detector_seed = optional_seed("seed", seed), optional_seed("detector_seed", detector_seed)
+    detector.reset(detector_seed)
+    seconds: list[float] = []
+
+    def answer(observation: Any, truth: SwarmState) -> Detection:
+        window = fit_window(detector, Window.from_observation(observation))
+        began = time.perf_counter()
+        detection = detector.detect(window)
+        seconds.append(time.perf_counter() - began)
+        if not isinstance(detection, Detection) or detection.candidates.shape != (window.uavs,):
+            raise ArgumentError(f"detector must answer a Detection for {window.uavs} UAVs, got {quote(detection)}.")
+        return detection
+
+    rounds: list[PlayedRound[Detection]] = []
+    for played in play_rounds(env, answer, seed):
+        rounds.append(played)
+        if on_round is not None:
+            named, info = int(played.answer.candidates.sum()), played.info
+            result = int(info["hits"]), int(info["redundant"]), int(played.left.heads_left), float(info["J"])
+            on_round(Round(len(rounds), named, *result, bool(info["over_budget"]), seconds[-1]))
+    label = label or detector_label(detector)
+    return _make_record(env, rounds, seconds, seed, detector_seed, label)
+
+
+def _check_environment(env: Any) -> None:
+    """Raise :class:`ArgumentError` if ``env`` is no environment of this project."""
+    game: Any = env.unwrapped if isinstance(env, gym.Env) else None
+    if not all(hasattr(game, name) for name in ("config", "rules", "problem")):
+        raise ArgumentError(f"env must be a USNET environment, got {quote(env)}.")
+
+
+def _stack(values: Sequence[NDArray[Any] | None], absent: int = 0) -> Any:
+    """Stack an optional part of the answers; it is full of ``absent`` where a round lacks it, ``None`` if all do."""
+    given = [value for value in values if value is not None]
+    if not given or len({value.shape for value in given}) > 1:
+        return None
+    return np.stack([np.full_like(given[0], absent) if value is None else value for value in values])
+
+
+def _read_extra(answer: Detection, name: str, fits: Callable[[tuple[int, ...]], bool]) -> Floats | None:
+    """Finite numbers in ``extras`` whose shape ``fits``; ``None`` without them."""
+    try:
+        values = np.asarray(answer.extras.get(name), np.float64)
+    except (TypeError, ValueError):
+        return None
+    return values if fits(values.shape) and np.isfinite(values).all() else None
+
+
+def _flatten_features(answer: Detection) -> Floats | None:
+    """``(N, 2)``: ``extras["features"]``, ``(N, …)``, in the plane of their principal axes; ``None`` without them."""
+    values = _read_extra(answer, "features", lambda shape: len(shape) > 1 and shape[0] == len(answer.scores))
+    if values is None:
+        return None
+    flat = values.reshape(len(values), -1)
+    known = np.any(flat, axis=1, keepdims=True)  # the features of destroyed UAVs are 0
+    centred = np.where(known, flat - flat.sum(axis=0) / max(int(known.sum()), 1), 0.0)
+    axes = np.linalg.svd(centred, full_matrices=False)[2][:2]
+    plane = centred @ (axes * np.sign(axes[:, np.abs(axes).argmax(axis=1)].diagonal())[:, None]).T
+    return np.pad(plane, ((0, 0), (0, 2 - plane.shape[1])))
+
+
+def _list_reasons(answers: Sequence[Detection]) -> list[dict[str, str]] | None:
+    """The sentences of ``extras["reasons"]`` by the UAVs of ``extras["heads"]``; ``None`` if no answer has any."""
+    rounds = []
+    for answer in answers:
+        named, given = answer.extras.get("heads", ()), answer.extras.get("reasons", ())
+        rounds.append({str(int(i)): str(why) for i, why in zip(named, given, strict=False)})
+    return rounds if any(rounds) else None
+
+
+def _find_roots(answer: Detection) -> Indices:
+    """``(N,)``: the candidate that each UAV follows by the answer; a candidate has its own index, -1: none."""
+    root = np.full(len(answer.candidates), -1, np.int64)
+    heads = np.flatnonzero(answer.candidates)
+    for head in heads.tolist():
+        root[list_followers(answer, head)] = head
+    root[heads] = heads
+    return root
+
+
+def _describe_tracks(game: Any, rounds: Sequence[PlayedRound[Detection]]) -> dict[str, Any]:
+    """What the record of recorded tracks has beside arguments: the ids, the step and the times of the windows."""
+    tracks = getattr(game, "tracks", None)
+    if tracks is None:
+        return {}
+    times = {name: [played.info[name] for played in rounds] for name in ("start", "end")}
+    return {"ids": list(tracks.ids), "step": tracks.step, "frame": tracks.frame, **times}
+
+
+def _make_record(
+    env: gym.Env[Any, Any],
+    rounds: Sequence[PlayedRound[Detection]],
+    seconds: Sequence[float],
+    seed: int | None,
+    detector_seed: int | None,
+    label: str,
+) -> EpisodeRecord:
+    """The record of the rounds of an episode; the arguments are those of :func:`record_episode`.
+
+    If the truth is unknown, the heads and roots are those of the answers, there are no decoys, J is 0, and the record
+    says of every round that no UAV was destroyed.
+    """
+    truths, answers = [played.truth for played in rounds], [played.answer for played in rounds]
+    windows = [Window.from_observation(played.observation) for played in rounds]
+    game: Any = env.unwrapped
+    labelled = bool(getattr(game, "labelled", True))
+    candidates = np.stack([answer.candidates for answer in answers])
+    square = 2 * candidates.shape[1:]
+    heads = [_read_extra(answer, "attention_heads", lambda shape: shape[1:] == square) for answer in answers]
+    return EpisodeRecord(
+        position=np.stack([window.position for window in windows]),
+        velocity=np.stack([window.velocity for window in windows]),
+        seen=np.stack([window.seen for window in windows]),
+        alive=np.stack([truth.alive for truth in truths]),
+        root=np.stack([truth.root for truth in truths] if labelled else [_find_roots(each) for each in answers]),
+        candidates=candidates,
+        scores=np.stack([answer.scores for answer in answers]),
+        objective=np.array([float(played.info["J"]) if labelled else 0.0 for played in rounds]),
+        head=truths[0].head if labelled else np.asarray(candidates.any(axis=0)),
+        decoy=truths[0].decoy if labelled else np.zeros(candidates.shape[1], bool),
+        over_budget=np.array([bool(played.info["over_budget"]) or not labelled for played in rounds]),
+        seconds=np.array(seconds),
+        clusters=_stack([answer.clusters for answer in answers], absent=-1),
+        leader_estimate=_stack([answer.leader for answer in answers], absent=-1),
+        attention=_stack([answer.attention for answer in answers]),
+        attention_heads=_stack(heads),
+        probability=_stack([_read_extra(answer, "probability", bool) for answer in answers]),
+        features=_stack([_flatten_features(answer) for answer in answers]),
+        reasons=_list_reasons(answers),
+        problem=game.problem,
+        env_id=env.spec.id if env.spec is not None else type(game).__name__,
+        seed=seed,
+        detector=label,
+        detector_seed=detector_seed,
+        config=describe_arguments(game.config) | describe_arguments(game.rules) | _describe_tracks(game, rounds),
+        versions=versions(),
+        labelled=labelled,
+    )
+
+
+class RecordReplay(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
+    """Write episodes as episode files, used like Gymnasium's ``RecordVideo``.
+
+    An episode is written when it ends, or with the rounds that were played when :meth:`reset` or :meth:`close` is
+    called before. Its answers are the actions alone, unless :meth:`note` is called with the detection before each step.
+
+    Args:
+        env: an environment of this project; wrappers below must keep the form of observations and actions.
+        folder: where to; the files are ``episode-0.npz``, ``episode-1.npz``, … Files of these names are replaced, and a
+            warning says so.
+        trigger: whether to write an episode, given its number from 0; ``None``: every episode.
+        label: name of the agent in the files.
+
+    Raises:
+        ArgumentError: ``env`` is no environment of this project, or ``folder`` is no path.
+    """
+
+    def __init__(
+        self,
+        env: gym.Env[Any, Any],
+        folder: str | os.PathLike[str],
+        trigger: Callable[[int], bool] | None = None,
+        *,
+        label: str = "agent",
+    ) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self, folder=folder, trigger=trigger, label=label)
+        _check_environment(env)
+        super().__init__(env)
+        self.folder = as_path("folder", folder)
+        if any(self.folder.glob("episode-*.npz")):
+            warnings.warn(
+                f"folder {str(self.folder)!r} holds episode files, and those of the same number will be replaced.",
+                stacklevel=2,
+            )
+        self._trigger, self._label = trigger, label
+        self._episode = -1
+        self._seed: int | None = None
+        self._wanted = False
+        self._observation: Any = None
+        self._noted: Detection | None = None
+        self._rounds: list[PlayedRound[Detection]] = []
+        self._seconds: list[float] = []
+        self._began = 0.0
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Start an episode."""
+        self._write()
+        self._observation, info = self.env.reset(seed=seed, options=options)
+        self._episode, self._seed, self._noted = self._episode + 1, seed, None
+        self._wanted = self._trigger is None or bool(self._trigger(self._episode))
+        self._began = time.perf_counter()
+        return self._observation, info
+
+    def note(self, detection: Detection) -> None:
+        """Keep the detection from which the next action is made: its scores, clusters, leaders and the rest."""
+        self._noted = detection
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Play a round; write the episode if it is the last one."""
+        spent = time.perf_counter() - self._began
+        game: Any = self.env.unwrapped
+        truth: SwarmState = game.swarm
+        following, reward, terminated, truncated, info = self.env.step(action)
+        if self._wanted:
+            candidates = np.asarray(action, bool).reshape(truth.alive.shape)
+            answer = replace(self._noted or Detection(candidates, candidates.astype(float)), candidates=candidates)
+            self._rounds.append(PlayedRound(self._observation, truth, answer, info, game.swarm))
+            self._seconds.append(spent)
+            if terminated or truncated:
+                self._write()
+        self._observation, self._noted = following, None
+        self._began = time.perf_counter()
+        return following, reward, bool(terminated), bool(truncated), info
+
+    def close(self) -> None:
+        """Write what was played, and close the environment."""
+        self._write()
+        super().close()
+
+    def _write(self) -> None:
+        """Write the rounds that were played since the last call, if there are any."""
+        if self._rounds:
+            record = _make_record(self.env, self._rounds, self._seconds, self._seed, None, self._label)
+            record.save(self.folder / f"episode-{self._episode}.npz")
+        self._rounds, self._seconds = [], []

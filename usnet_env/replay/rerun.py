@@ -1,0 +1,166 @@
+"""Rerun recordings with their layout: one of an episode, and one of two episodes that began with the same swarm.
+
+Rerun is an extra (``pip install 'usnet[replay]'``) and is imported only when a recording is written. Each recording has
+a stream of its own; Rerun's global state does not change.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from uuid import uuid4
+
+import numpy as np
+
+from usnet_env.config import ArgumentError, MissingExtraError, how_to_install
+from usnet_env.files import as_path, atomic_write
+from usnet_env.replay.episode import EpisodeRecord
+from usnet_env.replay.recording import CURVES, EpisodeWriter
+from usnet_env.replay.story import explain_replay, name_round
+
+if TYPE_CHECKING:
+    import rerun.blueprint as rrb
+
+_UNKNOWN, _BACKGROUND = [140, 148, 156], [16, 20, 24]
+
+
+def _space(writer: EpisodeWriter, name: str, truth: bool) -> rrb.Spatial3DView:
+    """A view of the swarm: the truth with the verdict, or what the detector sees, with its answer."""
+    import rerun.blueprint as rrb
+
+    rr, root = writer.rr, f"/{writer.root}"
+    parts = ["swarm", "verdict", "observers"]
+    overrides: dict[Any, Any] = {}
+    if not truth:
+        parts = ["swarm/heads", "swarm/followers", "swarm/tracks", "swarm/decoys", "found", "observers"]
+        alike = rr.Points3D.from_fields(colors=[_UNKNOWN], radii=[5.0 * writer.scale])
+        overrides = {f"{root}world/swarm/{kind}": alike for kind in ("heads", "followers", "decoys")}
+        overrides[f"{root}world/swarm/tracks"] = rr.LineStrips3D.from_fields(colors=[[*_UNKNOWN, 110]])
+    eye = rrb.EyeControls3D(
+        kind=rrb.Eye3DKind.Orbital,
+        position=writer.span * np.array([0.0, -0.8, 0.9]),
+        look_target=writer.span * np.array([0.0, -0.08, 0.0]),
+        eye_up=[0.0, 0.0, 1.0],
+    )
+    return rrb.Spatial3DView(
+        origin=root.rstrip("/") or "/",  # not the world itself, whose transform would have no effect
+        contents=[f"{root}world/{part}/**" for part in parts],
+        name=name,
+        eye_controls=eye,
+        background=_BACKGROUND,
+        line_grid=False,
+        overrides=overrides,
+    )
+
+
+def _arrange(writers: Sequence[EpisodeWriter], labels: Sequence[str]) -> rrb.Blueprint:
+    """The layout: for each episode the swarm as it is seen and as it is, and beside them texts; below them charts."""
+    import rerun.blueprint as rrb
+
+    record, single = writers[0].record, len(writers) == 1
+    columns: list[Any] = []
+    charts: list[Any] = []
+    for writer, label in zip(writers, labels, strict=True):
+        root, prefix = f"/{writer.root}", f"{label}: "
+        spaces = [_space(writer, f"{prefix}the truth" if record.labelled else f"{prefix}tracks", truth=True)]
+        if record.labelled:
+            spaces.insert(0, _space(writer, f"{prefix}what it sees and answers", truth=False))
+        told = rrb.TextDocumentView(origin=f"{root}this_round", name=f"{prefix}this {name_round(record).lower()}")
+        columns += [*spaces, told] if single else [rrb.Vertical(*spaces, told)]
+        charts.append(rrb.BarChartView(origin=f"{root}scores", name=f"{prefix}scores by index"))
+        if single and record.attention is not None:
+            charts.append(rrb.Spatial2DView(origin=f"{root}mind/attention", name="Attention of a UAV (row)"))
+        if single and record.features is not None:
+            charts.append(rrb.Spatial2DView(origin=f"{root}mind/features", name="Feature space"))
+    curves = [
+        rrb.TimeSeriesView(origin="/", contents=[f"/{writer.root}game/{name}" for writer in writers], name=title)
+        for name, title in ({} if record.recorded else CURVES).items()
+    ]
+    about = rrb.TextDocumentView(origin="/about", name="What you see")
+    above = rrb.Horizontal(*columns, about, column_shares=[4] * (len(columns) - single) + [2] * (1 + single))
+    below = rrb.Horizontal(*charts, *([rrb.Grid(*curves)] if curves else []))
+    panel = rrb.TimePanel(state="collapsed", timeline="time", play_state="paused", loop_mode="off")
+    return rrb.Blueprint(rrb.Vertical(above, below, row_shares=[3, 1.4]), panel, collapse_panels=True)
+
+
+def _write(records: Sequence[EpisodeRecord], labels: Sequence[str], path: str | os.PathLike[str]) -> Path:
+    """Write episodes into one recording; the file appears whole."""
+    try:
+        import rerun as rr
+    except ImportError:
+        raise MissingExtraError(f"Replays need rerun-sdk; {how_to_install('replay')}.") from None
+    place = as_path("path", path)
+    name = str(uuid4())  # recordings with the same application id share one camera and one layout in the viewer
+    stream = rr.RecordingStream(f"usnet {name}", recording_id=name)
+    stream.set_log_time_enabled(False)
+    stream.set_log_tick_enabled(False)
+    roots = [""] if len(records) == 1 else ["a/", "b/"]
+    span = max(map(_find_span, records))  # one scale, so that all views show the swarm from the same place
+    writers = [EpisodeWriter(record, stream, root, span) for record, root in zip(records, roots, strict=True)]
+    with atomic_write(place) as aside:
+        stream.save(aside, default_blueprint=_arrange(writers, labels))
+        try:
+            stream.send_recording_name(f"{' and '.join(labels)} on {records[0].env_id}, seed {records[0].seed}")
+            about = rr.TextDocument(explain_replay(records, labels), media_type="text/markdown")
+            stream.log("about", about, static=True)
+            for writer in writers:
+                writer.write()
+        finally:
+            stream.disconnect()  # writes the rest and closes the file
+    return place
+
+
+def _find_span(record: EpisodeRecord) -> float:
+    """The side of the largest box around the UAVs of a round, metres."""
+    least = 1e-6 if record.recorded else 1.0
+    known = [position[seen] for position, seen in zip(record.position, record.seen, strict=True) if seen.any()]
+    return max((float(np.ptp(each, axis=0).max()) for each in known), default=least) or least
+
+
+def write_recording(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path:
+    """Write an episode as a Rerun recording that contains its layout; the file appears whole. ``rerun PATH`` opens it.
+
+    One view shows what the detector sees, and its answer when it is given: found groups, found leaders, attention.
+    Another one shows the truth and the verdict. The timelines are ``time``, seconds of the replay with a pause after
+    each answer, destruction and re-merge; ``step``, see :func:`usnet_env.replay.recording.list_steps`; and ``round``.
+
+    Raises:
+        ArgumentError: the place can't be written to.
+        MissingExtraError: rerun-sdk is not installed.
+    """
+    return _write([record], [record.detector or "A detector"], path)
+
+
+def write_comparison(first: EpisodeRecord, second: EpisodeRecord, path: str | os.PathLike[str]) -> Path:
+    """Write two episodes that began with the same swarm as one recording, side by side; see :func:`write_recording`.
+
+    Raises:
+        ArgumentError: the first windows of the episodes differ, or the place can't be written to.
+        MissingExtraError: rerun-sdk is not installed.
+    """
+    same = np.array_equal(first.position[0], second.position[0]) and first.labelled == second.labelled
+    if not same or (first.labelled and not np.array_equal(first.head, second.head)):  # else they are those found
+        raise ArgumentError("second must begin with the same swarm as first, got an episode with another first window.")
+    labels = [record.detector or "A detector" for record in (first, second)]
+    if labels[0] == labels[1]:
+        labels = [f"{letter} {label}" for letter, label in zip("AB", labels, strict=True)]
+    return _write([first, second], labels, path)
+
+
+def find_viewer() -> str:
+    """The command that opens a replay: ``rerun`` if the shell finds it, else the path of the one beside this Python."""
+    beside = Path(sys.executable).with_name("rerun")
+    return "rerun" if shutil.which("rerun") or not beside.exists() else os.path.relpath(beside)
+
+
+def open_replay(path: Path) -> None:
+    """Open a recording in the Rerun viewer, in a process that continues after this one and writes no output."""
+    try:
+        subprocess.Popen([find_viewer(), str(path)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    except FileNotFoundError:
+        raise MissingExtraError(f"The viewer needs rerun-sdk; {how_to_install('replay')}.") from None
