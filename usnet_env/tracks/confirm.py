@@ -32,7 +32,7 @@ def confirm_leaders(
         Which leaders are confirmed, ``(c,)`` bool: by :func:`confirm_lead` with those followers that
         :func:`keep_group` keeps, and not by :func:`find_followers`; and these followers of each leader.
     """
-    kept = [keep_group(window, int(leader), led) for leader, led in zip(leaders, followers, strict=True)]
+    kept = [keep_group(window, int(leader), members) for leader, members in zip(leaders, followers, strict=True)]
     sure = ~find_followers(window, leaders, kept)
     for k in map(int, np.flatnonzero(sure)):
         sure[k] = confirm_lead(window, int(leaders[k]), kept[k])
@@ -191,13 +191,13 @@ def _scale(velocity: NDArray[np.float32], seen: Mask) -> NDArray[np.float32]:
     return np.asarray(centred / np.where(size > 0, size, np.inf)[:, None], np.float32)
 
 
-def _correlate(some: NDArray[np.float32], others: NDArray[np.float32]) -> NDArray[np.float32]:
+def _correlate(first: NDArray[np.float32], others: NDArray[np.float32]) -> NDArray[np.float32]:
     """``(c, N)`` largest correlation of series ``(T, c, 3)`` with those ``(T, N, 3)`` of others at the lags -4 to 4."""
-    steps = len(some)
-    first, second = (values.transpose(1, 0, 2).reshape(values.shape[1], -1) for values in (some, others))
+    steps = len(first)
+    rows, columns = (values.transpose(1, 0, 2).reshape(values.shape[1], -1) for values in (first, others))
     curves = [
-        first[:, 3 * max(0, lag) : 3 * (steps + min(0, lag))]
-        @ second[:, 3 * max(0, -lag) : 3 * (steps - max(0, lag))].T
+        rows[:, 3 * max(0, lag) : 3 * (steps + min(0, lag))]
+        @ columns[:, 3 * max(0, -lag) : 3 * (steps - max(0, lag))].T
         for lag in range(-_LAGS, _LAGS + 1)
     ]
     return np.asarray(np.max(curves, axis=0))

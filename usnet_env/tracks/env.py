@@ -129,7 +129,7 @@ class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
             raise ArgumentError("reset must be called first, got a step in an episode that is over.")
         candidates = parse_candidates(action, (len(self.tracks.ids),))
         truth = self.swarm
-        hits, redundant = (int(each) for each in hits_and_redundant(truth.head, truth.alive, candidates))
+        hits, redundant = map(int, hits_and_redundant(truth.head, truth.alive, candidates))
         self._over = True
         found_all = hits == int(truth.head.sum())
         info = self._info(hits, redundant, 1, found_all)

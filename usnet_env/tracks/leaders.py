@@ -349,16 +349,16 @@ def _summarise(
         seen: ``(N,)`` number of windows that hold each id, or ``None`` if the leaders are not confirmed.
         sure: whether the detector gives probabilities in all windows.
     """
-    row = {each: k for k, each in enumerate(ids)}
-    led: dict[tuple[int, int], list[Leader]] = {}  # by the group and the row of its leader
+    row = {name: k for k, name in enumerate(ids)}
+    entries_of: dict[tuple[int, int], list[Leader]] = {}  # by the group and the row of its leader
     for window in windows:
         for leader in window.leaders:
-            led.setdefault((leader.group, row[leader.id]), []).append(leader)
+            entries_of.setdefault((leader.group, row[leader.id]), []).append(leader)
     found = []
-    for (group, head), entries in sorted(led.items(), key=lambda item: (-len(item[1]), item[0])):
+    for (group, head), entries in sorted(entries_of.items(), key=lambda item: (-len(item[1]), item[0])):
         count = len(entries)
-        times_behind = Counter(each for leader in entries for each in leader.followers)
-        behind = sorted((each for each, times in times_behind.items() if times >= count / 2), key=row.__getitem__)
+        times_behind = Counter(name for leader in entries for name in leader.followers)
+        behind = sorted((name for name, times in times_behind.items() if times >= count / 2), key=row.__getitem__)
         probability, score = np.mean([(leader.probability or 0.0, leader.score) for leader in entries], axis=0).tolist()
         reason = f"Leads group {group} in {count} of {format_count(len(windows), 'window')}."
         # The probability that a group without a leader has a confirmed one in as many of its windows.

@@ -143,8 +143,8 @@ def _title_map(window: DetectedWindow, words: _Words) -> str:
     title = f"{format_time(window.start, words.date)} to {format_time(window.end, day)} {words.unit}".rstrip()
     if window.not_confirmed:
         named = f"not confirmed: {', '.join(map(words.name, window.not_confirmed[:_MOST_REJECTED]))}"
-        more = "" if len(window.not_confirmed) <= _MOST_REJECTED else ", …"
-        title += f"\n{named if len(named) <= _LONGEST_TITLE else named[: _LONGEST_TITLE - 1] + '…'}{more}"
+        ending = "" if len(window.not_confirmed) <= _MOST_REJECTED else ", …"
+        title += f"\n{named if len(named) <= _LONGEST_TITLE else named[: _LONGEST_TITLE - 1] + '…'}{ending}"
     return title
 
 
@@ -152,15 +152,15 @@ def _draw_times(axes: Axes, found: FoundLeaders, words: _Words) -> None:
     """Draw a row for each leader over the file, with a bar for each window in which it leads."""
     bars, count = found.leaders[:_MOST_ROWS], len(found.windows)
     for row, bar in enumerate(bars):
-        led = [
+        places = [
             k
             for k, window in enumerate(found.windows)
             if (bar.id, bar.group) in {(leader.id, leader.group) for leader in window.leaders}
         ]
         axes.barh(
-            [row] * len(led),
+            [row] * len(places),
             1.0,
-            left=led,
+            left=places,
             height=0.7,
             color=drawing.CLUSTER_COLORS[(bar.group - 1) % len(drawing.CLUSTER_COLORS)],
         )
@@ -169,9 +169,9 @@ def _draw_times(axes: Axes, found: FoundLeaders, words: _Words) -> None:
     ticks = np.unique(np.linspace(0, count - 1, min(count, max(2, min(8, 80 // max(map(len, times)))))).astype(int))
     axes.set(xlim=(0, count), ylim=(max(len(bars), 1) - 0.5, -0.5))
     axes.set_xticks(ticks, [times[k] for k in ticks], fontsize=8)
-    more = f", {len(bars)} of {len(found.leaders)} leaders" if len(bars) < len(found.leaders) else ""
+    shown = f", {len(bars)} of {len(found.leaders)} leaders" if len(bars) < len(found.leaders) else ""
     unit = f" in {words.unit}" if words.unit else ""
-    heading = f"Windows in which each id leads (colour = group){more}; time of their start{unit} below"
+    heading = f"Windows in which each id leads (colour = group){shown}; time of their start{unit} below"
     axes.set_title(heading, fontsize=10, loc="left")
     if not bars:
         axes.text(0.5, 0.5, "No leader was found.", transform=axes.transAxes, ha="center", va="center", color="#555555")

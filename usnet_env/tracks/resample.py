@@ -348,12 +348,12 @@ def _measure_leads(velocity: Floats) -> _Lead:
         leads_of[i] = -np.inf
         by_chance = leads_of[:, 1:].max(axis=0)
         inside = curve[:, 1 : _LAGS + 1].max(axis=1) > curve[:, _LAGS + 1]  # otherwise the delay is longer than 4 steps
-        own = np.where(inside, leads_of[:, 0], -np.inf)
+        lead = np.where(inside, leads_of[:, 0], -np.inf)
         middle = float(np.median(by_chance))
         spread = 1.4826 * float(np.median(np.abs(by_chance - middle)))
-        if own.max() > middle + _SIGNIFICANT * spread:
-            leads.append(float(own.max()) - middle)
-            delays.append(_find_peak(curve[own.argmax()]))
+        if lead.max() > middle + _SIGNIFICANT * spread:
+            leads.append(float(lead.max()) - middle)
+            delays.append(_find_peak(curve[lead.argmax()]))
     if len(leads) < max(1, len(focal) / _FEWEST):
         return none
     return _Lead(sum(leads) / len(focal), float(np.median(delays)), len(leads))
