@@ -26,15 +26,15 @@ import gymnasium as gym
 import numpy as np
 from running import RESULTS, make_parser
 from speed_helpers import alternate, run, write_json
-
-from usnet_env import Detection, Window, evaluate
-from usnet_env.evaluation.agents import as_agent
 from usnet_env.evaluation.episode import episode_seeds, play_episode
 from usnet_env.evaluation.isolation import IsolatedAgent
 from usnet_env.evaluation.metrics import METRICS
-from usnet_env.evaluation.result import summarise
 from usnet_env.evaluation.store import COLUMNS, RowFile, RunStore
 from usnet_env.processes import Limits
+
+from usnet_env import Detection, Window, evaluate
+from usnet_env.evaluation.agents import as_agent
+from usnet_env.evaluation.result import summarise
 from usnet_env.provenance import machine, versions
 
 SUMMARY = """
@@ -202,7 +202,6 @@ def engine(episodes: int, turns: int) -> dict[str, object]:
 def ray_nodes(episodes: int, turns: int, computing: bool) -> dict[str, object]:
     """Seconds of a run on one and two nodes of one core of a local Ray cluster, which has started; in turns."""
     from ray.cluster_utils import Cluster
-
     from usnet_env.processes import RayPool
 
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})

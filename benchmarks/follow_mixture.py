@@ -26,13 +26,13 @@ import numpy as np
 from follow_mixture_strategies import STRATEGIES
 from numpy.typing import NDArray
 from running import RESULTS, make_parser, play_games, write_csv
+from usnet_env.evaluation.episode import episode_seeds
+from usnet_env.evaluation.report import group_rows
+from usnet_env.evaluation.table import read_table
 
 from usnet_env import Detection, Window
 from usnet_env.envs import MultiClusterEnv, SingleClusterEnv
 from usnet_env.envs.play import play_rounds
-from usnet_env.evaluation.episode import episode_seeds
-from usnet_env.evaluation.report import group_rows
-from usnet_env.evaluation.table import read_table
 from usnet_env.objectives import average_precision, multi_cluster_objective, single_cluster_objective
 from usnet_env.plugins import detector_label, make_detector
 

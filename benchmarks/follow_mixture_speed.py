@@ -25,12 +25,12 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from speed_helpers import describe_ratios, run, write_json
-
 from detectors.studies.common import FOLLOW
+from speed_helpers import describe_ratios, run, write_json
+from usnet_env.evaluation.statistics import rate_interval
+
 from usnet_env import Window
 from usnet_env.envs import MultiClusterEnv, SingleClusterEnv
-from usnet_env.evaluation.statistics import rate_interval
 from usnet_env.objectives import exact, multi_cluster_objective
 from usnet_env.plugins import make_detector
 from usnet_env.provenance import machine, versions

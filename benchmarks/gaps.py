@@ -14,15 +14,15 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
+from detectors.studies.common import FOLLOW
 from running import RESULTS, answer_help, play_games
+from usnet_env.evaluation.episode import episode_seeds, play_episode
+from usnet_env.evaluation.report import group_rows, mean_over_episodes
 
 from detectors.clustering import make_clusterer
-from detectors.studies.common import FOLLOW
 from usnet_env import Window
 from usnet_env.envs import MultiClusterEnv, SingleClusterEnv
 from usnet_env.evaluation.agents import as_agent
-from usnet_env.evaluation.episode import episode_seeds, play_episode
-from usnet_env.evaluation.report import group_rows, mean_over_episodes
 from usnet_env.objectives import purity
 
 SEED = 100

@@ -20,10 +20,10 @@ from running import RESULTS, make_parser, play_games
 from sklearn.ensemble import HistGradientBoostingClassifier
 from sklearn.metrics import roc_auc_score
 from sklearn.model_selection import GroupKFold
+from usnet_env.evaluation.episode import episode_seeds
 
 import usnet_env  # noqa: F401  # registers the environments
 from usnet_env.evaluation import FrozenSuite, load_suite
-from usnet_env.evaluation.episode import episode_seeds
 
 SWARMS, FOLDS, LAGS = 40, 5, (1, 2, 4, 8)
 

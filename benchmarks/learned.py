@@ -19,10 +19,10 @@ from follow_mixture import cells as all_cells
 from follow_mixture import play as play_cell
 from follow_mixture_strategies import FIRST_EIGHT
 from running import RESULTS, SEED, make_parser, play_games
-
-from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation.metrics import episode_metrics
 from usnet_env.evaluation.suite import play_detector
+
+from usnet_env.envs import MultiClusterEnv
 
 DETECTORS = ("learned", "follow-mixture", "lagged-regression", "one-per-round", "destroy-all", "random")
 SWARMS: dict[str, dict[str, Any]] = {

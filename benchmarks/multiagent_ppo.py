@@ -20,11 +20,11 @@ from matplotlib.figure import Figure
 from ppo_curve import Curve
 from running import RESULTS, SEED, answer_help, play_games, read_csv
 from stable_baselines3 import PPO
+from usnet_env.evaluation.report import add_legend, group_rows, make_panels
+from usnet_env.evaluation.store import RowFile
 
 from usnet_env import make_detector
 from usnet_env.drawing import COLORS, caption_figure, write_figure
-from usnet_env.evaluation.report import add_legend, group_rows, make_panels
-from usnet_env.evaluation.store import RowFile
 from usnet_env.multiagent.policies import DetectorObserver
 from usnet_env.multiagent.usnet_evasion_v0 import OBSERVER, parallel_env
 

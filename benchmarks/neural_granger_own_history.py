@@ -14,13 +14,13 @@ from __future__ import annotations
 import gymnasium as gym
 import numpy as np
 import torch
+from detectors.neural_granger.inputs import build_samples
+from detectors.neural_granger.per_candidate import predict_from_own_history
+from detectors.studies.common import FOLLOW
 from running import RESULTS, answer_help, write_csv
 from strategy_classes import MEMORY, follow_truly
 
 import usnet_env
-from detectors.neural_granger.inputs import build_samples
-from detectors.neural_granger.per_candidate import predict_from_own_history
-from detectors.studies.common import FOLLOW
 from usnet_env.swarm import follow_strategies
 
 EPISODES = 20

@@ -6,9 +6,8 @@ OMP_NUM_THREADS=1 python benchmarks/neural_granger_products.py  # writes benchma
 from __future__ import annotations
 
 import follow_mixture_strategies  # noqa: F401  registers the strategy
-from running import RESULTS, answer_help
-
 from detectors.studies.table2 import Cell, make_suite, make_tasks, rate_of
+from running import RESULTS, answer_help
 from usnet_env.evaluation.report import group_rows
 
 DETECTORS = ("neural-granger", "lagged-regression(clusters=1)")

@@ -15,6 +15,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import torch
+from detectors.studies.common import FOLLOW
 from gymnasium import spaces
 from learned import DETECTORS, KEPT
 from ppo_curve import Curve
@@ -23,15 +24,14 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.policies import MultiInputActorCriticPolicy
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import Tensor, nn
+from usnet_env.evaluation.episode import episode_seeds, play_episode
 
 from detectors.learned.features import PAIR_FEATURES, pair_features
 from detectors.policy_detector import PolicyDetector
-from detectors.studies.common import FOLLOW
 from detectors.weights import read_arrays, write_weights
 from usnet_env import Window
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation.agents import as_agent
-from usnet_env.evaluation.episode import episode_seeds, play_episode
 from usnet_env.plugins import make_detector
 from usnet_env.swarm.random_follow import random_follow_strategy
 

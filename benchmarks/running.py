@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from usnet_env.evaluation.suite import Suite
+
 from usnet_env.files import atomic_write
 from usnet_env.progress import progress_bar
 

@@ -16,9 +16,9 @@ from pathlib import Path
 
 from result_pages.suites import failures_file, read_failures, read_suite, rows_file
 from running import RESULTS, make_parser, write_csv
+from usnet_env.evaluation.report import group_rows
 
 from usnet_env.evaluation import SuiteResult, load_suite
-from usnet_env.evaluation.report import group_rows
 
 COLUMNS = (
     "detector", "episode", "swarm_seed", "J", "rounds", "redundancy", "success", "exact", "precision_first",

@@ -25,6 +25,7 @@ from follow_mixture import cells, shifted_tracks
 from numpy.typing import NDArray
 from running import RESULTS, make_parser, parse_or_list, play_games
 from scipy.special import expit
+from usnet_env.evaluation.episode import episode_seeds
 
 from detectors.follow_mixture import FollowMixture, delays, detector, evidence, fit, motion, pooling
 from detectors.follow_mixture.motion import lagged
@@ -35,7 +36,6 @@ from detectors.series.features import LEVELS
 from usnet_env import Window
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation import load_suite
-from usnet_env.evaluation.episode import episode_seeds
 from usnet_env.swarm import SwarmConfig
 
 FILE = RESULTS / "follow_mixture_thresholds.csv"

@@ -8,10 +8,10 @@ import numpy as np
 from confirmation_ablation import CHANGES
 from numpy.typing import NDArray
 from running import RESULTS, read_csv
-
-from result_pages.text import page, table
 from usnet_env.evaluation.report import group_rows
 from usnet_env.evaluation.statistics import mean_interval
+
+from result_pages.text import page, table
 
 FILE = "confirmation_ablation.csv"
 _COLUMNS = ("named", "right", "confirmed", "confirmed_right", "followers", "followers_right")

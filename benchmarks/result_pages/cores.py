@@ -8,10 +8,10 @@ from statistics import fmean, median
 import numpy as np
 from follow_mixture import cells
 from running import RESULTS, read_csv
-
-from result_pages.text import Row, cost_of, exact_of, page, table
 from usnet_env.evaluation.report import group_rows
 from usnet_env.evaluation.statistics import mean_interval
+
+from result_pages.text import Row, cost_of, exact_of, page, table
 
 FILES = ("former_core/rows.csv.gz", "former_core/present.csv.gz")
 _SAME = ("tier", "cell", "detector", "seed", "episode")

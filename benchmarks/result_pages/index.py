@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import cache
 
-from running import RESULTS
-
 from detectors.studies import rounds, table2
+from running import RESULTS
+from usnet_env.evaluation.report import format_interval, group_rows, mean_over_episodes
+from usnet_env.evaluation.suite import read_rows
+
 from result_pages import p1
 from result_pages.suites import read_suite
 from result_pages.text import SAME_SEEDS, Row, exact_of, mean_of, page, share, table
 from usnet_env.evaluation import load_suite
-from usnet_env.evaluation.report import format_interval, group_rows, mean_over_episodes
-from usnet_env.evaluation.suite import read_rows
 
 #: The suites of the table, and what is in them.
 SUITES = {

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import cache
 
+from detectors.studies.common import FOLLOW
 from follow_mixture_strategies import FIRST_EIGHT
 from running import RESULTS, read_csv
-
-from detectors.studies.common import FOLLOW
-from result_pages.text import Row, exact_of, mean_of, page, share_of, table
 from usnet_env.evaluation.report import group_rows
+
+from result_pages.text import Row, exact_of, mean_of, page, share_of, table
 
 Cell = Callable[[Sequence[Row]], str]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from running import RESULTS, read_csv
+from usnet_env.evaluation.report import group_rows
 
 from result_pages.text import Row, mean_of, page, table
-from usnet_env.evaluation.report import group_rows
 
 _MINORITY = (
     "Couzin et al. (2005) found that a larger flock needs a smaller informed share to be steered as well. The model is "

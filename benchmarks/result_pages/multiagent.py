@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from functools import cache
 
 from running import RESULTS, read_csv
+from usnet_env.evaluation.report import group_rows
 
 from result_pages.text import Row, mean_of, page, picture, share_of, table
-from usnet_env.evaluation.report import group_rows
 
 
 def means(rows: Sequence[Row], keys: Sequence[str], columns: dict[str, str]) -> str:

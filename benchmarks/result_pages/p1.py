@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 from statistics import fmean
 
-from running import RESULTS
-
 from detectors.studies.table2 import FOLLOWERS, Cell, Row, fill_table, rate_of, read_paper, report_rates
-from result_pages.text import demoted, page, picture, row_files, share, table
-from usnet_env.config import format_count
+from running import RESULTS
 from usnet_env.evaluation.report import group_rows
 from usnet_env.evaluation.suite import read_rows
+
+from result_pages.text import demoted, page, picture, row_files, share, table
+from usnet_env.config import format_count
 
 FILES = row_files(RESULTS / "table2", "episodes")
 CHANCE = "one UAV at random, computed"

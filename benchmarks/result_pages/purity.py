@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from running import RESULTS
-
 from detectors.studies import metric_learning
 from detectors.studies.purity import Row, report_methods
-from result_pages.text import demoted, number, page, picture, table
+from running import RESULTS
 from usnet_env.evaluation.report import mean_over_episodes
 from usnet_env.evaluation.suite import read_rows
+
+from result_pages.text import demoted, number, page, picture, table
 
 
 def trivial(rows: Sequence[Row]) -> str:

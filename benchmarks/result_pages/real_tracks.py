@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from running import RESULTS, read_csv
+from usnet_env.evaluation.report import group_rows
 
 from result_pages.text import Row, mean_of, page, source, table
-from usnet_env.evaluation.report import group_rows
 
 SETS = {
     "ants": "Ants: tandem runs, a leader and a follower",

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from running import RESULTS
-
 from detectors.studies.common import describe_flight
 from detectors.studies.rounds import COLUMNS, Row, report_studies
-from result_pages.text import demoted, page, picture, row_files
+from running import RESULTS
 from usnet_env.evaluation.suite import read_rows
+
+from result_pages.text import demoted, page, picture, row_files
 
 FILES = row_files(RESULTS / "rounds", "rounds")
 SHOWN = ("rounds", "redundancy", "J", "success", "exact", "purity_first", "head_in_cluster_first")

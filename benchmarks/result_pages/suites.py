@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from running import RESULTS, read_csv
+from usnet_env.evaluation.report import format_interval, group_rows, make_panels
+from usnet_env.evaluation.statistics import rate_interval
 
 from result_pages.text import Row, exact_of, mean_of, page, picture, table
 from usnet_env.drawing import caption_figure
 from usnet_env.evaluation import TRIVIAL, FrozenSuite, list_suites
-from usnet_env.evaluation.report import format_interval, group_rows, make_panels
-from usnet_env.evaluation.statistics import rate_interval
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -7,9 +7,9 @@ from collections.abc import Collection
 import numpy as np
 from running import RESULTS, read_csv
 from threshold_ablation import CHANGES
+from usnet_env.evaluation.statistics import mean_interval
 
 from result_pages.text import page, table
-from usnet_env.evaluation.statistics import mean_interval
 
 FILE, DIRECTION = "follow_mixture_thresholds.csv", "follow_mixture_direction.csv"
 _LEAST = 0.005  # half a point

@@ -11,11 +11,11 @@ import numpy as np
 from follow_mixture import EDGES, SEED
 from numpy.typing import NDArray
 from running import RESULTS, read_csv
+from usnet_env.evaluation.report import add_legend, group_rows, make_panels
+from usnet_env.evaluation.statistics import mean_interval
 
 from result_pages.text import Row, cost_of, exact_of, number, page, table
 from usnet_env.drawing import COLORS, caption_figure
-from usnet_env.evaluation.report import add_legend, group_rows, make_panels
-from usnet_env.evaluation.statistics import mean_interval
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

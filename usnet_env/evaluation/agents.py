@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError, plain_text, quote, unknown_name
 from usnet_env.detection import Detection, fit_window
-from usnet_env.parts import parse_label
+from usnet_env.parts import named_parameters, parse_label
 from usnet_env.plugins import DETECTORS, detector_label, make_detector
-from usnet_env.parts import named_parameters
 from usnet_env.window import Window
 
 

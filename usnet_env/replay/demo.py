@@ -13,7 +13,7 @@ import numpy as np
 
 import usnet_env.envs  # noqa: F401  # registers the environments
 from usnet_env.config import MissingExtraError, whole_number
-from usnet_env.files import as_path
+from usnet_env.files import as_path, reserve_folder
 from usnet_env.plugins import detector_label, make_detector
 from usnet_env.replay.figure import write_picture
 from usnet_env.replay.page import write_page
@@ -72,7 +72,7 @@ def run_demo(
     player = make_detector(usual if detector is None else detector)
     detector_seed = int(np.random.SeedSequence(seed, spawn_key=(1,)).generate_state(1)[0])
     with closing(gym.make("USNET/MultiCluster-v0", **game)) as env:
-        folder.mkdir(parents=True, exist_ok=True)  # a folder that can't be made should not cost the game
+        reserve_folder(folder)
         print("Who leads this swarm?")
         print(
             f"{game['uavs']} UAVs in {game['clusters']} clusters, follow strategy {game['follow']}, seed {seed}; ",

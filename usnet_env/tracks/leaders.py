@@ -15,8 +15,8 @@ from usnet_env.arrays import Floats, Indices
 from usnet_env.config import ArgumentError, format_count, quote, whole_number
 from usnet_env.detection import Detection, fit_window
 from usnet_env.objectives import list_followers
-from usnet_env.plugins import DetectorLike, detector_label, make_detector
 from usnet_env.parts import describe_error
+from usnet_env.plugins import DetectorLike, detector_label, make_detector
 from usnet_env.tracks.confirm import LEVEL, confirm_leaders
 from usnet_env.tracks.tracks import Tracks, TrackWindow
 

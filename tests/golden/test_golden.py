@@ -1,0 +1,31 @@
+"""The answers of the recorded build."""
+
+import json
+
+import pandas as pd
+import pytest
+from golden import FOLDER, QUICK, detect, differing_rows, list_cells, make_tracks, play_cell
+
+ROWS = pd.read_csv(FOLDER / "rows.csv.gz")
+
+
+def recorded(name, detectors):
+    return ROWS[(ROWS.cell == name) & ROWS.detector.isin(detectors)]
+
+
+@pytest.mark.parametrize("name", ["controls/bystanders", "sensing/tracker", "field/chain-limited", "field/couzin"])
+def test_rows_are_those_of_the_recorded_build(name):
+    assert differing_rows(recorded(name, QUICK), play_cell(name, QUICK, 2)) == []
+
+
+def test_detect_says_what_the_recorded_build_said(tmp_path):
+    answers = json.loads((FOLDER / "detect.json").read_text(encoding="utf-8"))
+    found = detect(make_tracks(tmp_path))
+    assert len(found) == 4
+    assert found == {name: answers[name] for name in found}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "detectors", "episodes"), list(list_cells()))
+def test_all_rows_are_those_of_the_recorded_build(name, detectors, episodes):
+    assert differing_rows(recorded(name, detectors), play_cell(name, detectors, episodes)) == []
