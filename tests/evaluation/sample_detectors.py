@@ -158,14 +158,6 @@ class Demanding(AllAlive):
         super().reset(seed)
 
 
-class Slow(AllAlive):
-    """Takes a tenth of a second for each round."""
-
-    def detect(self, window):
-        time.sleep(0.1)
-        return super().detect(window)
-
-
 class Mortal(RandomThird):
     """Takes a twentieth of a second for each round; in its third episode it ends as the environment variable says."""
 

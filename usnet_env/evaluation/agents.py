@@ -191,6 +191,8 @@ def _check_detector(detector: Any, isolated: bool) -> None:
             return  # it is made in its own process only
     try:
         as_agent(detector)
-    except ArgumentError as error:
+    except (ArgumentError, ImportError) as error:
         if error.__cause__ is None or isinstance(error.__cause__, ImportError):
             raise
+    except (Exception, SystemExit):  # the constructor of another package may raise anything
+        return

@@ -24,7 +24,6 @@ from usnet_env.evaluation.errors import ChildError, describe_failure
 from usnet_env.evaluation.tasks import become_worker, dumps, limit_memory, loads, pack, unpack
 from usnet_env.window import Window
 
-_PARTS = ("candidates", "scores", "clusters")
 _ALONE = "observation"  # the name of an observation that is no mapping
 
 Arrays = Mapping[str, Any]
@@ -77,26 +76,22 @@ class ChildDetector:
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode."""
-        self._call({"call": "reset", "seed": seed})
+        self._call("reset", seed=seed)
 
     def detect(self, window: Window) -> Detection:
         """Return the candidates, scores and clusters of the answer to a window."""
         fields = {name: getattr(window, name) for name in ("position", "velocity", "seen", "alive", "round", "step")}
-        parts = self._call({"call": "answer"}, {name: value for name, value in fields.items() if value is not None})
-        return Detection(**parts)
+        return Detection(**self._call("answer", {name: part for name, part in fields.items() if part is not None}))
 
     def answer(self, observation: Any) -> Answer:
         """Return the answer to one observation."""
         begin = time.perf_counter()
-        parts = self._call(
-            {"call": "answer"}, observation if isinstance(observation, Mapping) else {_ALONE: observation}
-        )
-        seconds = time.perf_counter() - begin
-        return Answer(parts["candidates"], parts["scores"], parts.get("clusters"), seconds)
+        parts = self._call("answer", observation)
+        return Answer(**{"clusters": None, **parts}, seconds=time.perf_counter() - begin)
 
     def warm_up(self, observation: Any) -> None:
         """Answer once without being timed."""
-        self._call({"call": "warm_up"}, observation if isinstance(observation, Mapping) else {_ALONE: observation})
+        self._call("warm_up", observation)
 
     def close(self) -> None:
         """End the process."""
@@ -106,11 +101,13 @@ class ChildDetector:
             self._connection.close()
             self._process = None
 
-    def _call(self, values: Mapping[str, Any], arrays: Arrays | None = None) -> dict[str, Any]:
+    def _call(self, name: str, observation: Any = None, seed: int | None = None) -> dict[str, Any]:
         if not self.running:
             self.start()
+        single = observation is not None and not isinstance(observation, Mapping)
         with contextlib.suppress(BrokenPipeError):  # it has ended: receiving says why
-            self._connection.send_bytes(pack(values, arrays or {}))
+            arrays = {_ALONE: observation} if single else observation or {}
+            self._connection.send_bytes(pack({"call": name, "seed": seed}, arrays))
         return self._receive(self._seconds)
 
     def _receive(self, seconds: float | None) -> dict[str, Any]:
@@ -122,10 +119,8 @@ class ChildDetector:
         except (EOFError, ConnectionError):
             status = self._process.wait() if self._process else 0
             self.close()
-            ended = (
-                f"ended itself with status {status}" if status >= 0 else f"was ended by {signal.Signals(-status).name}"
-            )
-            raise ChildError(f"its process {ended}") from None
+            how = f"was ended by {signal.Signals(-status).name}" if status < 0 else f"ended itself with status {status}"
+            raise ChildError(f"its process {how}") from None
         if "error" in header:
             raise ChildError(header["error"])
         return arrays
@@ -159,9 +154,6 @@ def _answer(agent: Any, values: Mapping[str, Any], arrays: Arrays) -> Arrays:
     if values["call"] == "reset":
         agent.reset(values["seed"])
         return {}
-    observation = arrays.get(_ALONE, arrays)
-    if values["call"] == "warm_up":
-        agent.warm_up(observation)
-        return {}
-    answer = agent.answer(observation)
-    return {name: getattr(answer, name) for name in _PARTS if getattr(answer, name) is not None}
+    answer = getattr(agent, values["call"])(arrays.get(_ALONE, arrays))
+    parts = {name: getattr(answer, name, None) for name in ("candidates", "scores", "clusters")}
+    return {name: part for name, part in parts.items() if part is not None}

@@ -50,7 +50,7 @@ class RunFolder:
             if (folder / RUN).exists():
                 about, self.rows = read_run(folder)
                 self.config = _join(folder, about["arguments"], config)
-            self._columns = list(self.rows.columns)
+            self._columns = list(self.rows.columns if len(self.rows) else columns)
             self._file = _open_rows(self.path, self._columns)
         except OSError as error:
             reason = error.strerror or error

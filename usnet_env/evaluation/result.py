@@ -336,11 +336,13 @@ class EvaluationResult:
         Raises:
             ArgumentError: the two have other arguments or a label in common.
         """
-        if shared := set(self.detectors) & set(other.detectors):
-            raise ArgumentError(f"other must have other labels than this result, got {quote(min(shared))} in both.")
-        for name in ("suite", "cells", "seed"):
-            if self.config.get(name) != other.config.get(name):
-                raise ArgumentError(f"other must have the arguments of this result, got a different value of {name}.")
+        shared = sorted(set(self.detectors) & set(other.detectors))
+        differing = [name for name in ("suite", "cells", "seed") if self.config.get(name) != other.config.get(name)]
+        if shared or differing:
+            raise ArgumentError(
+                "other must have other labels than this result, and the same suite, cells and seed, got "
+                f"{f'{quote(shared[0])} in both' if shared else f'another {differing[0]}'}."
+            )
         names = list(dict.fromkeys([*COLUMNS[:-1], *self.metrics, *other.metrics, "error"]))
         rows = pd.concat([self.rows, other.rows], ignore_index=True)[names]
         episodes = max(result.config.get("episodes", 0) for result in (self, other))

@@ -14,14 +14,7 @@ import gymnasium as gym
 import pandas as pd
 from pydantic import Field
 
-from usnet_env.config import (
-    ArgumentError,
-    Config,
-    describe_arguments,
-    named_values,
-    quote,
-    unknown_name,
-)
+from usnet_env.config import ArgumentError, Config, describe_arguments, named_values, quote, unknown_name
 from usnet_env.evaluation.agents import TRIVIAL, Agent, as_agent, label_detectors
 from usnet_env.evaluation.child import ChildDetector
 from usnet_env.evaluation.environments import check_environment, make_environment
@@ -269,7 +262,7 @@ def evaluate_suite(
     arguments = RunArguments(
         episodes=chosen.episodes if episodes is None else episodes, seed=chosen.seed if seed is None else seed, **how
     )
-    wanted = chosen.cells if cells is None else {name: chosen.cells[name] for name in cells}
+    wanted = {name: chosen.cells[name] for name in cells} if cells else chosen.cells
     return _evaluate_cells(wanted, detector, arguments, out, suite=chosen)
 
 
