@@ -1,0 +1,103 @@
+"""Play frozen suites, and keep the rows that the tables need, in one compressed file a suite.
+
+    python benchmarks/suites.py paper --workers 2                      # all detectors, by way of out/suites/paper
+    python benchmarks/suites.py paper --detector none --episodes 5 --out out/look --results out/look
+    python benchmarks/suites.py paper --add out/mine/paper             # plays nothing: adds the rows of a run
+
+`--add` takes the folder of a run of `usnet evaluate --suite paper --seed SEED --out out/mine/paper`, where SEED is what
+`python benchmarks/suites.py paper --print-seed` prints: then it met the swarms of the committed rows. The rows of a
+detector that is played or added replace those that the file holds.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+from paper.shared import RESULTS, parse, read_rows, write_rows
+
+from usnet_env.evaluation import EvaluationResult, Suite, evaluate_suite, list_suites, load_suite
+
+COLUMNS = ("cell", "detector", "episode", "swarm_seed", "J", "exact", "f1_first", "seconds_per_round", "error")
+DETECTORS = (
+    "none", "random", "destroy-all", "one-per-round", "front-most", "lagged-correlation", "lagged-regression",
+    "factions", "granger", "learned", "learned(policy='map')", "follow-mixture", "follow-mixture(policy='map')",
+    "directional-delays", "lagged-network", "net-lag-regression", "flica", "mflica", "transfer-entropy",
+    "mc-gassl", "neural-granger", "gassl",
+)  # fmt: skip
+#: Episodes of detectors that are too slow for all those of a suite, by suite.
+FEWER = {"paper": {"gassl": 1, "mc-gassl": 10, "neural-granger": 30}}
+TIME_LIMITS = {"scale": 60.0}  # seconds for an answer
+#: A number that was drawn for the published rows, so that no detector could be tuned on their swarms before.
+DRAWN = 0x60413604136041360413604136041300
+
+
+def published_seed(suite: Suite) -> int:
+    """The seed of the committed rows of a suite."""
+    return suite.seed + (DRAWN << 32)
+
+
+def play(suite: Suite, detectors: list[str], episodes: int | None, folder: Path, workers: int) -> list[pd.DataFrame]:
+    """Play detectors; those with the same number of episodes share a folder, from which the same call goes on."""
+    groups: dict[int, list[str]] = {}
+    for name in detectors:
+        groups.setdefault(episodes or FEWER.get(suite.name, {}).get(name, suite.episodes), []).append(name)
+    how = {"seed": published_seed(suite), "time_limit": TIME_LIMITS.get(suite.name), "workers": workers}
+    return [
+        evaluate_suite(suite, names, episodes=count, out=folder / str(count), progress=True, **how).rows
+        for count, names in groups.items()
+    ]
+
+
+def pack(suite: Suite, parts: list[pd.DataFrame], path: Path) -> None:
+    """Put the rows of some detectors into the file of a suite.
+
+    Raises:
+        ValueError: a detector lacks an episode of a cell, or an episode has other swarms than the rows of the file.
+    """
+    new = pd.concat(parts)[list(COLUMNS)]
+    new["error"] = new["error"].replace("", None)
+    for (name, cell), rows in new.groupby(["detector", "cell"]):
+        if sorted(rows.episode) != list(range(new[new.detector == name].episode.max() + 1)):
+            raise ValueError(f"{name} must play the same episodes of every cell of {suite.label}, some of {cell} lack.")
+    missing = set(suite.cells) - set(new["cell"])
+    if missing:
+        raise ValueError(f"the rows must be of all cells of {suite.label}, got none of {', '.join(sorted(missing))}.")
+    old = read_rows(path) if path.exists() else new[:0]
+    rows = pd.concat([part for part in (old[~old.detector.isin(new.detector)], new) if len(part)])
+    if (rows.groupby(["cell", "episode"]).swarm_seed.nunique() > 1).any():
+        raise ValueError(f"the rows must be of the swarms of {path.name}: play with --seed {published_seed(suite)}.")
+    order = list(suite.cells)
+    rows["exact"] = rows["exact"].astype("Int64")
+    rows[["J", "f1_first", "seconds_per_round"]] = rows[["J", "f1_first", "seconds_per_round"]].map("{:.4g}".format)
+    keys = ["cell", "detector", "episode"]
+    rows = rows.sort_values(keys, key=lambda column: column.map(order.index) if column.name == "cell" else column)
+    write_rows(path, rows.replace("nan", None))
+
+
+def main() -> None:
+    parser = parse(__doc__)
+    parser.add_argument("suite", choices=list(list_suites()))
+    parser.add_argument("--detector", action="append", help="may repeat; by default all that the tables show")
+    parser.add_argument("--episodes", type=int, help="by default those of the suite, fewer of slow detectors")
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=Path("out/suites"), help="folder of the runs")
+    parser.add_argument("--results", type=Path, default=RESULTS / "suites", help="folder of the compressed rows")
+    parser.add_argument(
+        "--add", type=Path, nargs="+", metavar="FOLDER", help="add the rows of these runs, play nothing"
+    )
+    parser.add_argument("--print-seed", action="store_true", help="print the seed of the committed rows, play nothing")
+    given = parser.parse_args()
+    suite = load_suite(given.suite)
+    path = given.results / f"{suite.name}-v{suite.version}.csv.gz"
+    if given.print_seed:
+        print(published_seed(suite))
+    elif given.add:
+        pack(suite, [EvaluationResult.load(folder).rows for folder in given.add], path)
+    else:
+        names = given.detector or list(DETECTORS)
+        pack(suite, play(suite, names, given.episodes, given.out / suite.name, given.workers), path)
+
+
+if __name__ == "__main__":
+    main()
