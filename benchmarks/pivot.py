@@ -53,7 +53,7 @@ def rate(metric: str, count: bool = False) -> Say:
         if not len(rows):
             return "–"
         middle, low, high = (f"{100 * value:.1f}" for value in interval(rows, metric))
-        return f"{middle} % ({low}–{high})" + (f"; {len(rows)}" if count else "")
+        return f"{middle} % ({low}–{high})" + (f"; {len(rows):,}" if count else "")
 
     return say
 

@@ -12,6 +12,7 @@ detector that is played or added replace those that the file holds.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 from paper.shared import RESULTS, parse, read_rows, write_rows
@@ -37,12 +38,12 @@ def published_seed(suite: Suite) -> int:
     return suite.seed + (DRAWN << 32)
 
 
-def play(suite: Suite, detectors: list[str], episodes: int | None, folder: Path, workers: int) -> list[pd.DataFrame]:
+def play(suite: Suite, detectors: list[str], episodes: int | None, folder: Path, **how: Any) -> list[pd.DataFrame]:
     """Play detectors; those with the same number of episodes share a folder, from which the same call goes on."""
     groups: dict[int, list[str]] = {}
     for name in detectors:
         groups.setdefault(episodes or FEWER.get(suite.name, {}).get(name, suite.episodes), []).append(name)
-    how = {"seed": published_seed(suite), "time_limit": TIME_LIMITS.get(suite.name), "workers": workers}
+    how["time_limit"] = TIME_LIMITS.get(suite.name)
     return [
         evaluate_suite(suite, names, episodes=count, out=folder / str(count), progress=True, **how).rows
         for count, names in groups.items()
@@ -75,7 +76,7 @@ def pack(suite: Suite, parts: list[pd.DataFrame], path: Path) -> None:
     write_rows(path, rows.replace("nan", None))
 
 
-def main() -> None:
+def main(argv: list[str] | None = None) -> None:
     parser = parse(__doc__)
     parser.add_argument("suite", choices=list(list_suites()))
     parser.add_argument("--detector", action="append", help="may repeat; by default all that the tables show")
@@ -87,7 +88,8 @@ def main() -> None:
         "--add", type=Path, nargs="+", metavar="FOLDER", help="add the rows of these runs, play nothing"
     )
     parser.add_argument("--print-seed", action="store_true", help="print the seed of the committed rows, play nothing")
-    given = parser.parse_args()
+    parser.set_defaults(seed=None)  # that of the committed rows
+    given = parser.parse_args(argv)
     suite = load_suite(given.suite)
     path = given.results / f"{suite.name}-v{suite.version}.csv.gz"
     if given.print_seed:
@@ -96,7 +98,8 @@ def main() -> None:
         pack(suite, [EvaluationResult.load(folder).rows for folder in given.add], path)
     else:
         names = given.detector or list(DETECTORS)
-        pack(suite, play(suite, names, given.episodes, given.out / suite.name, given.workers), path)
+        how = {"seed": given.seed or published_seed(suite), "workers": given.workers}
+        pack(suite, play(suite, names, given.episodes, given.out / suite.name, **how), path)
 
 
 if __name__ == "__main__":

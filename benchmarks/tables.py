@@ -213,10 +213,10 @@ def fill(text: str) -> str:
     return BLOCK.sub(replace, text)
 
 
-def main(root: Path = ROOT) -> int:
+def main(argv: list[str] | None = None, root: Path = ROOT) -> int:
     parser = parse(__doc__)
     parser.add_argument("--check", action="store_true", help="write nothing; exit with 1 if a table differs")
-    check, differ = parser.parse_args().check, False
+    check, differ = parser.parse_args(argv).check, False
     for name in PAGES:
         old = (root / name).read_text(encoding="utf-8")
         if (new := fill(old)) == old:

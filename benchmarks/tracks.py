@@ -71,12 +71,12 @@ def play(path: Path, given: float | None, detectors: list[str]) -> list[dict[str
     return rows
 
 
-def main() -> None:
+def main(argv: list[str] | None = None) -> None:
     parser = parse(__doc__)
     parser.add_argument("folder", type=Path, help="holds a folder of CSV files for each set")
     parser.add_argument("--rows", type=Path, default=RESULTS / "tracks.csv.gz")
     parser.add_argument("--detector", action="append", help="may repeat; by default all of the table")
-    given = parser.parse_args()
+    given = parser.parse_args(argv)
     rows = []
     for path in sorted(given.folder.glob("*/*.csv")):
         for step in (None, STEP):

@@ -160,10 +160,10 @@ def _mark_uavs(axes: Any, place: np.ndarray, head: int, candidates: np.ndarray) 
         axes.annotate(str(i + 1), point, textcoords="offset points", xytext=beside, fontsize=8, zorder=5)
 
 
-def main() -> None:
+def main(argv: list[str] | None = None) -> None:
     parser = parse(__doc__)
     parser.add_argument("--only", choices=["heads", "hierarchy", "sizes"])
-    given = parser.parse_args()
+    given = parser.parse_args(argv)
     if given.only != "sizes":
         scene = find_scene("f1", 15, 6, given.seed)
         if given.only != "hierarchy":

@@ -84,12 +84,12 @@ def draw(record: EpisodeRecord, path: Path) -> None:
     save_figure(figure, path, f"Round by round: {record.detector}", caption)
 
 
-def main() -> None:
+def main(argv: list[str] | None = None) -> None:
     parser = parse(__doc__)
     parser.add_argument("--detector", default="mc-gassl")
     parser.add_argument("--clusters", type=int, default=8)
     parser.add_argument("--uavs", type=int, default=185)
-    given = parser.parse_args()
+    given = parser.parse_args(argv)
     env = gym.make("USNET/MultiCluster-v0", clusters=given.clusters, uavs=given.uavs, follow="f1")
     record = record_episode(env, make_detector(given.detector), *episode_seeds(given.seed, 0), label=given.detector)
     draw(record, given.images / f"example-m{given.clusters}-n{given.uavs}.png")

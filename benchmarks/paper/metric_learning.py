@@ -138,14 +138,14 @@ def _draw_components(axes: Any, features: np.ndarray, labels: np.ndarray, head: 
     axes.set_ylabel(f"principal component 2 ({shares[1]:.0f} %)", fontsize=9)
 
 
-def main() -> None:
+def main(argv: list[str] | None = None) -> None:
     parser = parse(__doc__, RESULTS / "paper" / "metric_learning.csv.gz")
     parser.add_argument("--trainings", type=int, default=5, help="of each start, at least 2")
     parser.add_argument("--strategies", type=int, default=30, help="F, follow strategies of each training")
     parser.add_argument("--episodes", type=int, default=1000, help="E, episodes of each training")
     parser.add_argument("--steps", type=int, default=50, help="gradient steps on line")
     parser.add_argument("--feature-space", action="store_true", help="draw the feature space, and nothing else")
-    given = parser.parse_args()
+    given = parser.parse_args(argv)
     if given.feature_space:
         draw_feature_space(given.images / "feature-space.png", given.seed)
         return

@@ -138,14 +138,14 @@ def draw(rows: pd.DataFrame, path: Path) -> None:
     save_figure(figure, path, "Purity of clustering, M = 5, N = 82", caption)
 
 
-def main() -> None:
+def main(argv: list[str] | None = None) -> None:
     parser = parse(__doc__, RESULTS / "paper" / "purity.csv.gz")
     parser.add_argument("--clusterer", nargs="+", choices=list(CLUSTERERS), default=list(CLUSTERERS))
     parser.add_argument("--features", nargs="+", choices=FEATURES, default=list(FEATURES))
     parser.add_argument("--count", nargs="+", choices=["given", "estimated"], default=["given", "estimated"])
     parser.add_argument("--follow", nargs="+", default=list(FOLLOW))
     parser.add_argument("--episodes", type=int, default=30)
-    given = parser.parse_args()
+    given = parser.parse_args(argv)
     flight: Game = {"clusters": 5, "uavs": 82, "mobility": "iid", "head_jitter": False}
     tasks: list[list[Game]] = [
         [

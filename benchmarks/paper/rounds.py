@@ -132,14 +132,14 @@ def _scale_axis(axes: Any, metric: str) -> None:
     axes.minorticks_off()
 
 
-def main() -> None:
+def main(argv: list[str] | None = None) -> None:
     parser = parse(__doc__, RESULTS / "paper" / "rounds.csv.gz")
     parser.add_argument("--study", action="append", choices=list(STUDIES), help="may repeat; by default all")
     parser.add_argument("--detector", action="append", help="may repeat; by default mc-gassl and baselines")
     parser.add_argument("--episodes", type=int, default=10)
     parser.add_argument("--mobility", default="iid")
     parser.add_argument("--head-jitter", action="store_true")
-    given = parser.parse_args()
+    given = parser.parse_args(argv)
     if not given.draw:
         swarms = dict.fromkeys(swarm for study in given.study or STUDIES for swarm in STUDIES[study])
         tasks: list[list[Game]] = [

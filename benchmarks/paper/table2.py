@@ -47,13 +47,14 @@ MANY, FEW = 100, 30  # episodes of a cell with up to 15 followers, and with more
 
 
 def list_tasks(detectors: list[str], cells: list[tuple[str, int]], flight: Game, episodes: int | None) -> list[Any]:
-    """The batches of all cells, small swarms first."""
+    """The batches of all cells, small swarms first; a detector that isn't `side_by_side` has batches of one episode."""
     tasks = []
+    together = {name: getattr(make_detector(name), "side_by_side", False) for name in detectors}
     for follow, followers in sorted(cells, key=lambda cell: (cell[1], cell[0])):
         count = episodes or (MANY if followers <= 15 else FEW)
-        size = max(1, BATCH_UAVS // (followers + 1 + int(flight["decoys"])))
-        for detector in detectors:
-            cell = {"detector": detector, "follow": follow, "followers": followers, **flight}
+        for name in detectors:
+            size = max(1, BATCH_UAVS // (followers + 1 + int(flight["decoys"]))) if together[name] else 1
+            cell = {"detector": name, "follow": follow, "followers": followers, **flight}
             numbers = [range(first, min(first + size, count)) for first in range(0, count, size)]
             tasks += [[{**cell, "episode": episode} for episode in batch] for batch in numbers]
     return tasks
@@ -67,7 +68,7 @@ def make_seed(seed: int, game: Game, branch: int) -> int:
 
 
 def play(task: list[Game], seed: int) -> list[dict[str, Any]]:
-    """Play consecutive episodes of one cell."""
+    """Play a batch of episodes of one cell."""
     swarm = {name: value for name, value in task[0].items() if name not in ("detector", "episode")}
     env, detector = SingleClusterEnv(**swarm), make_detector(str(task[0]["detector"]))
     windows, heads = [], []
@@ -75,26 +76,21 @@ def play(task: list[Game], seed: int) -> list[dict[str, Any]]:
         observation, _ = env.reset(seed=make_seed(seed, game, 0))
         windows.append(Window.from_observation(observation))
         heads.append(env.swarm.head)
-    together = getattr(detector, "side_by_side", False)
-    size, rows = len(task) if together else 1, []
-    for first in range(0, len(task), size):
-        batch, games = windows[first : first + size], task[first : first + size]
-        detector.reset(make_seed(seed, games[0], 1))
-        begun = time.perf_counter()
-        answers = detector.detect_batch(batch) if together else [detector.detect(batch[0])]
-        seconds = (time.perf_counter() - begun) / len(batch)
-        for game, answer, head in zip(games, answers, heads[first : first + size], strict=True):
-            rows.append(
-                {
-                    **game,
-                    "named": int(answer.candidates.any()),
-                    "hit": int(np.array_equal(answer.candidates, head)),
-                    "explained": float(np.mean(answer.extras.get("explained", np.nan))),
-                    "seconds": seconds,
-                    "batch": f"{games[0]['episode']}+{len(batch)}",
-                }
-            )
-    return rows
+    detector.reset(make_seed(seed, task[0], 1))
+    begun = time.perf_counter()
+    answers = detector.detect_batch(windows) if len(windows) > 1 else [detector.detect(windows[0])]
+    seconds = (time.perf_counter() - begun) / len(task)
+    return [
+        {
+            **game,
+            "named": int(answer.candidates.any()),
+            "hit": int(np.array_equal(answer.candidates, head)),
+            "explained": float(np.mean(answer.extras.get("explained", np.nan))),
+            "seconds": seconds,
+            "batch": f"{task[0]['episode']}+{len(task)}",
+        }
+        for game, answer, head in zip(task, answers, heads, strict=True)
+    ]
 
 
 def draw(rows: pd.DataFrame, path: Path) -> None:
@@ -125,7 +121,7 @@ def draw(rows: pd.DataFrame, path: Path) -> None:
     save_figure(figure, path, "Detection rate of P1, one cluster", caption)
 
 
-def main() -> None:
+def main(argv: list[str] | None = None) -> None:
     parser = parse(__doc__, RESULTS / "paper" / "table2.csv.gz")
     parser.add_argument("--detector", action="append", help="may repeat; by default those of the table")
     parser.add_argument("--cells", default=",".join(FOLLOW), help="such as f1:2,f4:15 or f1; by default all 70")
@@ -133,7 +129,7 @@ def main() -> None:
     parser.add_argument("--decoys", type=int, default=0)
     parser.add_argument("--mobility", default="iid")
     parser.add_argument("--head-jitter", action="store_true")
-    given = parser.parse_args()
+    given = parser.parse_args(argv)
     words = [word.partition(":") for word in given.cells.split(",")]
     cells = [(follow, int(size)) for follow, _, chosen in words for size in ([chosen] if chosen else FOLLOWERS)]
     flight: Game = {"decoys": given.decoys, "mobility": given.mobility, "head_jitter": given.head_jitter}

@@ -1,0 +1,233 @@
+"""Speed and memory of the simulator, of detectors and of the evaluator, as ratios within one run.
+
+    OMP_NUM_THREADS=1 python benchmarks/speed.py                        # all parts but peers
+    OMP_NUM_THREADS=1 python benchmarks/speed.py --parts field scaling  # these parts; the others stay in the file
+    OMP_NUM_THREADS=1 python benchmarks/speed.py --parts peers          # needs pip install '.[bench]'
+
+The speed of a shared machine drifts, so contestants take turns, each turn gives one ratio, and the median counts. All
+run in one thread, except VMAS, which uses PyTorch's threads. The result is benchmarks/results/speed.json.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from paper.shared import FOLLOW, RESULTS, ROOT, parse
+
+import usnet_env  # noqa: F401  registers the environments
+from usnet_env import Detection, Window, evaluate, make_detector
+from usnet_env.evaluation.play import as_agent, episode_seeds, play_episode
+from usnet_env.files import atomic_write
+from usnet_env.provenance import machine, versions
+from usnet_env.swarm import SwarmConfig, advance, register_formation, start
+from usnet_env.swarm.follow import FIELD_MODELS
+from usnet_env.swarm.formation import Roles
+
+GAME = "USNET/MultiCluster-v0"
+EPISODES, UAVS = 256, 82
+SIZES = [100, 300, 1000, 3000, 10_000]
+REFERENCE = "lagged-correlation"
+DETECTORS = ("lagged-regression", "granger", "factions", "net-lag-regression", "follow-mixture", "learned")
+# Not getrusage: a child begins with the peak of the process that started it.
+MEMORY = """
+import numpy as np, gymnasium as gym, usnet_env
+envs = gym.make_vec("USNET/MultiCluster-v0", num_envs=1000)
+envs.reset(seed=0)
+for _ in range(3):
+    envs.step(np.random.default_rng(0).random((1000, 82)) < 0.05)
+lines = open("/proc/self/status").read().splitlines()
+print(1024 * next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")))
+"""
+
+
+def take_turns(turns: int, *contestants: Callable[[], object]) -> np.ndarray:
+    """Seconds ``(turns, contestants)`` of contestants that take turns, after one warm-up each."""
+
+    def seconds(function: Callable[[], object]) -> float:
+        begun = time.perf_counter()
+        function()
+        return time.perf_counter() - begun
+
+    for contestant in contestants:
+        contestant()
+    return np.array([[seconds(contestant) for contestant in contestants] for _ in range(turns)])
+
+
+def describe(what: str, ratios: np.ndarray, **values: object) -> dict[str, object]:
+    """What a ratio is of, its median, and that of each turn."""
+    return {"what": what, **values, "ratio": float(np.median(ratios)), "ratios": ratios.tolist()}
+
+
+def stepping(turns: int, **arguments: Any) -> dict[str, object]:
+    """A batch of swarms flies one round; NumPy draws as many float32 normals as that takes."""
+    config = SwarmConfig(uavs=UAVS, **arguments)
+    rngs = [np.random.default_rng(seed) for seed in range(EPISODES)]
+    state = start(config, rngs)
+    normals = config.steps * 3 * (UAVS + config.clusters)  # a followers' noise for all, the heads' own motion
+    buffer, rng = np.empty(normals, np.float32), np.random.default_rng(0)
+
+    def draw() -> None:
+        for _ in range(EPISODES):
+            rng.standard_normal(out=buffer, dtype=np.float32)
+
+    taken = take_turns(turns, lambda: advance(config, state, rngs), draw)
+    rate = EPISODES * UAVS * config.steps / float(np.median(taken[:, 0]))
+    what = "rate of stepping over rate of drawing the same normals"
+    return describe(what, taken[:, 1] / taken[:, 0], uav_steps_per_second=rate)
+
+
+def spread(rng: np.random.Generator, roles: Roles) -> np.ndarray:
+    """Positions at a density that doesn't depend on N: 10,000 UAVs fill the arena of 1000 m x 1000 m x 100 m."""
+    uavs = len(roles.root)
+    side = 1000.0 * np.sqrt(uavs / SIZES[-1])
+    return rng.uniform(0.0, (side, side, 100.0), (uavs, 3))
+
+
+def scaling(follow: str, turns: int) -> dict[str, object]:
+    """One cluster of N UAVs flies one round, at a fixed density; the sizes take turns."""
+    register_formation("spread", spread, replace=True)
+    rounds = []
+    for uavs in SIZES:
+        how: dict[str, Any] = {"clusters": 1, "uavs": uavs, "memory": 12, "observation_steps": 20}
+        config = SwarmConfig(follow=follow, formation="spread", mobility="straight", **how)
+        rngs = [np.random.default_rng(0)]
+        rounds.append((config, start(config, rngs), rngs))
+    taken = take_turns(turns, *(lambda one=one: advance(*one) for one in rounds))
+    seconds = np.median(taken, axis=0) / [uavs * rounds[0][0].steps for uavs in SIZES]
+    what = "seconds of a UAV-step against N, one cluster at a fixed density"
+    return {"what": what, "uavs": SIZES, "seconds_per_uav_step": seconds.tolist()}
+
+
+def memory(_: int) -> dict[str, object]:
+    """Peak resident memory of a process that plays 1,000 swarms of N=82 at once."""
+    found = subprocess.run([sys.executable, "-c", MEMORY], check=True, capture_output=True, text=True, cwd=ROOT).stdout
+    return {"what": "peak resident bytes, 1,000 swarms of 82 UAVs", "bytes": int(found)}
+
+
+def detectors(turns: int) -> dict[str, object]:
+    """The same 20 windows (f1, N = 82) for each detector, and for the fastest baseline."""
+    env, windows = gym.make(GAME), []
+    for seed in range(20):
+        windows.append(Window.from_observation(env.reset(seed=seed)[0]))
+
+    def answer(name: str) -> Callable[[], object]:
+        detector = make_detector(name)
+        detector.reset(0)
+        return lambda: [detector.detect(window) for window in windows]
+
+    taken = take_turns(turns, *(answer(name) for name in (REFERENCE, *DETECTORS)))
+    what = f"seconds of a window (f1, N = 82) over those of {REFERENCE}"
+    return {
+        name: describe(what, seconds / taken[:, 0], seconds=float(np.median(seconds)) / len(windows))
+        for name, seconds in zip(DETECTORS, taken.T[1:], strict=True)
+    }
+
+
+class Waits:
+    """A detector that waits 10 ms and names all UAVs, so that an episode has one round."""
+
+    def reset(self, seed: int | None = None) -> None:
+        """Start an episode."""
+
+    def detect(self, window: Window) -> Detection:
+        """Name all UAVs."""
+        time.sleep(0.01)
+        return Detection(window.alive, window.alive)
+
+
+def evaluation(turns: int, episodes: int = 300) -> dict[str, object]:
+    """Episodes of one answer of 10 ms: by `evaluate` in several ways, over a plain loop."""
+    env = gym.make(GAME)
+
+    def loop() -> None:
+        agent = as_agent(Waits())
+        for episode in range(episodes):
+            play_episode(env, agent, "", "waits", episode, episode_seeds(0, episode))
+
+    def with_folder() -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            evaluate(GAME, Waits(), episodes=episodes, out=Path(folder) / "run")
+
+    ways: dict[str, Callable[[], object]] = {
+        "evaluate": lambda: evaluate(GAME, Waits(), episodes=episodes),
+        "evaluate(out=…)": with_folder,
+        "evaluate(isolate=True)": lambda: evaluate(GAME, Waits(), episodes=episodes, isolate=True),
+        "evaluate(workers=2)": lambda: evaluate(GAME, Waits(), episodes=episodes, workers=2),
+    }
+    taken = take_turns(turns, loop, *ways.values())
+    what = f"seconds of {episodes} episodes with one answer of 10 ms, over those of a loop"
+    return {name: describe(what, seconds / taken[:, 0]) for name, seconds in zip(ways, taken.T[1:], strict=True)}
+
+
+def peers(turns: int) -> dict[str, object]:
+    """Agent-steps a second of the vector env, of MPE2's simple_tag and of VMAS' flocking, in turns."""
+    import torch
+    import vmas
+    from mpe2 import simple_tag_v3
+
+    ours = gym.make_vec(GAME, num_envs=EPISODES)
+    ours.reset(seed=0)
+    actions = (np.random.default_rng(0).random((EPISODES, UAVS)) < 0.05).astype(np.int8)
+    tag = simple_tag_v3.parallel_env(num_good=3, num_adversaries=7, num_obstacles=2, max_cycles=10**9)
+    tag.reset(seed=0)
+    tag_actions = {agent: int(tag.action_space(agent).sample()) for agent in tag.agents}
+    flock = vmas.make_env("flocking", num_envs=4096, device="cpu", n_agents=10, seed=0)
+    flock_actions = [torch.rand(4096, 2) * 2 - 1 for _ in range(10)]
+    steps = np.array([4 * EPISODES * UAVS * ours.unwrapped.config.steps, 300 * len(tag_actions), 3 * 4096 * 10])
+    taken = take_turns(
+        turns,
+        lambda: [ours.step(actions) for _ in range(4)],
+        lambda: [tag.step(tag_actions) for _ in range(300)],
+        lambda: [flock.step(flock_actions) for _ in range(3)],
+    )
+    rates = (steps / taken).T
+    names = {
+        "simple_tag_v3": "MPE2's simple_tag_v3, 10 agents",
+        "vmas_flocking": "VMAS' flocking, 4,096 envs of 10 agents",
+    }
+    return {
+        name: describe(f"agent-steps a second of usnet over those of {words}", rates[0] / rate)
+        for (name, words), rate in zip(names.items(), rates[1:], strict=True)
+    }
+
+
+PARTS: dict[str, Callable[[int], dict[str, object]]] = {
+    "stepping": lambda turns: {follow: stepping(turns, follow=follow) for follow in FOLLOW},
+    "field": lambda turns: {follow: stepping(turns, follow=follow, memory=12) for follow in FIELD_MODELS},
+    "kinematics": lambda turns: {
+        name: stepping(turns, kinematics=name) for name in ("varied_speed", "lagged", "limited", "layered")
+    },
+    "scaling": lambda turns: {follow: scaling(follow, turns) for follow in ("pigeons", "vicsek", "couzin")},
+    "memory": memory,
+    "detectors": detectors,
+    "evaluation": evaluation,
+    "peers": peers,
+}
+
+
+def main(argv: list[str] | None = None) -> None:
+    parser = parse(__doc__)
+    parser.add_argument("--turns", type=int, default=15)
+    parser.add_argument("--out", type=Path, default=RESULTS / "speed.json")
+    parser.add_argument("--parts", nargs="+", choices=list(PARTS), default=[part for part in PARTS if part != "peers"])
+    given = parser.parse_args(argv)
+    result = json.loads(given.out.read_text(encoding="utf-8")) if given.out.exists() else {}
+    result |= {"machine": machine(), "versions": versions(("torch", "mpe2", "vmas")), "turns": given.turns}
+    for part in given.parts:
+        result[part] = PARTS[part](given.turns)
+        with atomic_write(given.out) as aside:
+            aside.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        print(json.dumps({part: result[part]}, indent=1), flush=True)
+
+
+if __name__ == "__main__":
+    main()
