@@ -6,8 +6,8 @@
 
 The rows are in benchmarks/results/paper/table2.csv.gz; the same command goes on where it stopped. A row is an episode:
 `named` says whether there was a candidate, `hit` whether the head was the only candidate, `explained` which share of
-the squared velocity the detector's fit explains. Detectors that are `side_by_side` answer the episodes of a batch
-together, so their answers depend on the batch: `42+21` is a batch of the 21 episodes from 42 on.
+the squared velocity the detector's fit explains. Rows with a `batch` are of a former detector that answered episodes
+together: `42+21` is a batch of the 21 episodes from 42 on.
 """
 
 from __future__ import annotations
@@ -42,22 +42,17 @@ from usnet_env.envs import SingleClusterEnv
 FOLLOWERS = (2, 3, 5, 10, 15, 20, 25, 30, 40, 50)
 DETECTORS = ("gassl", "neural-granger", "lagged-regression(clusters=1)")
 PAPER = Path(__file__).parent / "data" / "table2_detection_rate.csv"  # percent of 1,000 runs
-BATCH_UAVS = 64  # UAVs of the windows that a detector gets at once
 MANY, FEW = 100, 30  # episodes of a cell with up to 15 followers, and with more
 
 
 def list_tasks(detectors: list[str], cells: list[tuple[str, int]], flight: Game, episodes: int | None) -> list[Any]:
-    """The batches of all cells, small swarms first; a detector that isn't `side_by_side` has batches of one episode."""
-    tasks = []
-    together = {name: getattr(make_detector(name), "side_by_side", False) for name in detectors}
-    for follow, followers in sorted(cells, key=lambda cell: (cell[1], cell[0])):
-        count = episodes or (MANY if followers <= 15 else FEW)
-        for name in detectors:
-            size = max(1, BATCH_UAVS // (followers + 1 + int(flight["decoys"]))) if together[name] else 1
-            cell = {"detector": name, "follow": follow, "followers": followers, **flight}
-            numbers = [range(first, min(first + size, count)) for first in range(0, count, size)]
-            tasks += [[{**cell, "episode": episode} for episode in batch] for batch in numbers]
-    return tasks
+    """The episodes of all cells, small swarms first."""
+    return [
+        [{"detector": name, "follow": follow, "followers": followers, **flight, "episode": episode}]
+        for follow, followers in sorted(cells, key=lambda cell: (cell[1], cell[0]))
+        for name in detectors
+        for episode in range(episodes or (MANY if followers <= 15 else FEW))
+    ]
 
 
 def make_seed(seed: int, game: Game, branch: int) -> int:
@@ -68,29 +63,21 @@ def make_seed(seed: int, game: Game, branch: int) -> int:
 
 
 def play(task: list[Game], seed: int) -> list[dict[str, Any]]:
-    """Play a batch of episodes of one cell."""
-    swarm = {name: value for name, value in task[0].items() if name not in ("detector", "episode")}
-    env, detector = SingleClusterEnv(**swarm), make_detector(str(task[0]["detector"]))
-    windows, heads = [], []
-    for game in task:
-        observation, _ = env.reset(seed=make_seed(seed, game, 0))
-        windows.append(Window.from_observation(observation))
-        heads.append(env.swarm.head)
-    detector.reset(make_seed(seed, task[0], 1))
+    """Play one episode."""
+    (game,) = task
+    swarm = {name: value for name, value in game.items() if name not in ("detector", "episode")}
+    env, detector = SingleClusterEnv(**swarm), make_detector(str(game["detector"]))
+    observation, _ = env.reset(seed=make_seed(seed, game, 0))
+    window = Window.from_observation(observation)
+    detector.reset(make_seed(seed, game, 1))
     begun = time.perf_counter()
-    answers = detector.detect_batch(windows) if len(windows) > 1 else [detector.detect(windows[0])]
-    seconds = (time.perf_counter() - begun) / len(task)
-    return [
-        {
-            **game,
-            "named": int(answer.candidates.any()),
-            "hit": int(np.array_equal(answer.candidates, head)),
-            "explained": float(np.mean(answer.extras.get("explained", np.nan))),
-            "seconds": seconds,
-            "batch": f"{task[0]['episode']}+{len(task)}",
-        }
-        for game, answer, head in zip(task, answers, heads, strict=True)
-    ]
+    answer = detector.detect(window)
+    found = {
+        "named": int(answer.candidates.any()),
+        "hit": int(np.array_equal(answer.candidates, env.swarm.head)),
+        "explained": float(np.mean(answer.extras.get("explained", np.nan))),
+    }
+    return [{**game, **found, "seconds": time.perf_counter() - begun}]
 
 
 def draw(rows: pd.DataFrame, path: Path) -> None:

@@ -6,7 +6,6 @@ import pytest
 import shared
 from PIL import Image
 
-from usnet_env import Detection
 from usnet_env.objectives import purity as purity_of
 
 REGRESSION = "lagged-regression(clusters=1)"
@@ -51,33 +50,15 @@ def test_committed_detection_rates_are_those_of_the_program(run):
     kept = shared.read_rows(shared.RESULTS / "paper" / "table2.csv.gz").merge(made, on=keys, suffixes=("", "_again"))
     assert len(kept) == 3
     assert (kept.hit == kept.hit_again).all()
-    assert (kept.batch == kept.batch_again).all()
 
 
-class NamesAll:
-    """Answers batches; names all UAVs, the head among them."""
-
-    side_by_side = True
-
-    def reset(self, seed=None):
-        pass
-
-    def detect(self, window):
-        return self.detect_batch([window])[0]
-
-    def detect_batch(self, windows):
-        return [Detection(window.alive, window.alive) for window in windows]
-
-
-def test_a_hit_is_the_head_alone_and_rows_name_their_batch(monkeypatch):
+@pytest.mark.parametrize(("detector", "named", "hit"), [("destroy-all", 1, 0), ("none", 0, 0), (REGRESSION, 1, 1)])
+def test_a_hit_is_the_head_alone(detector, named, hit):
     import table2
 
-    monkeypatch.setattr(table2, "make_detector", lambda name: NamesAll())
     flight = {"decoys": 1, "mobility": "iid", "head_jitter": False}
-    tasks = table2.list_tasks(["all"], [("f1", 30)], flight, 3)
-    assert [len(task) for task in tasks] == [2, 1]  # 32 UAVs each, 64 at once
-    rows = [row for task in tasks for row in table2.play(task, seed=5)]
-    assert [(row["named"], row["hit"], row["batch"]) for row in rows] == [(1, 0, "0+2"), (1, 0, "0+2"), (1, 0, "2+1")]
+    tasks = table2.list_tasks([detector], [("f1", 3)], flight, 2)
+    assert [(row["named"], row["hit"]) for task in tasks for row in table2.play(task, seed=5)] == [(named, hit)] * 2
 
 
 def test_rounds_are_those_that_evaluate_plays(run, tmp_path):
