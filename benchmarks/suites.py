@@ -1,99 +1,105 @@
-"""Keeps the rows of frozen suites that `usnet evaluate --suite NAME --out out/suites/NAME` has played.
+"""Play frozen suites, and keep the rows that the tables need, in one compressed file a suite.
 
-    python benchmarks/suites.py out/suites/paper    # writes benchmarks/results/suites/paper-v1.csv.gz
-    python benchmarks/suites.py out/first/field out/second/field    # detectors that were played apart, in one file
-    python benchmarks/suites.py --add out/mine/paper    # the same, and the other detectors of the file stay in it
+    python benchmarks/suites.py paper --workers 2                      # all detectors, by way of out/suites/paper
+    python benchmarks/suites.py paper --detector none --episodes 5 --out out/look --results out/look
+    python benchmarks/suites.py paper --add out/mine/paper             # plays nothing: adds the rows of a run
 
-A slow detector may have played the first episodes only (`--episodes`), as many of every cell.
-
-`benchmarks/README.md` lists the commands that played them.
+`--add` takes the folder of a run of `usnet evaluate --suite paper --seed SEED --out out/mine/paper`, where SEED is what
+`python benchmarks/suites.py paper --print-seed` prints: then it met the swarms of the committed rows. The rows of a
+detector that is played or added replace those that the file holds.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
-from result_pages.suites import failures_file, read_failures, read_suite, rows_file
-from running import RESULTS, make_parser, write_csv
-from usnet_env.evaluation.report import group_rows
+import pandas as pd
+from paper.shared import RESULTS, parse, read_rows, write_rows
 
-from usnet_env.evaluation import SuiteResult, load_suite
+from usnet_env.evaluation import EvaluationResult, Suite, evaluate_suite, list_suites, load_suite
 
-COLUMNS = (
-    "detector", "episode", "swarm_seed", "J", "rounds", "redundancy", "success", "exact", "precision_first",
-    "recall_first", "f1_first", "ap_first", "seconds_per_round",
+COLUMNS = ("cell", "detector", "episode", "swarm_seed", "J", "exact", "f1_first", "seconds_per_round", "error")
+DETECTORS = (
+    "none", "random", "destroy-all", "one-per-round", "front-most", "lagged-correlation", "lagged-regression",
+    "factions", "granger", "learned", "learned(policy='map')", "follow-mixture", "follow-mixture(policy='map')",
+    "directional-delays", "lagged-network", "net-lag-regression", "flica", "mflica", "transfer-entropy",
+    "mc-gassl", "neural-granger", "gassl",
 )  # fmt: skip
+#: Episodes of detectors that are too slow for all those of a suite, by suite.
+FEWER = {"paper": {"gassl": 1, "mc-gassl": 10, "neural-granger": 30}}
+TIME_LIMITS = {"scale": 60.0}  # seconds for an answer
+#: A number that was drawn for the published rows, so that no detector could be tuned on their swarms before.
+DRAWN = 0x60413604136041360413604136041300
 
 
-def pack(folders: Sequence[Path], add: bool = False, results: Path = RESULTS) -> Path:
-    """Write the rows of the folders of one suite, cell by cell, and return the file.
+def published_seed(suite: Suite) -> int:
+    """The seed of the committed rows of a suite."""
+    return suite.seed + (DRAWN << 32)
 
-    Args:
-        folders: of one suite, whose name they have.
-        add: whether the rows of other detectors, which the file holds, stay in it.
-        results: the folder of the committed rows.
+
+def play(suite: Suite, detectors: list[str], episodes: int | None, folder: Path, **how: Any) -> list[pd.DataFrame]:
+    """Play detectors; those with the same number of episodes share a folder, from which the same call goes on."""
+    groups: dict[int, list[str]] = {}
+    for name in detectors:
+        groups.setdefault(episodes or FEWER.get(suite.name, {}).get(name, suite.episodes), []).append(name)
+    how["time_limit"] = TIME_LIMITS.get(suite.name)
+    return [
+        evaluate_suite(suite, names, episodes=count, out=folder / str(count), progress=True, **how).rows
+        for count, names in groups.items()
+    ]
+
+
+def pack(suite: Suite, parts: list[pd.DataFrame], path: Path) -> None:
+    """Put the rows of some detectors into the file of a suite.
 
     Raises:
-        ValueError: a detector lacks episodes of a cell, or the same episode has different swarms.
+        ValueError: a detector lacks an episode of a cell, or an episode has other swarms than the rows of the file.
     """
-    suite = load_suite(folders[0].name)
-    path = results / rows_file(suite)
-    played = [SuiteResult.load(folder, suite) for folder in folders]
-    failed = [
-        {"cell": cell, "detector": name, "reason": reason}
-        for cell in suite.cells
-        for found in played
-        for name, reason in found.failures.get(cell, {}).items()
-    ]
-    without = {(row["cell"], row["detector"]) for row in failed}  # of these, no row counts
-    rows = [
-        {"cell": cell, **{name: _format(row[name]) for name in COLUMNS}}
-        for cell in suite.cells
-        for found in played
-        if cell in found.results
-        for row in found.results[cell].rows
-        if (cell, row["detector"]) not in without
-    ]
-    played_cells = group_rows(rows, lambda row: (row["detector"], row["cell"]))
-    by_detector = group_rows(rows, lambda row: row["detector"])
-    most = {name: max(int(row["episode"]) for row in own) for name, own in by_detector.items()}
-    short = [
-        f"{name} in {cell}"
-        for name in most
-        for cell in suite.cells
-        if (cell, name) not in without
-        and [int(row["episode"]) for row in played_cells.get((name, cell), [])] != list(range(most[name] + 1))
-    ]
-    if short:
-        raise ValueError(f"a detector must play the same episodes of every cell of {suite.label}; some lack: {short}.")
-    if add and path.exists():
-        new = {row["detector"] for row in rows + failed}
-        rows += [row for row in read_suite(suite, results) if row["detector"] not in new]
-        failed += [row for row in read_failures(suite, results) if row["detector"] not in new]
-    swarms = {(row["cell"], row["episode"], row["swarm_seed"]) for row in rows}
-    if len(swarms) != len({(row["cell"], row["episode"]) for row in rows}):
-        raise ValueError(f"all rows of {suite.label} must be of the same swarms: play with the secret of the others.")
+    new = pd.concat(parts)[list(COLUMNS)]
+    new["error"] = new["error"].replace("", None)
+    for (name, cell), rows in new.groupby(["detector", "cell"]):
+        if sorted(rows.episode) != list(range(new[new.detector == name].episode.max() + 1)):
+            raise ValueError(f"{name} must play the same episodes of every cell of {suite.label}, some of {cell} lack.")
+    missing = set(suite.cells) - set(new["cell"])
+    if missing:
+        raise ValueError(f"the rows must be of all cells of {suite.label}, got none of {', '.join(sorted(missing))}.")
+    old = read_rows(path) if path.exists() else new[:0]
+    rows = pd.concat([part for part in (old[~old.detector.isin(new.detector)], new) if len(part)])
+    if (rows.groupby(["cell", "episode"]).swarm_seed.nunique() > 1).any():
+        raise ValueError(f"the rows must be of the swarms of {path.name}: play with --seed {published_seed(suite)}.")
     order = list(suite.cells)
-    write_csv(path, sorted(rows, key=lambda row: order.index(row["cell"])), ("cell", *COLUMNS))
-    failures = results / failures_file(suite)
-    if failed or failures.exists():
-        columns = ("cell", "detector", "reason")
-        write_csv(failures, sorted(failed, key=lambda row: order.index(row["cell"])), columns)
-    return path
+    rows["exact"] = rows["exact"].astype("Int64")
+    rows[["J", "f1_first", "seconds_per_round"]] = rows[["J", "f1_first", "seconds_per_round"]].map("{:.4g}".format)
+    keys = ["cell", "detector", "episode"]
+    rows = rows.sort_values(keys, key=lambda column: column.map(order.index) if column.name == "cell" else column)
+    write_rows(path, rows.replace("nan", None))
 
 
-def _format(value: object) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def main() -> None:
-    parser = make_parser(__doc__)
-    parser.add_argument("folders", nargs="+", type=Path)
-    parser.add_argument("--add", action="store_true", help="keep the other detectors that the file holds")
-    arguments = parser.parse_args()
-    for folders in group_rows(arguments.folders, lambda folder: folder.name).values():
-        print(pack(folders, arguments.add))
+def main(argv: list[str] | None = None) -> None:
+    parser = parse(__doc__)
+    parser.add_argument("suite", choices=list(list_suites()))
+    parser.add_argument("--detector", action="append", help="may repeat; by default all that the tables show")
+    parser.add_argument("--episodes", type=int, help="by default those of the suite, fewer of slow detectors")
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=Path("out/suites"), help="folder of the runs")
+    parser.add_argument("--results", type=Path, default=RESULTS / "suites", help="folder of the compressed rows")
+    parser.add_argument(
+        "--add", type=Path, nargs="+", metavar="FOLDER", help="add the rows of these runs, play nothing"
+    )
+    parser.add_argument("--print-seed", action="store_true", help="print the seed of the committed rows, play nothing")
+    parser.set_defaults(seed=None)  # that of the committed rows
+    given = parser.parse_args(argv)
+    suite = load_suite(given.suite)
+    path = given.results / f"{suite.name}-v{suite.version}.csv.gz"
+    if given.print_seed:
+        print(published_seed(suite))
+    elif given.add:
+        pack(suite, [EvaluationResult.load(folder).rows for folder in given.add], path)
+    else:
+        names = given.detector or list(DETECTORS)
+        how = {"seed": given.seed or published_seed(suite), "workers": given.workers}
+        pack(suite, play(suite, names, given.episodes, given.out / suite.name, **how), path)
 
 
 if __name__ == "__main__":

@@ -1,123 +1,233 @@
-"""Write every published table from the committed rows: docs/results, and README.md's table.
+"""Write every published table from the committed rows: docs/results/*.md and README.md.
 
-    python benchmarks/tables.py            # write what differs
+    python benchmarks/tables.py            # write the tables that differ
     python benchmarks/tables.py --check    # write nothing; exit with 1 and name the files that differ
-    python benchmarks/tables.py --figures  # also draw the pictures that are made from the rows of several files
 
-No number of these pages is written by hand. README.md has one table, between ``<!-- results:begin -->`` and
-``<!-- results:end -->``; its other text is not touched.
+A table stands between the lines ``<!-- results:begin NAME -->`` and ``<!-- results:end -->``; all other text is written
+by hand and stays. README.md has one block, without a name. Every table of rows is made by :func:`pivot.pivot`.
 """
 
 from __future__ import annotations
 
+import json
+import re
 import sys
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
-from result_pages import (
-    clusters,
-    confirmation,
-    cores,
-    decoys,
-    index,
-    learned,
-    literature,
-    multiagent,
-    p1,
-    paper_tier,
-    purity,
-    real_tracks,
-    rounds,
-    speed,
-    strategies,
-    suites,
-    thresholds,
-    tiers,
-)
-from result_pages.text import table_alone
-from running import make_parser
+import numpy as np
+import pandas as pd
+from paper.shared import RESULTS, ROOT, parse, read_rows
+from paper_tables import losses_block, paper_algorithms, purity_block, rounds_block, table2_block
+from pivot import Say, across, markdown, mean, median, pivot, rate, size
 
-from usnet_env.drawing import write_figure
+from usnet_env.evaluation import list_suites
 from usnet_env.files import atomic_write
 
-ROOT = Path(__file__).parents[1]
-PAGES = {
-    "docs/results/index.md": index.text,
-    "docs/results/paper_tier.md": paper_tier.text,
-    "docs/results/follow_mixture.md": tiers.text,
-    "docs/results/follow_mixture_cells.md": tiers.cells_text,
-    "docs/results/follow_mixture_cores.md": cores.text,
-    "docs/results/follow_mixture_thresholds.md": thresholds.text,
-    "docs/results/decoys.md": decoys.text,
-    "docs/results/strategies.md": strategies.text,
-    "docs/results/p1.md": p1.text,
-    "docs/results/rounds.md": rounds.text,
-    "docs/results/purity.md": purity.text,
-    "docs/results/learned.md": learned.text,
-    "docs/results/multiagent.md": multiagent.text,
-    "docs/results/real_tracks.md": real_tracks.text,
-    "docs/results/confirmation.md": confirmation.text,
-    "docs/results/literature.md": literature.text,
-    "docs/results/suites.md": suites.text,
-    "docs/results/suites_cells.md": suites.cells_text,
-    "docs/results/speed.md": speed.text,
-    # Tables alone, which pages of docs include.
-    "benchmarks/results/learned.md": lambda: table_alone(learned.games()),
-    "benchmarks/results/ppo_observer.md": lambda: table_alone(learned.trained()),
-    "benchmarks/results/detector_seconds.md": lambda: table_alone(clusters.detectors()),
-    "benchmarks/results/engine_costs.md": lambda: table_alone(clusters.engine()),
-    "benchmarks/results/multiagent_payoff.md": lambda: table_alone(multiagent.payoff()),
-    "benchmarks/results/multiagent_ppo.md": lambda: table_alone(multiagent.trained()),
-    "benchmarks/results/multiagent_observers.md": lambda: table_alone(multiagent.observers()),
+BLOCK = re.compile(r"<!-- results:begin ?([\w-]*) -->\n.*?<!-- results:end -->", re.DOTALL)
+PAGES = ("README.md", *(f"docs/results/{name}.md" for name in ("suites", "paper", "tracks", "speed")))
+SUITES = {
+    "paper": "the game of the paper",
+    "controls": "the obvious answer is wrong",
+    "sensing": "bad sensors",
+    "field": "leaders are late, weak, indirect or hard to see",
 }
-BEGIN, END = "<!-- results:begin -->\n", "<!-- results:end -->"
+#: The lines of README.md's table; the page of the suites has every detector.
+SHORT_LIST = (
+    "follow-mixture",
+    "follow-mixture(policy='map')",
+    "learned(policy='map')",
+    "lagged-network",
+    "lagged-regression",
+    "destroy-all",
+    "random",
+    "none",
+)
 
 
-def readme(old: str) -> str:
-    """README.md with its table replaced.
+# Frozen suites.
 
-    Raises:
-        ValueError: it lacks the markers.
+
+@cache
+def read_suite(name: str) -> pd.DataFrame:
+    """The rows of a suite; an episode in which a detector failed isn't exact, and has no other metric.
+
+    The detectors that are exact most often come first.
     """
-    before, begin, rest = old.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not begin or not end:
-        raise ValueError(f"README.md must hold the lines {BEGIN.strip()} and {END}, around its table of results.")
-    return f"{before}{BEGIN}\n{index.summary(short=True)}\n\n{END}{after}"
+    rows = read_rows(RESULTS / "suites" / f"{name}-v{list_suites()[name].version}.csv.gz")
+    rows["exact"] = rows["exact"].fillna(0)
+    best = rows.groupby("detector").exact.mean().sort_values(ascending=False, kind="stable").index
+    return rows.sort_values("detector", key=lambda names: names.map(list(best).index), kind="stable")
 
 
-def differing() -> dict[Path, str]:
-    """The pages whose text differs from what the rows say, and what they should hold."""
-    wanted = {ROOT / name: text() for name, text in PAGES.items()}
-    return {
-        path: text for path, text in wanted.items() if not path.exists() or path.read_text(encoding="utf-8") != text
+def suite_block(name: str) -> str:
+    """A line for each detector, over all cells; which cells it failed in; a line for each cell."""
+    rows, suite = read_suite(name), list_suites()[name]
+    detectors = list(dict.fromkeys(rows.detector))
+    columns: dict[str, Say] = {"n": size, "exact": rate("exact"), "F1 in round 1": mean("f1_first"), "J": mean("J")}
+    parts = [pivot(rows, {"detector": "detector"}, {**columns, "seconds": median("seconds_per_round")})]
+    counts = rows.groupby("detector", sort=False).episode.max() + 1
+    few = [f"`{label}` {count}" for label, count in counts.items() if count < suite.episodes]
+    if few:
+        parts.append(f"Slow detectors played only the first of the {suite.episodes} episodes: {', '.join(few)}.")
+    if rows.error.notna().any():
+        cells: dict[str, Say] = {"failed in": lambda part: ", ".join(dict.fromkeys(part["cell"]))}
+        parts.append(pivot(rows[rows.error.notna()], {"detector": "detector", "reason": "error"}, cells))
+    order = list(suite.cells)
+    rows = rows.sort_values("cell", key=lambda cells: cells.map(order.index), kind="stable")
+    labels = {"cell": "cell"}
+    if name == "scale":
+        by_cell = across("cell", order, lambda part: f"{median('f1_first', '.2f')(part)}; {_seconds(part)}")
+        parts += [
+            "Median F1 in round 1; median seconds of an answer:",
+            pivot(read_suite(name), {"detector": "detector"}, by_cell),
+        ]
+    else:
+        percent = across("detector", detectors, lambda part: f"{100 * part.exact.mean():.0f}", "`{}`")
+        parts += ["Exact in percent, cell by cell:", pivot(rows, labels, percent)]
+    return "\n\n".join(parts)
+
+
+def _seconds(rows: pd.DataFrame) -> str:
+    return f"{median('seconds_per_round')(rows)} s" if rows.seconds_per_round.notna().any() else "–"
+
+
+def readme_block() -> str:
+    """The tables of README.md: the best detector of each suite, some detectors, the paper's algorithms."""
+    suites, detectors = {name: read_suite(name) for name in SUITES}, set()
+    best = []
+    for name, about in SUITES.items():
+        rows, suite = suites[name], list_suites()[name]
+        detectors |= set(rows.detector)
+        chosen = rows[rows.detector == rows.groupby("detector").exact.sum().idxmax()]
+        played = f"{len(suite.cells)} × {suite.episodes}"
+        best.append([f"`{name}`", about, played, f"`{chosen.detector.iloc[0]}`", rate("exact")(chosen)])
+    names = len({label.partition("(")[0] for label in detectors})
+    title = f"best of {len(detectors)} settings of {names} detectors"
+    rows = pd.concat([part.assign(suite=name) for name, part in suites.items()])
+    rows = rows[rows.detector.isin(SHORT_LIST)]
+    rows = rows.sort_values("detector", key=lambda labels: labels.map(SHORT_LIST.index), kind="stable")
+    columns = across("suite", SUITES, rate("exact"), "`{}`: exact")
+    columns |= across("suite", ("paper", "field"), mean("J"), "`{}`: J_m")
+    return "\n\n".join(
+        [
+            "In a [frozen suite](docs/suites.md) all detectors meet the same swarms. They are not given the number of "
+            "clusters.",
+            markdown(("suite", "swarms", "cells × episodes = n", title, "exact"), best),
+            "*Exact*: round 1 names all heads and no other UAV. J_m: the number of rounds, plus the redundant "
+            "candidates divided by N; lower is better, 1 is best. A name without arguments means the default settings. "
+            "Intervals are 95 %; at 0 % or 100 % they use the number of seeds as n, so they can be wider than those of "
+            "other rates. [All detectors and cells](docs/results/suites.md).",
+            pivot(rows, {"detector": "detector"}, columns),
+            "GASSL plays P1, MC-GASSL plays P2; iid heads, f1 to f7, seed 2022, n after the semicolon. A *decoy* flies "
+            "like a head, and no UAV follows it. The paper's J_m follows from the rounds and redundant candidates that "
+            "its text reports.",
+            paper_algorithms(),
+        ]
+    )
+
+
+# Recorded tracks and speed.
+
+
+def tracks_block() -> str:
+    """A table for each set of recordings and way to choose the step; a recording is one value of a mean."""
+    rows, parts = read_rows(RESULTS / "tracks.csv.gz"), []
+    titles = {
+        "ants": "Ants: tandem runs, a leader and a follower",
+        "cars": "Cars: platoons of five, each after the next",
     }
 
+    def by_recording(metric: str) -> Say:
+        def text(part: pd.DataFrame) -> str:
+            return mean(metric, group="recording")(part.groupby("recording", as_index=False)[metric].mean())
 
-def main() -> int:
-    parser = make_parser(__doc__)
+        return text
+
+    def right(heads: str, named: str) -> Say:
+        return lambda part: f"{part[heads].sum() / part[named].sum():.0%}" if part[named].sum() else "–"
+
+    columns: dict[str, Say] = {
+        "windows; recordings": lambda part: f"{len(part)}; {part.recording.nunique()}",
+        "leader has the highest score": by_recording("group_leader"),
+        "named": by_recording("named"),
+        "of them right": right("named_heads", "named"),
+        "confirmed": by_recording("confirmed"),
+        "of these right": right("confirmed_heads", "confirmed"),
+        "seconds": median("seconds"),
+    }
+    for (name, chosen), part in rows.groupby(["set", "chosen"], sort=False):
+        steps = f"{part.step.min():g} to {part.step.max():g} s, chosen from each file" if chosen else "0.5 s, given"
+        parts += [f"### {titles[name]}; step {steps}", pivot(part, {"detector": "detector"}, columns)]
+    return "\n\n".join(parts)
+
+
+def speed_block() -> str:
+    """Rates and ratios of the parts that speed.py has measured."""
+    found = json.loads((RESULTS / "speed.json").read_text(encoding="utf-8"))
+    flights = [
+        [name, str(len(row["ratios"])), f"{row['uav_steps_per_second'] / 1e6:.1f}", _spread(row["ratios"])]
+        for part in ("stepping", "field", "kinematics")
+        for name, row in found[part].items()
+    ]
+    parts = [markdown(("flight", "turns", "million UAV steps a second", "stepping over drawing normals"), flights)]
+    sizes = next(iter(found["scaling"].values()))["uavs"]
+    grown = [
+        [name, *(f"{1e9 * each:.0f}" for each in row["seconds_per_uav_step"])] for name, row in found["scaling"].items()
+    ]
+    parts.append(markdown(("ns of a UAV step", *(f"N = {uavs:,}" for uavs in sizes)), grown))
+    for part, title in (("detectors", "detector"), ("evaluation", "evaluation"), ("peers", "environment")):
+        lines = [[f"`{name}`", row["what"], _spread(row["ratios"])] for name, row in found.get(part, {}).items()]
+        parts += [markdown((title, "ratio", "median (range of the turns)"), lines)] if lines else []
+    return "\n\n".join([*parts, f"1,000 swarms of 82 UAVs take {found['memory']['bytes'] / 2**30:.2f} GiB."])
+
+
+def _spread(ratios: list[float]) -> str:
+    return f"{np.median(ratios):.3g} ({min(ratios):.3g}–{max(ratios):.3g})"
+
+
+BLOCKS: dict[str, Callable[[], str]] = {
+    "": readme_block,
+    **{f"suite-{name}": lambda name=name: suite_block(name) for name in (*SUITES, "scale")},
+    "table2": table2_block,
+    "rounds": rounds_block,
+    "purity": purity_block,
+    "losses": losses_block,
+    "tracks": tracks_block,
+    "speed": speed_block,
+}
+
+
+def fill(text: str) -> str:
+    """A page with its blocks replaced.
+
+    Raises:
+        KeyError: a block has an unknown name.
+    """
+
+    def replace(block: re.Match[str]) -> str:
+        name = f" {block[1]}" if block[1] else ""
+        return f"<!-- results:begin{name} -->\n\n{BLOCKS[block[1]]()}\n\n<!-- results:end -->"
+
+    return BLOCK.sub(replace, text)
+
+
+def main(argv: list[str] | None = None, root: Path = ROOT) -> int:
+    parser = parse(__doc__)
     parser.add_argument("--check", action="store_true", help="write nothing; exit with 1 if a table differs")
-    parser.add_argument("--figures", action="store_true", help="also draw the pictures")
-    arguments = parser.parse_args()
-    changed, failed = differing(), False
-    try:
-        path = ROOT / "README.md"
-        old = path.read_text(encoding="utf-8")
-        if (new := readme(old)) != old:
-            changed[path] = new
-    except ValueError as error:
-        print(error, file=sys.stderr)
-        failed = True
-    for path, text in changed.items():
-        if arguments.check:
-            print(f"{path.relative_to(ROOT)} differs from the rows: run python benchmarks/tables.py", file=sys.stderr)
+    check, differ = parser.parse_args(argv).check, False
+    for name in PAGES:
+        old = (root / name).read_text(encoding="utf-8")
+        if (new := fill(old)) == old:
             continue
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_write(path) as aside:
-            aside.write_text(text, encoding="utf-8")
-    if arguments.figures:
-        for path, figure in {tiers.FIGURE: tiers.reliability_figure(), **suites.figures()}.items():
-            write_figure(figure, path)
-    return int(failed or (arguments.check and bool(changed)))
+        differ = True
+        if check:
+            print(f"{name} differs from the rows: run python benchmarks/tables.py", file=sys.stderr)
+        else:
+            with atomic_write(root / name) as aside:
+                aside.write_text(new, encoding="utf-8")
+    return int(check and differ)
 
 
 if __name__ == "__main__":

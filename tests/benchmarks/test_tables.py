@@ -1,102 +1,130 @@
-"""The published tables are those that the committed rows give."""
+"""Published tables: they say what the rows say, and a page that differs is found."""
 
-import sys
-from pathlib import Path
+import json
+import shutil
 
+import numpy as np
+import pandas as pd
+import pivot
 import pytest
 import tables
-from result_pages import p1, real_tracks, tiers
+from paper.shared import RESULTS, ROOT, interval, read_rows, write_rows
 
-from detectors.studies import table2
-from usnet_env.evaluation import load_suite
-
-ROOT = Path(__file__).parents[2]
-LONG = {"docs/results/purity.md", "docs/results/p1.md", "docs/results/follow_mixture_cells.md"}
-README = (ROOT / "README.md").read_text(encoding="utf-8")
+from usnet_env.evaluation import list_suites
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] if n in LONG else []) for n in tables.PAGES])
-def test_page_is_what_the_rows_give(name: str) -> None:
-    assert (ROOT / name).read_text(encoding="utf-8") == tables.PAGES[name]()
+def make_rows(**columns):
+    return pd.DataFrame({"detector": ["b", "b", "a", "a"], "episode": [0, 1, 0, 1], **columns})
 
 
-@pytest.mark.skipif(tables.BEGIN not in README, reason="README.md has no table of results")
-def test_readme_is_what_the_rows_give() -> None:
-    assert tables.readme(README) == README
+def test_a_table_has_a_line_for_each_group_in_the_order_of_the_rows():
+    rows = make_rows(J=[1.0, 2.0, 3.0, np.nan], exact=[1, 1, 0, 1])
+    columns = {"n": pivot.size, "J": pivot.mean("J", 1), "exact": pivot.rate("exact", count=True)}
+    header, _, first, second = pivot.pivot(rows, {"detector": "detector"}, columns).splitlines()
+    assert header == "| detector | n | J | exact |"
+    assert first.startswith("| `b` | 2 | 1.5 (")
+    assert first.endswith("| 100.0 % (34.2–100.0); 2 |")  # Wilson: 2 of 2
+    assert second.startswith("| `a` | 2 | 3.0 | 50.0 % (")  # a single value has no interval
 
 
-def test_readme_has_at_most_eight_detectors_with_trivial_policies_and_the_paper_in_its_own_table() -> None:
-    _, suites, _, detectors, _, paper = tables.index.summary(short=True).split("\n\n")
-    assert [line.split("|")[1].strip(" `") for line in suites.splitlines()[2:]] == list(tables.index.SUITES)
-    lines = detectors.splitlines()[2:]
-    assert len(lines) <= 8
-    labels = ("follow-mixture`", "follow-mixture(policy='map')`", "learned(policy='map')`", "destroy-all`", "none`")
-    for label in (*labels, "random`"):
-        assert any(label in line for line in lines), label
-    assert [line.split("|")[1].strip() for line in paper.splitlines()[2:]] == [
-        "the paper",
-        "`gassl` and `mc-gassl`, as printed",
-        "`random`, one UAV a round",
-        "`destroy-all`",
-    ]
+def test_a_cell_without_rows_or_values_is_a_dash():
+    rows = make_rows(J=[1.0, 1.0, np.nan, np.nan], cell=["x", "x", "y", "y"])
+    across = pivot.across("cell", ["x", "z"], pivot.mean("J"), "cell {}")
+    assert list(across) == ["cell x", "cell z"]
+    assert [say(rows) for say in across.values()] == ["1.00", "–"]
+    assert pivot.mean("J")(rows[2:]) == pivot.median("J")(rows[2:]) == "–"
 
 
-def test_trivial_rows_are_computed_from_what_the_rows_hold() -> None:
-    swarms = [table2.Cell("gassl", "f1", m, d) for m, d in ((2, 0), (2, 1), (15, 1))]
-    assert p1.chance(swarms) == pytest.approx((1 / 3 + 1 / 4 + 1 / 17) / 3)
-    windows = [{"recording": "a", "uavs": "2", "heads": "1"}, {"recording": "b", "uavs": "4", "heads": "1"}]
-    none, everything = real_tracks._computed(windows)
-    assert none[:5] == ("`none`, computed", "2; 2", "0.38", "0.00", "–")
-    assert everything[3].startswith("3.00")
-    assert everything[4] == "33%"
+def test_rows_of_an_episode_are_one_group():
+    rows = pd.DataFrame({"episode": np.repeat(np.arange(10), 30), "exact": np.repeat([1, 0] * 5, 30)})
+    alone = rows.assign(episode=np.arange(300))
+    wide, narrow = interval(rows, "exact"), interval(alone, "exact")
+    assert wide.mean == narrow.mean == 0.5
+    assert wide.high - wide.low > 3 * (narrow.high - narrow.low)
 
 
-def test_every_suite_says_how_many_settings_of_how_many_detectors_it_compares() -> None:
-    names = {row["detector"] for row in tables.suites.read_suite(load_suite("field"))}
-    detectors = {name.partition("(")[0] for name in names}
-    assert f"best of {len(names)} settings of {len(detectors)} detectors" in README
+def test_only_the_blocks_of_a_page_are_replaced():
+    page = "By hand.\n\n<!-- results:begin losses -->\nold\n<!-- results:end -->\n\nBy hand, too.\n"
+    filled = tables.fill(page)
+    assert filled.startswith("By hand.\n\n<!-- results:begin losses -->\n\n| start | trainings |")
+    assert filled.endswith("|\n\n<!-- results:end -->\n\nBy hand, too.\n")
+    assert tables.fill(filled) == filled
+    with pytest.raises(KeyError, match="unknown"):
+        tables.fill("<!-- results:begin unknown -->\n<!-- results:end -->")
 
 
-def test_readme_without_markers_is_refused() -> None:
-    with pytest.raises(ValueError, match="results:begin"):
-        tables.readme("# A page\n")
+@pytest.fixture
+def copy(tmp_path, monkeypatch):
+    """A copy of the pages whose tables are quick to make."""
+    names = ("docs/results/tracks.md", "docs/results/speed.md")
+    monkeypatch.setattr(tables, "PAGES", names)
+    for name in names:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, tmp_path / name)
+    tables.main([], tmp_path)
+    return tmp_path
 
 
-def test_check_names_what_differs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(tables, "ROOT", tmp_path)
-    monkeypatch.setattr(tables, "PAGES", {"page.md": lambda: "as the rows say\n"})
-    (tmp_path / "page.md").write_text("as somebody wrote\n")
-    (tmp_path / "README.md").write_text(f"{tables.BEGIN}old\n{tables.END}")
-    monkeypatch.setattr(sys, "argv", ["tables.py", "--check"])
-    assert tables.main() == 1
-    assert "page.md differs" in (errors := capsys.readouterr().err)
-    assert "README.md differs" in errors
-    assert (tmp_path / "page.md").read_text() == "as somebody wrote\n"
-    monkeypatch.setattr(sys, "argv", ["tables.py"])
-    assert tables.main() == 0
-    monkeypatch.setattr(sys, "argv", ["tables.py", "--check"])
-    assert tables.main() == 0
+def test_a_changed_number_is_found_and_mended(copy, capsys):
+    assert tables.main(["--check"], copy) == 0
+    page = copy / "docs/results/tracks.md"
+    text = page.read_text(encoding="utf-8")
+    assert "`mflica` | 290; 27" in text
+    page.write_text(text.replace("`mflica` | 290; 27", "`mflica` | 291; 27"), encoding="utf-8")
+    assert tables.main(["--check"], copy) == 1
+    assert "tracks.md" in capsys.readouterr().err
+    assert tables.main([], copy) == 0
+    assert page.read_text(encoding="utf-8") == text
 
 
-def test_labels_are_what_was_played() -> None:
-    """Where the policy changes the answer, a row's label must say which policy played: `map` may name no UAV."""
-    for tier in ("silence", "shifted"):
-        for row in tiers.tier_rows(tier):
-            if row["detector"] in ("follow-mixture", "learned"):
-                assert int(row["named"]) >= 1, row
-    default = {(r["cell"], r["episode"]): r for r in tiers.of(tiers.tier_rows("silence"), "follow-mixture")}
-    most_likely = {(r["cell"], r["episode"]): r for r in tiers.of(tiers.tier_rows("silence"), tiers.MAP)}
-    both = default.keys() & most_likely.keys()
-    assert len(both) >= 30
-    assert sum(default[key]["named"] != most_likely[key]["named"] for key in both) > 0.9 * len(both)
+def test_every_page_has_known_blocks_and_every_block_a_page():
+    found = [name for page in tables.PAGES for name in tables.BLOCK.findall((ROOT / page).read_text(encoding="utf-8"))]
+    assert sorted(found) == sorted(tables.BLOCKS)
 
 
-def test_check_of_the_command_line_knows_its_options(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["tables.py", "--help"])
-    with pytest.raises(SystemExit, match=r"^0$"):
-        tables.main()
-    assert "--check" in capsys.readouterr().out
+def test_a_failed_episode_is_not_exact_and_has_no_other_metric():
+    rows = tables.read_suite("scale")
+    failed = rows[rows.error.notna()]
+    assert len(failed)
+    assert not failed.exact.any()
+    assert failed.J.isna().all()
+    text = tables.suite_block("scale")
+    assert "| `gassl` | it took longer than 60 seconds, the time limit. | N237, N1000, N3000, N10000 |" in text
+
+
+@pytest.mark.parametrize("name", ["paper", "controls", "sensing", "field", "scale"])
+def test_committed_rows_of_a_suite_have_the_same_swarms_for_all(name):
+    suite = list_suites()[name]
+    rows = read_rows(RESULTS / "suites" / f"{name}-v{suite.version}.csv.gz")
+    assert set(rows["cell"]) == set(suite.cells)
+    assert (rows.groupby(["cell", "episode"]).swarm_seed.nunique() == 1).all()
+    counts = rows.groupby(["detector", "cell"]).episode.agg(["size", "nunique", "max"])
+    assert (counts["size"] == counts["nunique"]).all()
+    assert (counts["size"] == counts["max"] + 1).all()
+
+
+def test_the_paper_s_rates_are_rows_of_1000_runs():
+    import paper_tables
+
+    rows = paper_tables.read_table2()
+    paper = rows[(rows.detector == "the paper") & (rows.follow == "f4") & (rows.followers == 2)]
+    assert (len(paper), paper.hit.sum()) == (1000, 920)
+    assert "| the paper | 98.0 % (" in paper_tables.paper_algorithms()
+    assert "3.06–4.06; – |" in paper_tables.paper_algorithms()
+
+
+def test_the_speed_page_leaves_out_parts_that_were_not_measured(tmp_path, monkeypatch):
+    found = json.loads((RESULTS / "speed.json").read_text(encoding="utf-8"))
+    found.pop("peers")
+    (tmp_path / "speed.json").write_text(json.dumps(found), encoding="utf-8")
+    monkeypatch.setattr(tables, "RESULTS", tmp_path)
+    assert "simple_tag" not in tables.speed_block()
+    assert "| `follow-mixture` | seconds of a window" in tables.speed_block()
+
+
+def test_equal_rows_give_equal_bytes(tmp_path):
+    rows = make_rows(J=[1.0, 2.0, 3.0, np.nan])
+    for name in ("a.csv.gz", "b.csv.gz"):
+        write_rows(tmp_path / name, rows)
+    assert (tmp_path / "a.csv.gz").read_bytes() == (tmp_path / "b.csv.gz").read_bytes()
+    pd.testing.assert_frame_equal(read_rows(tmp_path / "a.csv.gz"), rows)

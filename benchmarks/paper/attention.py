@@ -1,0 +1,178 @@
+"""The paper's figures of attention: heat maps of α and α_l, the hierarchy of one cluster, and α for six sizes.
+
+    python benchmarks/paper/attention.py                      # all three pictures; they are computed (a minute)
+    python benchmarks/paper/attention.py --only hierarchy
+
+Nothing is measured: a picture shows one window, in which the head has the index of the paper's figure.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.collections import LineCollection
+from shared import panels, parse, save_figure
+
+from usnet_env import Window, make_detector
+from usnet_env.detection import Detection
+from usnet_env.envs import SingleClusterEnv
+
+DETECTOR = "gassl"
+SIZES = (2, 5, 10, 25, 40, 50)
+ATTENTION, HIT, REDUNDANT, MISSED = "#0072b2", "#009e73", "#d55e00", "#cc79a7"
+LEAST_WEIGHT = 0.02  # lines of a smaller attention weight are not drawn
+EACH_SCALE = "▼ marks the column of the head. Each panel has a colour scale of its own."
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One window of one cluster, and the answer to it."""
+
+    follow: str
+    followers: int
+    head: int  # index from 0; the paper's i_L - 1
+    window: Window
+    answer: Detection
+
+    def describe(self) -> str:
+        """The head and the candidates in a few words."""
+        named = ", ".join(str(i + 1) for i in np.flatnonzero(self.answer.candidates)) or "none"
+        return f"One window (n = 1). Head: UAV {self.head + 1}; candidate: {named}."
+
+
+def find_scene(follow: str, followers: int, head: int, seed: int) -> Scene:
+    """The first episode, from a seed on, whose head has an index; the detector gets the episode's seed."""
+    env, detector = SingleClusterEnv(follow=follow, followers=followers), make_detector(DETECTOR)
+    while True:
+        observation, _ = env.reset(seed=seed)
+        if env.swarm.head[head]:
+            break
+        seed += 1
+    window = Window.from_observation(observation)
+    detector.reset(seed)
+    return Scene(follow, followers, head, window, detector.detect(window))
+
+
+def draw_heat_map(axes: Any, alpha: np.ndarray, head: int, title: str) -> None:
+    """Draw one matrix of attention ``(N, N)``; a triangle marks the column of the head."""
+    image = axes.imshow(alpha, cmap="viridis", vmin=0.0, vmax=max(float(alpha.max()), 1e-9), aspect="equal")
+    axes.grid(visible=False)
+    axes.plot([head], [1.03], marker="v", color="#d55e00", ms=8, clip_on=False, transform=axes.get_xaxis_transform())
+    axes.set_title(title, fontsize=10, pad=14)
+    ticks = range(0, len(alpha), max(1, -(-len(alpha) // 10)))
+    for axis, label in ((axes.xaxis, "UAV i′"), (axes.yaxis, "UAV i")):
+        axis.set_ticks(list(ticks), [str(place + 1) for place in ticks], fontsize=7)
+        axis.set_label_text(label, fontsize=8)
+    axes.get_figure().colorbar(image, ax=axes, shrink=0.85).ax.tick_params(labelsize=7)
+
+
+def draw_heads(scene: Scene, path: Path) -> None:
+    """Draw the attention weights α and the attention values α_l of every attention head."""
+    values = np.asarray(scene.answer.extras["attention_heads"])  # (T_0 + 1, N, N): velocities, then positions
+    titles = ["attention weights α"]
+    titles += [f"attention head {k + 1}: velocity at t{f' − {k}' if k else ''}" for k in range(len(values) - 1)]
+    titles += [f"attention head {len(values)}: position at t − {len(values) - 2}"]
+    figure, grid = panels(12.9, 8.4, 2, 3)
+    for axes, alpha, title in zip(grid.ravel(), [scene.answer.attention, *values], titles, strict=True):
+        draw_heat_map(axes, np.asarray(alpha), scene.head, title)
+    about = f"{DETECTOR}, {scene.follow}, m = {scene.followers}"
+    title = f"Attention of UAV i (row) to UAV i′ (column): {about}"
+    save_figure(figure, path, title, f"{scene.describe()} {EACH_SCALE}")
+
+
+def draw_sizes(scenes: list[Scene], path: Path) -> None:
+    """Draw the attention weights α of clusters of several sizes."""
+    figure, grid = panels(12.9, 8.4, 2, 3)
+    for axes, scene in zip(grid.ravel(), scenes, strict=True):
+        verdict = "found" if scene.answer.candidates[scene.head] else "missed"
+        draw_heat_map(axes, np.asarray(scene.answer.attention), scene.head, f"m = {scene.followers}: head {verdict}")
+    title = f"Attention weights α of UAV i (row) to UAV i′ (column): {DETECTOR}, {scenes[0].follow}"
+    save_figure(figure, path, title, f"One window for each m (n = 1). {EACH_SCALE}")
+
+
+def list_leaders(attention: np.ndarray) -> np.ndarray:
+    """For each UAV ``(N,)`` the other UAV with the largest weight ``(N, N)``; -1 where all weights are 0."""
+    others = np.where(np.eye(len(attention), dtype=bool), 0.0, attention)
+    return np.where(others.max(axis=1) > 0, others.argmax(axis=1), -1)
+
+
+def draw_links(axes: Any, place: np.ndarray, attention: np.ndarray, least: float, width: float, color: str) -> None:
+    """Draw a line for every attention weight above the ``least``; one of weight 1 is ``width`` points wide."""
+    rows, columns = np.nonzero((attention > least) & ~np.eye(len(attention), dtype=bool))
+    ends = np.stack([place[rows], place[columns]], axis=1)
+    widths = width * attention[rows, columns]
+    axes.add_collection(LineCollection(list(ends), linewidths=widths, colors=color, alpha=0.5, zorder=1))
+
+
+def place_levels(candidates: np.ndarray) -> np.ndarray:
+    """Places ``(N, 2)`` on two levels: candidates at height 1, the others on a shallow arc around 0."""
+    levels = np.zeros((len(candidates), 2))
+    for height, members in ((1.0, np.flatnonzero(candidates)), (0.0, np.flatnonzero(~candidates))):
+        across = (np.arange(len(members)) + 0.5) / max(len(members), 1) - 0.5
+        levels[members] = np.column_stack([across, height - (0.0 if height else 0.5) * (0.25 - across**2)])
+    return levels
+
+
+def draw_hierarchy(scene: Scene, path: Path) -> None:
+    """Draw the attention graph, seen from above, and the hierarchy: each UAV below the one it attends to most."""
+    attention, candidates = np.asarray(scene.answer.attention), scene.answer.candidates
+    figure, ((graph, tree),) = panels(14.0, 6.8, 1, 2)
+    place, levels = np.asarray(scene.window.position[-1, :, :2]), place_levels(candidates)
+    draw_links(graph, place, attention, LEAST_WEIGHT, 5.0, ATTENTION)
+    graph.set(xlabel="x in m", ylabel="y in m", title="Attention graph: lines as wide as the attention weight")
+    graph.set_aspect("equal", adjustable="datalim")
+    leaders = list_leaders(attention)
+    for i in np.flatnonzero(~candidates & (leaders >= 0)):
+        hit = candidates[leaders[i]]
+        look = {"color": ATTENTION, "lw": 1.5} if hit else {"color": REDUNDANT, "lw": 1.3, "ls": "--"}
+        tree.plot(*levels[[i, leaders[i]]].T, zorder=1, **look)
+    tree.set(title="Hierarchy graph: candidate (top), and the largest attention of each other UAV")
+    tree.set(xticks=[], yticks=[], ylim=(-0.6, 1.2))
+    for axes, points in ((graph, place), (tree, levels)):
+        _mark_uavs(axes, points, scene.head, candidates)
+    tree.plot([], [], color=ATTENTION, label="link to the candidate")
+    tree.plot([], [], color=REDUNDANT, ls="--", label="link to another UAV")
+    figure.legend(*tree.get_legend_handles_labels(), loc="outside lower center", ncols=6, fontsize=9, frameon=False)
+    title = f"Attention and hierarchy: {DETECTOR}, {scene.follow}, m = {scene.followers}"
+    save_figure(figure, path, title, scene.describe())
+
+
+def _mark_uavs(axes: Any, place: np.ndarray, head: int, candidates: np.ndarray) -> None:
+    """Mark the UAVs, the head and the candidates, and write their numbers beside them."""
+    is_head = np.arange(len(place)) == head
+    axes.scatter(*place.T, s=40, color="#555555", zorder=2, label="UAV")
+    star = {"marker": "*", "color": "#e69f00", "edgecolor": "black", "label": "head (the truth)"}
+    axes.scatter(*place[head], s=230, zorder=3, **star)
+    rings = {
+        "candidate: hit": (candidates & is_head, HIT, "o"),
+        "candidate: redundant": (candidates & ~is_head, REDUNDANT, "s"),
+        "missed head": (~candidates & is_head, MISSED, "o"),
+    }
+    for label, (chosen, color, marker) in rings.items():
+        if chosen.any():
+            ring = {"facecolor": "none", "edgecolor": color, "lw": 2.2, "marker": marker, "label": label}
+            axes.scatter(*place[chosen].T, s=420, zorder=4, **ring)
+    for i, point in enumerate(place):
+        beside = (15, -15) if candidates[i] or is_head[i] else (9, -11)
+        axes.annotate(str(i + 1), point, textcoords="offset points", xytext=beside, fontsize=8, zorder=5)
+
+
+def main(argv: list[str] | None = None) -> None:
+    parser = parse(__doc__)
+    parser.add_argument("--only", choices=["heads", "hierarchy", "sizes"])
+    given = parser.parse_args(argv)
+    if given.only != "sizes":
+        scene = find_scene("f1", 15, 6, given.seed)
+        if given.only != "hierarchy":
+            draw_heads(scene, given.images / "attention-heads-f1-m15.png")
+        if given.only != "heads":
+            draw_hierarchy(scene, given.images / "hierarchy-f1-m15.png")
+    if given.only in (None, "sizes"):
+        draw_sizes([find_scene("f7", size, 1, given.seed) for size in SIZES], given.images / "attention-sizes-f7.png")
+
+
+if __name__ == "__main__":
+    main()

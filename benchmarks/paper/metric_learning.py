@@ -1,0 +1,162 @@
+"""The paper's figures of metric learning: losses from three starts, and the feature space. Needs PyTorch.
+
+    python benchmarks/paper/metric_learning.py --workers 2           # the losses
+    python benchmarks/paper/metric_learning.py --draw                # their picture
+    python benchmarks/paper/metric_learning.py --feature-space       # the other picture; it is computed (a minute)
+
+The rows are in benchmarks/results/paper/metric_learning.csv.gz; the same command goes on where it stopped. A row is the
+triplet loss of a step: off line of an episode with random follow strategies (`follow` is `off-line`), and on line of a
+gradient step on a swarm of f1 to f7 with its true clusters. A `random` start isn't trained off line.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from itertools import cycle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.stats import t as student
+from shared import COLORS, FOLLOW, RESULTS, Game, add_legend, measure, panels, parse, read_rows, save_figure
+
+from detectors.clustering import make_clusterer
+from detectors.mc_gassl.features import gru_features
+from detectors.mc_gassl.gru import load_meta_weights
+from detectors.mc_gassl.train import MetaTraining, online_losses, start_of, trained
+from usnet_env import Window
+from usnet_env.envs import MultiClusterEnv
+from usnet_env.evaluation.play import episode_seeds
+from usnet_env.objectives import head_in_cluster, purity
+
+STARTS = {  # colour, line, label
+    "random": ("#777777", ":", "random start"),
+    "joint": ("#d55e00", "--", "joint training (the paper's pre-training)"),
+    "meta": ("#0072b2", "-", "meta learning"),
+}
+PAPER_LOSS = 0.125  # the paper's meta loss settles near this value
+SMOOTH = 50  # a point of the off-line curve is the mean over this many episodes
+
+
+def draw_swarm(env: MultiClusterEnv, seed: int, episode: int) -> tuple[Window, np.ndarray, Any]:
+    """An episode's first window, the true cluster of every UAV, and the truth."""
+    observation, _ = env.reset(seed=episode_seeds(seed, episode)[0])
+    labels = np.unique(env.swarm.root, return_inverse=True)[1].astype(np.int64)
+    return Window.from_observation(observation), labels, env.swarm
+
+
+def play(task: list[Game], seed: int, strategies: int, episodes: int, steps: int) -> list[dict[str, Any]]:
+    """Train one start off line (``random`` is not trained), then on line with every follow strategy."""
+    (game,) = task
+    number = int(game["training"])
+    training = MetaTraining(
+        seed=int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1)[0]),
+        method="joint" if game["start"] == "joint" else "meta",
+        strategies=strategies,
+        episodes=episodes,
+    )
+    parameters, losses = (start_of(training), []) if game["start"] == "random" else trained(training)
+    curves = {"off-line": losses}
+    for place, follow in enumerate(FOLLOW):
+        window, labels, _ = draw_swarm(MultiClusterEnv(follow=follow), seed, len(FOLLOW) * number + place)
+        curves[follow] = online_losses(parameters, window, labels, steps, training)[1]
+    return [
+        {**game, "follow": follow, "step": step, "loss": float(loss)}
+        for follow, curve in curves.items()
+        for step, loss in enumerate(curve)
+    ]
+
+
+def curve_of(rows: pd.DataFrame, start: str, online: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Steps, mean loss over the trainings, and half the width of its 95 % interval (Student's t)."""
+    rows = rows[(rows.start == start) & ((rows.follow != "off-line") == online)]
+    step = rows.step if online else (rows.step // SMOOTH + 0.5) * SMOOTH
+    losses = rows.groupby([step, "training"]).loss.mean().unstack()
+    half = losses.sem(axis=1) * student.ppf(0.975, losses.shape[1] - 1)
+    return losses.index.to_numpy(), losses.mean(axis=1).to_numpy(), half.to_numpy()
+
+
+def draw(rows: pd.DataFrame, path: Path) -> None:
+    """Draw the off-line loss (left) and the on-line loss (right)."""
+    figure, (axes,) = panels(11.5, 4.4, 1, 2, sharey=True)
+    for panel, online in zip(axes, (False, True), strict=True):
+        for start, (color, line, label) in STARTS.items():
+            if start == "random" and not online:
+                continue
+            place, mean, half = curve_of(rows, start, online)
+            panel.plot(place, mean, color=color, ls=line, label=label, zorder=3 if line != "-" else 2)
+            panel.fill_between(place, mean - half, mean + half, color=color, alpha=0.2, lw=0)
+    axes[0].axhline(PAPER_LOSS, color="black", lw=0.9, ls="-.", label=f"the paper's meta loss, about {PAPER_LOSS}")
+    axes[0].set_ylim(bottom=0)
+    axes[0].set(xlabel="episode", ylabel="triplet loss", title="Off line, on random follow strategies")
+    axes[1].set(xlabel="gradient step", title="On line, mean over f1 to f7, true clusters")
+    add_legend(figure, axes)
+    caption = f"Means of n = {rows.training.nunique()} trainings; bands are 95 % intervals (Student's t)."
+    save_figure(figure, path, "Loss of metric learning", caption)
+
+
+def draw_feature_space(path: Path, seed: int, uavs: int = 237, steps: int = 500) -> None:
+    """Draw the GRU features of one swarm (f1, M = 5) before and after on-line training on its true clusters.
+
+    The upper panels begin with a random start, the lower ones with the meta-learned weights of the package.
+    """
+    window, labels, truth = draw_swarm(MultiClusterEnv(uavs=uavs), seed, 0)
+    training, clusters = MetaTraining(seed=seed), int(labels.max()) + 1
+    figure, grid = panels(10.5, 9.6, 2, 2)
+    for line, start in zip(grid, ("random start", "meta-learned start"), strict=True):
+        before = start_of(training) if start == "random start" else load_meta_weights()
+        after, _ = online_losses(before, window, labels, steps, training)
+        for axes, when, parameters in zip(line, ("before", f"after {steps} episodes"), (before, after), strict=True):
+            features = partial(gru_features, parameters=parameters)
+            clusterer = make_clusterer("kmeans", features=features, count=clusters)
+            found = clusterer.cluster(window, np.random.default_rng(seed))
+            share = purity(truth.root, found.labels)
+            placed = head_in_cluster(truth.head, truth.root, found.labels)
+            _draw_components(axes, np.asarray(found.features), labels, truth.head)
+            axes.set_title(f"{start}, {when}\nK-Means: purity {share:.2f}, head-in-cluster {placed:.2f}", fontsize=10)
+    add_legend(figure, [grid[0, 0]], clusters + 1)
+    caption = (
+        f"One swarm and one training of each start (n = 1): f1, M = {clusters}, N = {uavs}. A point is the GRU feature "
+        "of a UAV, in the plane of the two principal components of its panel."
+    )
+    save_figure(figure, path, "Feature space of metric learning", caption)
+
+
+def _draw_components(axes: Any, features: np.ndarray, labels: np.ndarray, head: np.ndarray) -> None:
+    """Draw the two principal components of ``(N, w)`` features; colours are true clusters, stars are heads."""
+    centred = features - features.mean(axis=0)
+    _, spread, directions = np.linalg.svd(centred, full_matrices=False)
+    place, shares = centred @ directions[:2].T, 100 * spread**2 / (spread**2).sum()
+    for label, color, marker in zip(range(labels.max() + 1), cycle(COLORS), cycle("os^Dv"), strict=False):
+        followers, heads = place[(labels == label) & ~head], place[(labels == label) & head]
+        look = {"marker": marker, "edgecolor": "white", "lw": 0.4, "label": f"cluster {label + 1}"}
+        axes.scatter(*followers.T, color=color, s=22, **look)
+        axes.scatter(*heads.T, color=color, marker="*", s=190, edgecolor="black", zorder=3)
+    axes.scatter([], [], color="white", marker="*", s=190, edgecolor="black", label="head")
+    axes.set_xlabel(f"principal component 1 ({shares[0]:.0f} % of the variance)", fontsize=9)
+    axes.set_ylabel(f"principal component 2 ({shares[1]:.0f} %)", fontsize=9)
+
+
+def main(argv: list[str] | None = None) -> None:
+    parser = parse(__doc__, RESULTS / "paper" / "metric_learning.csv.gz")
+    parser.add_argument("--trainings", type=int, default=5, help="of each start, at least 2")
+    parser.add_argument("--strategies", type=int, default=30, help="F, follow strategies of each training")
+    parser.add_argument("--episodes", type=int, default=1000, help="E, episodes of each training")
+    parser.add_argument("--steps", type=int, default=50, help="gradient steps on line")
+    parser.add_argument("--feature-space", action="store_true", help="draw the feature space, and nothing else")
+    given = parser.parse_args(argv)
+    if given.feature_space:
+        draw_feature_space(given.images / "feature-space.png", given.seed)
+        return
+    if not given.draw:
+        how = {name: getattr(given, name) for name in ("seed", "strategies", "episodes", "steps")}
+        tasks: list[list[Game]] = [
+            [{"training": number, "start": start}] for number in range(given.trainings) for start in STARTS
+        ]
+        measure(given.rows, tasks, partial(play, **how), given.workers)
+    draw(read_rows(given.rows), given.images / "meta-loss.png")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,130 @@
+"""The paper's Table II: detection rates of one cluster (P1) for 7 follow strategies and 10 numbers of followers.
+
+    python benchmarks/paper/table2.py --workers 2              # the paper's setting, all detectors
+    python benchmarks/paper/table2.py --decoys 1 --detector neural-granger --episodes 50
+    python benchmarks/paper/table2.py --draw                   # the picture of the rows
+
+The rows are in benchmarks/results/paper/table2.csv.gz; the same command goes on where it stopped. A row is an episode:
+`named` says whether there was a candidate, `hit` whether the head was the only candidate, `explained` which share of
+the squared velocity the detector's fit explains. Rows with a `batch` are of a former detector that answered episodes
+together: `42+21` is a batch of the 21 episodes from 42 on.
+"""
+
+from __future__ import annotations
+
+import time
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from shared import (
+    COLORS,
+    FOLLOW,
+    MARKERS,
+    RESULTS,
+    Game,
+    add_legend,
+    describe_counts,
+    draw_intervals,
+    interval,
+    measure,
+    panels,
+    parse,
+    read_rows,
+    save_figure,
+)
+
+from usnet_env import Window, make_detector
+from usnet_env.envs import SingleClusterEnv
+
+FOLLOWERS = (2, 3, 5, 10, 15, 20, 25, 30, 40, 50)
+DETECTORS = ("gassl", "neural-granger", "lagged-regression(clusters=1)")
+PAPER = Path(__file__).parent / "data" / "table2_detection_rate.csv"  # percent of 1,000 runs
+MANY, FEW = 100, 30  # episodes of a cell with up to 15 followers, and with more
+
+
+def list_tasks(detectors: list[str], cells: list[tuple[str, int]], flight: Game, episodes: int | None) -> list[Any]:
+    """The episodes of all cells, small swarms first."""
+    return [
+        [{"detector": name, "follow": follow, "followers": followers, **flight, "episode": episode}]
+        for follow, followers in sorted(cells, key=lambda cell: (cell[1], cell[0]))
+        for name in detectors
+        for episode in range(episodes or (MANY if followers <= 15 else FEW))
+    ]
+
+
+def make_seed(seed: int, game: Game, branch: int) -> int:
+    """Seed of an episode's swarm (branch 0) or detector (branch 1); every detector gets the same swarms."""
+    name = int.from_bytes(f"{game['follow']}/{game['mobility']}".encode(), "little")
+    key = (name % 2**61, game["followers"], game["decoys"], int(game["head_jitter"]), game["episode"], branch)
+    return int(np.random.SeedSequence(seed, spawn_key=key).generate_state(1)[0])
+
+
+def play(task: list[Game], seed: int) -> list[dict[str, Any]]:
+    """Play one episode."""
+    (game,) = task
+    swarm = {name: value for name, value in game.items() if name not in ("detector", "episode")}
+    env, detector = SingleClusterEnv(**swarm), make_detector(str(game["detector"]))
+    observation, _ = env.reset(seed=make_seed(seed, game, 0))
+    window = Window.from_observation(observation)
+    detector.reset(make_seed(seed, game, 1))
+    begun = time.perf_counter()
+    answer = detector.detect(window)
+    found = {
+        "named": int(answer.candidates.any()),
+        "hit": int(np.array_equal(answer.candidates, env.swarm.head)),
+        "explained": float(np.mean(answer.extras.get("explained", np.nan))),
+    }
+    return [{**game, **found, "seconds": time.perf_counter() - begun}]
+
+
+def draw(rows: pd.DataFrame, path: Path) -> None:
+    """Draw the rates of the paper's setting against m, a panel for each follow strategy."""
+    rows = rows[(rows.mobility == "iid") & (rows.decoys == 0) & ~rows.head_jitter]
+    paper, detectors = pd.read_csv(PAPER), list(dict.fromkeys(rows.detector))
+    figure, grid = panels(13.2, 7.2, 2, 4, sharex=True, sharey=True)
+    grid[1, 3].set_visible(False)
+    for axes, follow in zip(grid.ravel(), FOLLOW, strict=False):
+        for number, detector in enumerate(detectors):
+            shift = 0.7 * ((number + 0.5) / len(detectors) - 0.5)
+            cells = rows[(rows.follow == follow) & (rows.detector == detector)].groupby("followers")
+            means = {FOLLOWERS.index(size) + shift: interval(cell, "hit") for size, cell in cells}
+            draw_intervals(axes, means, 100, color=COLORS[number], marker=MARKERS[number], ms=4, label=detector)
+        theirs = paper[paper.ifs == follow]
+        places = [FOLLOWERS.index(size) for size in theirs.followers]
+        axes.plot(places, theirs.detection_rate_percent, "o", mfc="none", mec="black", ms=9, label="the paper")
+        axes.set_title(follow, fontsize=10.5)
+        axes.set_xticks(range(len(FOLLOWERS)), FOLLOWERS)
+        axes.set(xlabel="followers m", ylabel="rate, %" if axes in grid[:, 0] else "")
+        axes.tick_params(labelbottom=True)
+    add_legend(figure, [grid[0, 0]])
+    count = describe_counts(rows, ["detector", "follow", "followers"])
+    caption = (
+        "Percent of episodes in which the head is the only candidate. "
+        f"{count} episodes a point; bars are 95 % Wilson intervals. Circles: 1,000 runs."
+    )
+    save_figure(figure, path, "Detection rate of P1, one cluster", caption)
+
+
+def main(argv: list[str] | None = None) -> None:
+    parser = parse(__doc__, RESULTS / "paper" / "table2.csv.gz")
+    parser.add_argument("--detector", action="append", help="may repeat; by default those of the table")
+    parser.add_argument("--cells", default=",".join(FOLLOW), help="such as f1:2,f4:15 or f1; by default all 70")
+    parser.add_argument("--episodes", type=int, help=f"of each cell; by default {MANY} up to m = 15, else {FEW}")
+    parser.add_argument("--decoys", type=int, default=0)
+    parser.add_argument("--mobility", default="iid")
+    parser.add_argument("--head-jitter", action="store_true")
+    given = parser.parse_args(argv)
+    words = [word.partition(":") for word in given.cells.split(",")]
+    cells = [(follow, int(size)) for follow, _, chosen in words for size in ([chosen] if chosen else FOLLOWERS)]
+    flight: Game = {"decoys": given.decoys, "mobility": given.mobility, "head_jitter": given.head_jitter}
+    if not given.draw:
+        tasks = list_tasks(given.detector or list(DETECTORS), cells, flight, given.episodes)
+        measure(given.rows, tasks, partial(play, seed=given.seed), given.workers)
+    draw(read_rows(given.rows), given.images / "detection-rates.png")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,178 @@
+"""The tables of the paper's algorithms, beside what the paper says: P1, P2, purity, metric learning."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from paper.shared import RESULTS, read_rows
+from pivot import Say, across, markdown, mean, median, pivot, rate, size
+
+from usnet_env.evaluation import TRIVIAL
+
+DATA = Path(__file__).parent / "paper" / "data"
+
+
+@cache
+def read_table2() -> pd.DataFrame:
+    """The rows of P1, with the paper's 1,000 runs of each cell as rows of the detector ``the paper``."""
+    rates = pd.read_csv(DATA / "table2_detection_rate.csv")
+    runs = [
+        {"detector": "the paper", "follow": cell.ifs, "followers": cell.followers, "episode": np.arange(1000)}
+        | {"hit": (np.arange(1000) < round(10 * cell.detection_rate_percent)).astype(int)}
+        for cell in rates.itertuples()
+    ]
+    paper = pd.DataFrame(runs).explode(["episode", "hit"]).astype({"episode": int, "hit": int})
+    paper = paper.assign(decoys=0, mobility="iid", head_jitter=False)
+    rows = pd.concat([paper, read_rows(RESULTS / "paper" / "table2.csv.gz")])
+    heads = rows.mobility + np.where(rows.head_jitter, " with jitter", "")
+    return rows.assign(heads=heads, chance=1 / (rows.followers + 1 + rows.decoys)).sort_values(
+        ["mobility", "head_jitter", "decoys"],
+        key=lambda values: values != "iid" if values.name == "mobility" else values,
+        kind="stable",
+    )
+
+
+def table2_block() -> str:
+    """Table II beside ours, and all settings of heads and decoys over all cells."""
+    rows = read_table2()
+    overview = pivot(
+        rows,
+        {"detector": "detector", "heads": "heads", "decoys": "decoys"},
+        {
+            "cells": lambda part: str(len(part.groupby(["follow", "followers"]))),
+            "n": size,
+            "head alone named": rate("hit"),
+            "lowest cell": lambda part: f"{100 * part.groupby(['follow', 'followers']).hit.mean().min():.1f} %",
+            "one UAV at random": lambda part: f"{100 * part.chance.mean():.1f} %",
+        },
+    )
+    chosen = rows[(rows.heads == "iid") & (rows.decoys == 0)].sort_values("follow", kind="stable")
+    sizes = sorted(set(chosen.followers))
+    columns = across("followers", sizes, _short_rate, "m={}")
+    return f"{overview}\n\n{pivot(chosen, {'f': 'follow', 'detector': 'detector'}, columns)}"
+
+
+def _short_rate(rows: pd.DataFrame) -> str:
+    return rate("hit")(rows).replace(" %", "") + f"; {len(rows)}" if len(rows) else ""
+
+
+@cache
+def read_rounds() -> pd.DataFrame:
+    """The rows of P2 with the paper's heads, trivial policies last."""
+    rows = read_rows(RESULTS / "paper" / "rounds.csv.gz")
+    rows = rows[(rows.mobility == "iid") & ~rows.head_jitter]
+    return rows.sort_values("detector", key=lambda names: names.isin(TRIVIAL).astype(str) + names, kind="stable")
+
+
+def rounds_block() -> str:
+    """A table for each study of P2, below what the paper says."""
+    rows, parts = read_rounds(), []
+    studies = {
+        "follow": ("f", "Against the follow strategy (M = 5, N = 82)", (rows.clusters == 5) & (rows.uavs == 82)),
+        "clusters": ("M", "Against the number of clusters (f1, N = 82)", (rows.follow == "f1") & (rows.uavs == 82)),
+        "uavs": ("N", "Against the number of UAVs (f3, M = 5)", (rows.follow == "f3") & (rows.clusters == 5)),
+        "example": ("N", "The example (f1, M = 8, N = 185)", rows.uavs == 185),
+    }
+    columns: dict[str, Say] = {
+        "n": size,
+        "rounds": mean("rounds"),
+        "redundant, % of N": mean("redundancy", 2, 100),
+        "J_m": mean("J"),
+        "finished": rate("success"),
+        "exact": rate("exact"),
+    }
+    words = pd.read_csv(DATA / "multi_cluster_in_words.csv", index_col="study").words
+    for study, (heading, title, chosen) in studies.items():
+        column = "uavs" if study == "example" else study
+        part = rows[chosen].sort_values(column, kind="stable")
+        table = pivot(part, {heading: column, "detector": "detector"}, columns)
+        parts += [f"### {title}", f"The paper, in words: {words[study]}.", table]
+    return "\n\n".join([*parts, _found_by_round(rows[rows.uavs == 185])])
+
+
+def _found_by_round(rows: pd.DataFrame) -> str:
+    """Candidates of each round of the example, and heads found until then."""
+
+    def say(number: int) -> Say:
+        def text(part: pd.DataFrame) -> str:
+            named, hits = (
+                part[name].astype(str).str.split().map(lambda one: [*map(int, one)]) for name in ("named", "hits")
+            )
+            candidates = named.map(lambda one: one[number] if number < len(one) else 0)
+            return f"{candidates.mean():.1f} / {100 * hits.map(lambda one: sum(one[: number + 1])).mean() / 8:.0f}"
+
+        return text
+
+    columns = {f"round {number + 1}": say(number) for number in range(4)}
+    about = "Candidates of a round / share of the 8 heads found until then, %; the paper has 8 / 75 and 2 / 100:"
+    return f"{about}\n\n{pivot(rows, {'detector': 'detector'}, {'n': size, **columns})}"
+
+
+def purity_block() -> str:
+    """Purity of every clusterer over f1 to f7."""
+    columns: dict[str, Say] = {
+        "n": size,
+        "clusters found": mean("found", 1),
+        "purity": mean("purity"),
+        "head-in-cluster": mean("head_in_cluster"),
+        "seconds": median("seconds"),
+    }
+    rows = read_rows(RESULTS / "paper" / "purity.csv.gz")
+    rows = rows.sort_values("count", key=lambda counts: counts != "given", kind="stable")
+    return pivot(rows, {"clusterer": "clusterer", "M": "count", "features": "features"}, columns)
+
+
+def losses_block() -> str:
+    """First and last losses of metric learning by start; the mean of each training is one value."""
+    rows = read_rows(RESULTS / "paper" / "metric_learning.csv.gz")
+    rows["online"] = rows.follow != "off-line"
+    last = rows.groupby("online").step.transform("max") - rows.step
+
+    def say(chosen: pd.Series) -> Say:
+        def text(part: pd.DataFrame) -> str:
+            losses = part[chosen.loc[part.index]].groupby("training", as_index=False).loss.mean()
+            return mean("loss", 3, group="training")(losses)
+
+        return text
+
+    columns = {
+        "trainings": lambda part: str(part.training.nunique()),
+        "off line, last 50 episodes": say(~rows.online & (last < 50)),
+        "on line, step 0": say(rows.online & (rows.step == 0)),
+        "on line, last 10 steps": say(rows.online & (last < 10)),
+    }
+    return pivot(rows.sort_values("start", kind="stable"), {"start": "start"}, columns)
+
+
+def paper_algorithms() -> str:
+    """The paper's algorithms: its own numbers, and those of the printed algorithms here."""
+    rows = read_table2()
+    iid = rows[rows.heads == "iid"]
+    cells = {"no decoy": iid[(iid.decoys == 0) & (iid.followers == 2)]}
+    cells["1 decoy"] = iid[(iid.decoys == 1) & iid.followers.isin([2, 15])]
+    games = read_rounds()
+    games = games[(games.clusters == 5) & (games.uavs == 82)]
+    words = pd.read_csv(DATA / "multi_cluster_in_words.csv", index_col="study").loc["follow"]
+
+    def hits(name: str) -> list[str]:
+        return [rate("hit", count=True)(part[part.detector == name]) for part in cells.values()]
+
+    def cost(name: str) -> str:
+        part = games[games.detector == name]
+        return f"{mean('J')(part)}; {len(part)}"
+
+    least, most = (words[f"rounds_{end}"] + words[f"redundant_{end}"] / 82 for end in ("low", "high"))
+    chance = [f"{100 * part[part.detector == 'gassl'].chance.mean():.1f} %, computed" for part in cells.values()]
+    body = [
+        ["the paper", *hits("the paper"), f"{least:.2f}–{most:.2f}; –"],
+        ["`gassl` and `mc-gassl`, as printed", *hits("gassl"), cost("mc-gassl")],
+        ["`random`, one UAV a round", *chance, cost("random")],
+        ["`destroy-all`", "0 %, computed", "0 %, computed", cost("destroy-all")],
+    ]
+    single = [
+        f"P1, m = {sizes}, {name}: head alone named" for name, sizes in zip(cells, ("2", "2 and 15"), strict=True)
+    ]
+    return markdown(("the paper's algorithms", *single, "P2, M = 5, N = 82: J_m"), body)

@@ -1,0 +1,131 @@
+"""The programs that play suites, recorded tracks and speeds, each at a tiny size."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+import speed
+import suites
+import tracks
+from paper.shared import RESULTS, read_rows
+
+from usnet_env.evaluation import load_suite
+from usnet_env.evaluation.play import episode_seeds
+
+
+@pytest.fixture
+def suite():
+    return load_suite("paper")
+
+
+def make_rows(suite, detector, episodes=2, J=1.0):
+    return pd.DataFrame(
+        [
+            {"cell": cell, "detector": detector, "episode": episode, "swarm_seed": 100 + episode, "J": J, "exact": 1}
+            | {"f1_first": 1.0, "seconds_per_round": 0.1234567, "error": "", "rounds": 1}
+            for cell in suite.cells
+            for episode in range(episodes)
+        ]
+    )
+
+
+def test_added_rows_replace_those_of_the_same_detector(suite, tmp_path):
+    path = tmp_path / "paper.csv.gz"
+    suites.pack(suite, [make_rows(suite, "b"), make_rows(suite, "a", J=3.0)], path)
+    suites.pack(suite, [make_rows(suite, "a", episodes=1, J=2.0)], path)
+    rows = read_rows(path)
+    assert list(rows) == list(suites.COLUMNS)
+    assert list(dict.fromkeys(rows["cell"])) == list(suite.cells)
+    assert rows.groupby("detector").size().to_dict() == {"a": len(suite.cells), "b": 2 * len(suite.cells)}
+    assert set(rows[rows.detector == "a"].J) == {2.0}
+    assert set(rows.seconds_per_round) == {0.1235}
+
+
+def test_a_failed_episode_keeps_its_reason(suite, tmp_path):
+    path = tmp_path / "paper.csv.gz"
+    rows = make_rows(suite, "a")
+    rows.loc[0, ["J", "exact", "f1_first", "seconds_per_round"]] = float("nan")
+    rows.loc[0, "error"] = "it took too long."
+    suites.pack(suite, [rows], path)
+    kept = read_rows(path)
+    assert kept.error.notna().sum() == 1
+    assert kept[kept.error.notna()][["J", "exact"]].isna().all().all()
+
+
+def test_rows_of_other_swarms_or_with_gaps_are_refused(suite, tmp_path):
+    path = tmp_path / "paper.csv.gz"
+    suites.pack(suite, [make_rows(suite, "a")], path)
+    content = path.read_bytes()
+    with pytest.raises(ValueError, match="swarms"):
+        suites.pack(suite, [make_rows(suite, "b").assign(swarm_seed=7)], path)
+    with pytest.raises(ValueError, match="episodes"):
+        suites.pack(suite, [make_rows(suite, "b").drop(index=0)], path)
+    with pytest.raises(ValueError, match="all cells"):
+        suites.pack(suite, [make_rows(suite, "b").query("cell == 'f1'")], path)
+    assert path.read_bytes() == content
+
+
+@pytest.mark.parametrize("name", ["paper", "controls", "sensing", "field", "scale"])
+def test_the_printed_seed_is_that_of_the_committed_swarms(name, capsys):
+    suites.main([name, "--print-seed"])
+    seed, suite = int(capsys.readouterr().out), load_suite(name)
+    rows = read_rows(RESULTS / "suites" / f"{name}-v{suite.version}.csv.gz").drop_duplicates("episode")
+    assert [episode_seeds(seed, episode)[0] for episode in rows.episode] == list(rows.swarm_seed)
+
+
+def test_a_suite_is_played_and_packed(tmp_path):
+    words = ["--detector", "destroy-all", "--episodes", "1", "--out", str(tmp_path / "out"), "--results", str(tmp_path)]
+    suites.main(["paper", *words, "--seed", "5"])
+    (path,) = tmp_path.glob("*.csv.gz")
+    rows = read_rows(path)
+    assert len(rows) == len(load_suite("paper").cells)
+    assert set(rows.swarm_seed) == {episode_seeds(5, 0)[0]}
+    assert not rows.exact.any()
+    assert rows.J.between(1, 2).all()
+    (folder,) = (tmp_path / "out" / "paper").iterdir()
+    suites.main(["paper", "--add", str(folder), "--results", str(tmp_path / "added")])
+    assert (tmp_path / "added" / path.name).read_bytes() == path.read_bytes()
+
+
+def test_recorded_tracks_are_compared_with_their_leaders(tmp_path):
+    rng, lines = np.random.default_rng(0), ["id,t,x,y,leader"]
+    flown = np.cumsum(rng.normal(0, 1, (400, 2)), axis=0)
+    for k in range(1, 400):  # two ids repeat the flight of `lead` one sample later, 50 m away
+        lines += [
+            f"{name},{k / 2},{flown[k - 1][0]},{flown[k - 1][1] + away},lead" for name, away in (("a", 50), ("b", 90))
+        ]
+        lines.append(f"lead,{k / 2},{flown[k][0]},{flown[k][1]},")
+    folder = tmp_path / "data" / "birds"
+    folder.mkdir(parents=True)
+    (folder / "flight.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    path = tmp_path / "tracks.csv.gz"
+    words = [str(tmp_path / "data"), "--rows", str(path)]
+    tracks.main([*words, "--detector", "destroy-all", "--detector", "lagged-regression"])
+    rows = read_rows(path)
+    assert set(rows["set"] + "/" + rows.recording) == {"birds/flight"}
+    assert set(rows.chosen) == {0, 1}
+    assert set(rows.heads) == {1}
+    everyone, found = (rows[rows.detector == name] for name in ("destroy-all", "lagged-regression"))
+    assert (set(everyone.named), set(everyone.named_heads)) == ({3}, {1})
+    assert (found[found.chosen == 0].group_leader == 1).all()
+
+
+def test_speed_keeps_the_parts_that_are_not_measured(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(speed, "EPISODES", 2)
+    monkeypatch.setattr(speed, "DETECTORS", ("factions",))
+    path = tmp_path / "speed.json"
+    path.write_text(json.dumps({"field": {"kept": 1}}), encoding="utf-8")
+    speed.main(["--parts", "kinematics", "detectors", "--turns", "1", "--out", str(path)])
+    found = json.loads(path.read_text(encoding="utf-8"))
+    assert found["field"] == {"kept": 1}
+    assert set(found["kinematics"]) == {"varied_speed", "lagged", "limited", "layered"}
+    assert all(row["ratio"] > 0 for row in found["kinematics"].values())
+    assert set(found["detectors"]) == set(speed.DETECTORS)
+    assert "kinematics" in capsys.readouterr().out
+
+
+def test_each_way_to_evaluate_is_compared_with_a_loop():
+    found = speed.evaluation(turns=1, episodes=1)
+    assert len(found) == 4
+    assert all(len(row["ratios"]) == 1 and row["ratio"] > 0 for row in found.values())
