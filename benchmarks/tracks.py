@@ -17,13 +17,13 @@ from zlib import crc32
 import numpy as np
 import pandas as pd
 from paper.shared import RESULTS, parse, write_rows
-from usnet_env.tracks.confirm import confirm_leaders
 
 from usnet_env import make_detector
 from usnet_env.detection import fit_window
 from usnet_env.objectives import find_roots, group_leader_accuracy
 from usnet_env.plugins import detector_label
 from usnet_env.tracks import read_tracks
+from usnet_env.tracks.confirm import confirm_leaders
 
 LENGTH, MOST, STEP = 100, 12, 0.5
 DETECTORS = (
