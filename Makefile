@@ -56,7 +56,7 @@ docs: $(INSTALLED)  ## build the pages in docs/_build/
 	$(BIN)/sphinx-build -W --keep-going -q docs docs/_build
 
 clean:  ## remove build outputs and caches; runs/ and the virtual environment stay
-	rm -rf docs/_build build dist .coverage htmlcov .pytest_cache .mypy_cache .ruff_cache .hypothesis \
+	rm -rf docs/_build docs/generated build dist .coverage htmlcov .pytest_cache .mypy_cache .ruff_cache .hypothesis \
 		.import_linter_cache
 	find usnet_env detectors tests docs benchmarks examples -name __pycache__ -prune -exec rm -rf {} +
 

@@ -159,7 +159,7 @@ def tracks_block() -> str:
     }
     for (name, chosen), part in rows.groupby(["set", "chosen"], sort=False):
         steps = f"{part.step.min():g} to {part.step.max():g} s, chosen from each file" if chosen else "0.5 s, given"
-        parts += [f"### {titles[name]}; step {steps}", pivot(part, {"detector": "detector"}, columns)]
+        parts += [f"## {titles[name]}; step {steps}", pivot(part, {"detector": "detector"}, columns)]
     return "\n\n".join(parts)
 
 
