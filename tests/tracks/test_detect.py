@@ -57,7 +57,7 @@ def test_no_id_leads_a_leaderless_flock(folder):
     found = find_leaders(read_tracks(folder / "leaderless.csv"))
     assert leaders_by_window(found) == [[]] * 5
     assert found.leaders == ()
-    assert [row["id"] for row in found.rows()] == [None] * 5
+    assert found.tables()["windows"]["id"].isna().tolist() == [True] * 5
 
 
 def test_a_leader_is_confirmed_by_followers_that_move_like_it_later(folder):
@@ -180,7 +180,7 @@ def test_ids_that_are_seen_too_little_are_named(folder, run, tmp_path):
     _, out, err = run("detect", tmp_path / "gap.csv", *QUICK, "--window", "250")
     for words in ("12 ids", "The step is 0.5 s", "The last 49.5 s are in no window.", "bird-0", "Over the file"):
         assert words in out
-    assert err.startswith("usnet: warning: 1 gap is")
+    assert err.startswith("usnet: warning: 1 gap longer")
 
 
 def test_a_leader_that_chance_may_have_made_is_called_so(folder):

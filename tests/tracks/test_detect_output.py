@@ -40,17 +40,6 @@ def test_files_of_an_earlier_run_do_not_stay(run, tmp_path):
     assert not [path.name for path in out.iterdir() if path.name.endswith(".lock")]
 
 
-def test_parquet_files_with_and_without_leaders_have_the_same_schema(run, tmp_path):
-    pyarrow = pytest.importorskip("pyarrow")
-    parquet = pytest.importorskip("pyarrow.parquet")
-    for name, make in (("led", flock), ("not", leaderless)):
-        assert run("detect", make(tmp_path / f"{name}.csv"), *QUICK, "--out", tmp_path / name)[0] == 0
-    for table in ("windows", "leaders", "links"):
-        both = [parquet.read_table(tmp_path / name / f"{table}.parquet") for name in ("led", "not")]
-        assert both[0].schema == both[1].schema
-        assert pyarrow.concat_tables(both).num_rows == both[0].num_rows + both[1].num_rows
-
-
 def test_odd_ids_are_drawn_and_written_as_plain_text(run, tmp_path):
     """Formulas of Matplotlib and of spreadsheets, tags of Rich, and characters that control a terminal."""
     pytest.importorskip("matplotlib")

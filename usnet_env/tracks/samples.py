@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
-from decimal import Decimal
 from typing import Any
 
 import numpy as np
@@ -20,8 +18,6 @@ _DIGITS = 9  # decimals of a time that is written as a number, where float64 has
 _EPOCH = datetime(1970, 1, 1)
 _UNIT_NAMES = {1.0: "s", 1e-3: "ms", 1e-6: "µs", 1e-9: "ns", 60.0: "min", 3600.0: "h"}
 _NO_VALUE = {"", "na", "n/a", "nan", "null", "none", "nat"}
-_RECORDED = (315_532_800, 4_102_444_800)  # seconds from 1970 to 1980 and to 2100
-_DECIMAL = re.compile(r"[+-]?[0-9]+(\.[0-9]*)?")
 
 
 @dataclass(frozen=True)
@@ -34,8 +30,6 @@ class Clock:
         timestamps: whether the file's times are dates with a time of day; they are written as ISO 8601 in UTC.
         whole: whether the file's times are whole numbers.
         frames: whether the file's times are numbers of frames.
-        likely_unit: 0.001, 1e-6 or 1e-9 seconds, if the times were read as seconds because no unit was given, but their
-            numbers or the name of their column say this unit; otherwise ``None``.
     """
 
     origin: float = 0.0
@@ -43,7 +37,6 @@ class Clock:
     timestamps: bool = False
     whole: bool = False
     frames: bool = False
-    likely_unit: float | None = None
 
     @property
     def unit_name(self) -> str:
@@ -71,7 +64,6 @@ class Samples:
     time: Floats
     position: Floats
     origin: Floats
-    velocity: Floats | None = None
     leader: Indices | None = None
     clock: Clock = Clock()
     frame: str = "metres"
@@ -117,15 +109,20 @@ def sort_samples(
     *,
     clock: Clock = Clock(),
     origin: Floats | None = None,
-    velocity: Floats | None = None,
     leader: Indices | None = None,
     notes: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Sort samples by id and time, and move the origin of time and space to the first sample and the middle.
 
-    The arguments are those of :class:`Samples`, but for ``codes`` ``(S,)``, index of the id of each sample; ``time``
-    ``(S,)`` in the clock's unit, or in seconds for timestamps; ``axes``, the two or three coordinates ``(S,)``; and
-    ``origin``, if the positions are relative to it already.
+    Args:
+        ids: the N ids.
+        codes: ``(S,)`` index of the id of each sample.
+        time: ``(S,)`` in the clock's unit, or in seconds for timestamps.
+        axes: the two or three coordinates, ``(S,)`` metres.
+        clock: the clock, as in :class:`Samples`; so are all others.
+        origin: that of the coordinates, if they are relative to one already.
+        leader: ``(S,)`` index of the leader, or ``None``.
+        notes: sentences.
 
     Returns:
         The fields of :class:`Samples` but for ``frame`` and ``step``. Repeated samples are left out, with a note.
@@ -167,7 +164,6 @@ def sort_samples(
         "time": time,
         "position": position,
         "origin": origin,
-        "velocity": None if velocity is None else velocity[order],
         "leader": None if leader is None else leader[order],
         "clock": clock,
         "notes": tuple(notes),
@@ -197,12 +193,12 @@ def match_leaders(
         sentence about each kind of leader that was not found.
     """
     same = {str(name): k for k, name in enumerate(ids)}
-    equal: dict[Decimal | None, int] = {}
+    equal: dict[float | None, int] = {}
     for text, k in same.items():
         equal[_to_number(text)] = -1 if _to_number(text) in equal else k
     equal[None] = -1
-    texts = list(map(str, labels))
-    known, notes = np.array([same.get(text, equal.get(_to_number(text), -1)) for text in texts], np.int64), []
+    known = np.array([same.get(text, equal.get(_to_number(text), -1)) for text in map(str, labels)], np.int64)
+    notes = []
     unknown = [label for label, k in zip(labels, known, strict=True) if k < 0 and not is_none(label)]
     if unknown:
         notes.append(f"Leaders without a track: {len(unknown)} ({', '.join(map(str, unknown[:3]))}).")
@@ -217,13 +213,11 @@ def is_none(value: Any) -> bool:
     return str(value).strip().lower() in _NO_VALUE
 
 
-def is_epoch(time: float, unit: float) -> bool:
-    """Whether ``time`` units of ``unit`` seconds after 1970 are a date from 1980 to 2100."""
-    return _RECORDED[0] <= time * unit <= _RECORDED[1]
-
-
-def _to_number(text: str) -> Decimal | None:
-    return Decimal(text) if _DECIMAL.fullmatch(text) else None
+def _to_number(text: str) -> float | None:
+    try:
+        return None if is_none(text) else float(text)
+    except ValueError:
+        return None
 
 
 def _count_decimals(number: float) -> int:
