@@ -28,14 +28,6 @@ def test_names_of_columns_are_guessed_or_mapped(tmp_path, header, options):
     assert f"id = {header[0]}" in str(read.report())
 
 
-@pytest.mark.parametrize("lonely", ["lon", "lat"])
-def test_half_a_pair_of_coordinates_is_not_read(tmp_path, lonely):
-    plain = read_tracks(write_csv(tmp_path / "plain.csv", HIGH))
-    read = read_tracks(write_csv(tmp_path / "tracks.csv", [[*row, 5.0] for row in HIGH], [*HEADER, "z", lonely]))
-    np.testing.assert_array_equal(read.position, plain.position)
-    assert (read.frame, read.dimensions) == ("metres", 3)
-
-
 def test_the_columns_that_the_caller_names_are_read(tmp_path):
     path = write_csv(tmp_path / "both.csv", [[*row, 10.0, 50.0] for row in HIGH], [*HEADER, "z", "lon", "lat"])
     assert read_tracks(path).frame != "metres"
@@ -75,12 +67,6 @@ def test_decimal_commas_are_read(run, tmp_path, delimiter):
     np.testing.assert_array_equal(read.time, expected.time)
     assert "--decimal ," in run("detect", path)[2]
     assert run("detect", path, "--decimal", ",", "--window", "10", *QUICK)[0] == 0
-
-
-def test_ids_and_timestamps_keep_their_commas(tmp_path):
-    rows = [[f"{row[0]},5", f"2024-05-01T12:00:{row[1]:06.3f}".replace(".", ","), *map(comma, row[2:])] for row in ROWS]
-    read = read_tracks(write_csv(tmp_path / "tracks.csv", rows, delimiter=";"), decimal=",")
-    assert (read.ids[0], read.duration) == ("a,5", 9.5)
 
 
 @pytest.mark.parametrize(("decimal", "refused"), [(".", "1,5"), (",", "2.5")])

@@ -21,16 +21,6 @@ def leaderless(path):
     return write_csv(path, [row[:4] for row in example().leaderless()])
 
 
-def test_a_folder_that_cannot_be_written_is_refused_before_the_work(run, tmp_path):
-    tracks, taken = flock(tmp_path / "flock.csv"), tmp_path / "taken"
-    taken.write_text("a file")
-    for out in (taken, taken / "inside"):
-        status, printed, err = run("detect", tracks, *QUICK, "--out", out)
-        assert (status, printed) == (2, "")
-        assert err.startswith("usnet: out must be a folder that can be written, got ")
-    assert taken.read_text() == "a file"
-
-
 def test_files_of_an_earlier_run_do_not_stay(run, tmp_path):
     out = tmp_path / "out"
     assert run("detect", flock(tmp_path / "flock.csv"), *QUICK, "--out", out, "--record")[0] == 0

@@ -65,8 +65,3 @@ def test_the_legend_names_what_is_shown(tmp_path):
     rows = [row[:4] for row in example().leaderless()]
     without = draw(read_tracks(write_csv(tmp_path / "none.csv", rows)), "none")
     assert legend_of(without) == ["other (no leader found)"]
-    frames = [[row[0], round(2 * row[1]), *row[2:4]] for row in example().flock()]
-    path = write_csv(tmp_path / "frames.csv", frames, ["id", "frame", "x", "y"])
-    figure = draw(read_tracks(path, time_unit=0.5).resample(0.5), "lagged-regression")
-    assert figure.axes[0].get_title(loc="left") == "0 to 100 frames"
-    assert figure.axes[-1].get_title(loc="left").endswith("in frames below")

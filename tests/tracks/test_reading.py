@@ -190,14 +190,6 @@ def test_gpx_files(tmp_path):
     assert "at least 2 ids" in refusal(tmp_path / "none.gpx")
 
 
-def test_a_gpx_file_with_a_long_token_is_read_at_once(tmp_path):
-    """Old versions of expat take minutes for a long token that comes in many pieces."""
-    track = '<trk><name>{}</name><trkseg><trkpt lat="1" lon="2"><time>2024-05-01</time></trkpt></trkseg></trk>'
-    text = f"<gpx><!--{' ' * 2**23}-->{track.format('a')}{track.format('b')}</gpx>"
-    (tmp_path / "tracks.gpx.gz").write_bytes(gzip.compress(text.encode()))
-    assert read_tracks(tmp_path / "tracks.gpx.gz").ids == ("a", "b")
-
-
 def write_ulog(path, north):
     """A ULog file with four samples of ``vehicle_local_position``, 0.5 s apart: north, east 2 m, up 10 m."""
 

@@ -48,12 +48,6 @@ def test_times_every_tenth_of_a_second_are_exact(run, tmp_path, epoch):
     assert delays <= {None, *(k / 10 for k in range(13))}
 
 
-def test_milliseconds_since_1970_are_exact(tmp_path):
-    rows = [[row[0], 1278580320000 + 100 * k // 3, *row[2:]] for k, row in enumerate(rows_of(straight()))]
-    read = read_tracks(write_csv(tmp_path / "tracks.csv", rows), time_unit=0.001)
-    np.testing.assert_allclose(read.time, np.round(read.time, 3), atol=1e-12)
-
-
 @pytest.mark.parametrize(("unit", "number"), [(1e3, "0.001"), (1e6, "1e-06"), (1e9, "1e-09")])
 def test_times_that_are_no_seconds_are_reported_and_not_changed(run, tmp_path, unit, number):
     begin = 1714720000

@@ -120,24 +120,6 @@ def test_a_leader_column_becomes_indices_in_the_window():
     assert cut.leader.tolist() == [-1, 4, 4, -1, -1, -1]
 
 
-def followed(ids, leader):
-    """The tracks of ids with one sample each, and the id that each follows."""
-    made = Tracks.from_samples(ids, np.zeros(len(ids)), np.eye(len(ids))[:, :2], leader)
-    return made, None if made.leader is None else [made.ids[k] if k >= 0 else None for k in made.leader]
-
-
-def test_leaders_are_matched_to_ids_as_in_files():
-    assert followed([1, "a"], [1, 1])[1] == [None, "1"]
-    assert followed([1, 2], ["", "1"])[1] == [None, 1]
-    assert followed(["1", "2"], [2, 2])[1] == ["2", None]
-    made, leaders = followed([1, 2], [7, 1])
-    assert leaders == [None, 1]
-    assert made.notes == ("Leaders without a track: 1 (7).",)
-    made, leaders = followed([1, 2], [7, 8])
-    assert leaders is None
-    assert made.notes[1] == "No leader has a track: it is not known who leads."
-
-
 @pytest.mark.parametrize("delay", [1, 3, 30])
 def test_the_step_puts_the_delay_at_1_to_4_samples(delay):
     tracks = dense(wandering(steps=1500, delay=delay))

@@ -45,16 +45,10 @@ _COMMA = re.compile(r"\s*[+-]?(\d*,\d+|\d+,)([eE][+-]?\d+)?\s*")
 
 
 def choose_columns(header: Sequence[str], mapping: Mapping[Any, str], where: str) -> dict[str, str]:
-    """Choose the column of each role.
+    """Choose the name of the column of each role: x and y or lon and lat, t or frame, and others.
 
-    Args:
-        header: the names of the columns.
-        mapping: the names of columns by role that the caller has given; ``""`` leaves out a role.
-        where: the file, for messages.
-
-    Returns:
-        The name of the column by role: either ``x`` and ``y`` or ``lon`` and ``lat``, and ``t`` or ``frame``. Degrees,
-        which name their datum, go before x and y, unless the caller names these.
+    Degrees, which name their datum, go before x and y, unless the caller's ``mapping`` of roles to names has these;
+    there, ``""`` leaves out a role. ``where`` names the file in messages.
 
     Raises:
         ArgumentError: a column is missing, its name stands twice in the header, or two roles have one column.
@@ -99,17 +93,7 @@ def _normalise(name: str) -> str:
 
 
 def read_numbers(column: pd.Series[Any], role: str, where: str, decimal: str = ".") -> Floats:
-    """The numbers of a column, ``(rows,)``, or its timestamps as microseconds since 1970; NaN where there is none.
-
-    Args:
-        column: what the file holds; its name is that of the column.
-        role: of the column.
-        where: the file, for messages.
-        decimal: the decimal sign in texts.
-
-    Raises:
-        ArgumentError: a value is no number, or too large.
-    """
+    """The numbers of a column, ``(rows,)``, or its timestamps as microseconds since 1970; NaN where there is none."""
     if column.dtype.kind in "fiu":
         numbers = column.to_numpy(np.float64)
     else:
@@ -168,11 +152,7 @@ def read_labels(column: pd.Series[Any]) -> NDArray[np.object_]:
 
 
 def refuse_cell(role: str, column: pd.Series[Any], cell: Any, where: str) -> NoReturn:
-    """Refuse a value of a column.
-
-    Raises:
-        ArgumentError: always; the sentence says what the values must be, and which option may help.
-    """
+    """Refuse a value of a column; the sentence says what the values must be, and which option may help."""
     limit = _LIMITS.get(role, _LARGEST)
     must = "a text or a number" if role == "id" else f"a number from {-limit:g} to {limit:g}"
     must += ", or an ISO 8601 timestamp throughout," * (role in TIMES)

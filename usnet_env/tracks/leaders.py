@@ -131,12 +131,11 @@ class FoundLeaders:
         return values
 
     def tables(self) -> dict[str, pd.DataFrame]:
-        """Three tables of text, numbers and ids, as they are written to CSV.
+        """Three tables, as they are written to CSV: ``windows``, ``leaders`` and ``links``.
 
-        ``windows`` has a row for each leader of each window, and one without an id for a window without leaders;
-        ``leaders`` one for each leader over the file; ``links`` one for each follower of each window. Lists of ids are
-        joined by semicolons; a semicolon or a backslash in an id has a backslash before it. A text that a spreadsheet
-        would read as a formula has an apostrophe before it.
+        A window without leaders has one row without an id. Lists of ids are joined by semicolons; a semicolon or a
+        backslash in an id has a backslash before it. A text that a spreadsheet would read as a formula has an
+        apostrophe before it.
         """
         rows: dict[str, list[dict[str, Any]]] = {"leaders": [vars(leader) for leader in self.leaders]}
         rows["windows"] = [
@@ -282,11 +281,8 @@ def _number_groups(found: list[Group], known: list[Group]) -> list[int]:
     """Number the groups of a window from 1, so that a group keeps its number from window to window.
 
     A group has the number of the earlier group with which it shares the most members; a common leader counts as a
-    quarter of them. It has a new number if it shares less than a quarter with each.
-
-    Args:
-        found: the groups of the window.
-        known: each group as it was found last, in the order of the numbers; updated in place.
+    quarter of them. It has a new number if it shares less than a quarter with each. ``known`` holds each group as it
+    was found last, in the order of the numbers, and is updated.
     """
     share = np.zeros((len(found), len(known)))
     for k, (head, now) in enumerate(found):
@@ -307,11 +303,8 @@ def _summarise(
 ) -> tuple[Leader, ...]:
     """The leaders over the file, the one with the most windows first.
 
-    Args:
-        windows: all windows.
-        ids: the ids of the tracks.
-        seen: ``(N,)`` number of windows that hold each id, or ``None`` if the leaders are not confirmed.
-        sure: whether the detector gives probabilities in all windows.
+    ``seen`` ``(N,)`` is the number of windows that hold each id, or ``None`` if the leaders are not confirmed; ``sure``
+    says whether the detector gives probabilities in all windows.
     """
     row = {name: k for k, name in enumerate(ids)}
     entries_of: dict[tuple[int, int], list[Leader]] = {}  # by the group and the row of its leader

@@ -32,7 +32,7 @@ def draw_leaders(found: FoundLeaders, cuts: Iterable[TrackWindow], title: str, t
         found: the leaders.
         cuts: all windows; up to six are drawn, evenly spread, those with leaders first.
         title: what the tracks are.
-        tracks: the tracks, which say where their origin is and the unit of their times.
+        tracks: the tracks, which say where their origin is.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -59,11 +59,10 @@ def draw_leaders(found: FoundLeaders, cuts: Iterable[TrackWindow], title: str, t
             marks |= present
             line = "not confirmed: " + ", ".join(names[str(name)] for name in window.not_confirmed)
             line = line if len(line) <= _LONGEST_LINE else f"{line[: _LONGEST_LINE - 1]}…"
-            when = f"{window.start} to {window.end} {tracks.clock.unit_name}".rstrip()
-            text = when + f"\n{line}" * bool(window.not_confirmed)
+            text = f"{window.start} to {window.end}" + f"\n{line}" * bool(window.not_confirmed)
             axes.set_title(drawing.escape_math(text), fontsize=9, loc="left")
             maps.append((axes, place, cut, window))
-    _draw_times(figure.add_subplot(grid[-1, :]), found, names, tracks.clock.unit_name)
+    _draw_times(figure.add_subplot(grid[-1, :]), found, names)
     drawing.draw_legend(maps[columns - 1][0], {mark: marks[mark] for mark in _MARKS if mark in marks})
     with warnings.catch_warnings(action="ignore"):  # the figure's file tells which characters are missing
         figure.draw_without_rendering()
@@ -99,7 +98,7 @@ def _draw_map(axes: Axes, cut: TrackWindow, window: DetectedWindow, tracks: Trac
     return place, {mark: drawing.TRACK_WORDS.get(mark, mark) for mark, who in present.items() if who.any()}
 
 
-def _draw_times(axes: Axes, found: FoundLeaders, names: Mapping[str, str], unit: str) -> None:
+def _draw_times(axes: Axes, found: FoundLeaders, names: Mapping[str, str]) -> None:
     """Draw a row for each leader over the file, with a bar for each window in which it leads."""
     bars, count = found.leaders[:_MOST_ROWS], len(found.windows)
     for row, bar in enumerate(bars):
@@ -110,6 +109,6 @@ def _draw_times(axes: Axes, found: FoundLeaders, names: Mapping[str, str], unit:
     axes.set(xlim=(0, count), ylim=(max(len(bars), 1) - 0.5, -0.5))
     ticks = np.unique(np.linspace(0, count - 1, min(count, 4)).astype(int))
     axes.set_xticks(ticks, [str(found.windows[k].start) for k in ticks], fontsize=8)
-    heading = "Windows in which each id leads (colour = group); time of their start" + f" in {unit}" * bool(unit)
-    axes.set_title(f"{heading} below" if bars else "No leader was found.", fontsize=10, loc="left")
+    heading = "Windows in which each id leads (colour = group), and the times of their start"
+    axes.set_title(heading if bars else "No leader was found.", fontsize=10, loc="left")
     axes.spines[["top", "right"]].set_visible(False)

@@ -10,7 +10,7 @@ import warnings
 import zipfile
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -247,7 +247,13 @@ def _make_tracks(paths: list[Path], parts: list[_Part], options: _Options, where
             f"path must hold the tracks of at least 2 ids, got {where} with {counts['rows']} rows of "
             f"{', '.join(map(quote, ids)) or 'no id'}."
         )
-    time, clock = _read_clock(rows, "frame" if "frame" in names else "t", timestamps, options.time_unit)
+    time = rows["frame" if "frame" in names else "t"].to_numpy()
+    clock = Clock(unit=options.time_unit or 1.0, timestamps=timestamps, whole=bool((time == np.floor(time)).all()))
+    if timestamps:
+        if options.time_unit is not None:
+            raise ArgumentError(f"time_unit must be left out for timestamps, got {options.time_unit:g} (--time-unit).")
+        start = float(time.min())  # whole microseconds: their differences are exact
+        time, clock = (time - start) / 1e6, replace(clock, origin=start / 1e6)
     axes, origin, frame = _place(rows)
     leader = None
     if "leader" in rows:
@@ -274,18 +280,6 @@ def _number(labels: pd.Series[Any]) -> tuple[Indices, tuple[str | int, ...]]:
         labels = labels.astype(str)
     codes, different = pd.factorize(labels)
     return codes.astype(np.int64), tuple(pd.Series(different).tolist())
-
-
-def _read_clock(rows: pd.DataFrame, role: str, timestamps: bool, unit: float | None) -> tuple[Floats, Clock]:
-    """``(S,)`` times in the clock's unit, or in seconds for timestamps."""
-    time = rows[role].to_numpy()
-    whole = bool((time == np.floor(time)).all())
-    if not timestamps:
-        return time, Clock(0.0, unit or 1.0, False, whole, role == "frame")
-    if unit is not None:
-        raise ArgumentError(f"time_unit (--time-unit) must be left out for timestamps, got {unit:g}.")
-    start = float(time.min())  # whole microseconds: their differences are exact
-    return (time - start) / 1e6, Clock(start / 1e6, 1.0, True, whole)
 
 
 def _place(rows: pd.DataFrame) -> tuple[list[Floats], Floats | None, str]:

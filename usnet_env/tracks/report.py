@@ -69,7 +69,7 @@ def _place(tracks: Samples, sample: int) -> str:
 
 def _doubt_time_unit(clock: Clock) -> Iterator[str]:
     """Times that were read as seconds and are probably milliseconds, microseconds or nanoseconds since 1970."""
-    for unit in () if clock.timestamps or clock.frames or clock.unit != 1.0 else (1e-3, 1e-6, 1e-9):
+    for unit in () if clock.timestamps or clock.unit != 1.0 else (1e-3, 1e-6, 1e-9):
         if _RECORDED[0] <= clock.origin * unit <= _RECORDED[1]:
             yield f"Times are read as seconds, but seem to count {unit:g} s since 1970 (--time-unit {unit:g})."
 

@@ -93,13 +93,8 @@ def close_jumps(tracks: SamplesT) -> SamplesT:
     return replace(tracks, position=tracks.position - (moved - moved[first])) if len(jumps) else tracks
 
 
-def resample_positions(
-    tracks: Samples, step: float, max_gap: float | None
-) -> tuple[Indices, Floats, Floats, Indices | None]:
-    """Resample all tracks to the times 0, ``step``, 2 ``step``, ...; see :meth:`Tracks.resample`.
-
-    Returns:
-        The offsets ``(N + 1,)``, times ``(G,)``, positions ``(G, 3)`` and leaders ``(G,)`` or ``None`` of the result.
+def resample_positions(tracks: SamplesT, step: float, max_gap: float | None) -> SamplesT:
+    """The tracks at the times 0, ``step``, 2 ``step``, ...; see :meth:`Tracks.resample`.
 
     Raises:
         ArgumentError: the step is so short that the result has more than 10⁸ samples.
@@ -115,12 +110,12 @@ def resample_positions(
             f"{counts.sum():g} samples."
         )
     grids = [_resample_one(tracks.time[parts[i]], tracks.position[parts[i]], step, max_gap) for i in filled]
-    leader = None
-    if tracks.leader is not None:
-        nearest = [tracks.leader[parts[i]][grid[2]] for i, grid in zip(filled, grids, strict=True)]
-        leader = np.concatenate(nearest)
     times, places = (np.concatenate([grid[k] for grid in grids]) for k in (0, 1))
-    return np.concatenate([[0], np.cumsum(counts)]), times * step, places, leader
+    leader = tracks.leader
+    if leader is not None:
+        leader = np.concatenate([leader[parts[i]][grid[2]] for i, grid in zip(filled, grids, strict=True)])
+    offsets = np.concatenate([[0], np.cumsum(counts)])
+    return replace(tracks, offsets=offsets, time=times * step, position=places, leader=leader, step=step)
 
 
 def _resample_one(
@@ -144,11 +139,9 @@ def _resample_one(
 
 
 def _grid_numbers(at: Floats, step: float, max_gap: float | None) -> tuple[Indices, Indices]:
-    """The grid times at which a track has samples, for sample times ``at`` ``(S,)`` in steps.
+    """The first grid time from each sample on, ``(S,)``, for sample times ``at`` ``(S,)`` in steps, and their number.
 
-    Returns:
-        ``(S,)`` number of the first grid time from each sample on, and ``(S,)`` how many grid times there are from it
-        and before the next sample: all of them if the next sample is close enough, otherwise only the sample's own.
+    They are all grid times before the next sample if that is close enough, otherwise only the sample's own.
     """
     interval = np.diff(at)
     usual = max(_BRIDGE * float(np.quantile(interval, _TYPICAL_SHARE)), 1.0)

@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usnet_env.arrays import Floats, Indices, Mask
-from usnet_env.config import ArgumentError, format_number, quote
+from usnet_env.config import ArgumentError, quote
 
 _DIGITS = 9  # decimals of a time that is written as a number, where float64 has as many
 _EPOCH = datetime(1970, 1, 1)
-_UNIT_NAMES = {1.0: "s", 1e-3: "ms", 1e-6: "µs", 1e-9: "ns", 60.0: "min", 3600.0: "h"}
 _NO_VALUE = {"", "na", "n/a", "nan", "null", "none", "nat"}
 
 
@@ -29,21 +28,12 @@ class Clock:
         unit: seconds in one unit of the file's times; 1 for timestamps.
         timestamps: whether the file's times are dates with a time of day; they are written as ISO 8601 in UTC.
         whole: whether the file's times are whole numbers.
-        frames: whether the file's times are numbers of frames.
     """
 
     origin: float = 0.0
     unit: float = 1.0
     timestamps: bool = False
     whole: bool = False
-    frames: bool = False
-
-    @property
-    def unit_name(self) -> str:
-        """The unit of the file's times, such as ``"s"`` or ``"frames"``; nothing for timestamps."""
-        if self.timestamps or self.frames:
-            return "frames" if self.frames else ""
-        return _UNIT_NAMES.get(self.unit, f"units of {format_number(self.unit)} s")
 
     def file_time(self, seconds: float) -> float | int | str:
         """Write ``seconds`` after the start as a time of the file."""
@@ -114,15 +104,8 @@ def sort_samples(
 ) -> dict[str, Any]:
     """Sort samples by id and time, and move the origin of time and space to the first sample and the middle.
 
-    Args:
-        ids: the N ids.
-        codes: ``(S,)`` index of the id of each sample.
-        time: ``(S,)`` in the clock's unit, or in seconds for timestamps.
-        axes: the two or three coordinates, ``(S,)`` metres.
-        clock: the clock, as in :class:`Samples`; so are all others.
-        origin: that of the coordinates, if they are relative to one already.
-        leader: ``(S,)`` index of the leader, or ``None``.
-        notes: sentences.
+    ``codes`` ``(S,)`` is the index of the id of each sample, ``time`` ``(S,)`` is in the clock's unit, or in seconds
+    for timestamps, and ``axes`` are the two or three coordinates ``(S,)``, relative to ``origin`` if it is given.
 
     Returns:
         The fields of :class:`Samples` but for ``frame`` and ``step``. Repeated samples are left out, with a note.
@@ -177,20 +160,11 @@ def match_leaders(
     ids: Sequence[str | int],
     where: str = "",
 ) -> tuple[Indices | None, list[str]]:
-    """Which id each sample follows.
+    """Which id each sample follows: ``(S,)``, -1 for none, or ``None`` if no leader has a track; and sentences.
 
-    Args:
-        index: ``(S,)`` which of the labels names the leader of each sample.
-        labels: the different labels of leaders. One names the id of the same text, or else of an equal number: ``0.0``,
-            which pandas writes for whole numbers in a column with gaps, is the id 0. A number that equals several ids,
-            such as 1 and 01, is none of them.
-        codes: ``(S,)`` index of the id of each sample.
-        ids: the N ids.
-        where: names the column in a sentence, such as ``" in column leader"``.
-
-    Returns:
-        ``(S,)`` index of each sample's leader, -1 for none; ``None`` if none of those that are named has a track. And a
-        sentence about each kind of leader that was not found.
+    A label, of which ``index`` ``(S,)`` are the numbers, names the id of the same text, or else of an equal number:
+    ``0.0``, which pandas writes for whole numbers in a column with gaps, is the id 0. A number that equals several ids,
+    such as 1 and 01, is none of them. ``codes`` ``(S,)`` are the numbers of the samples' own ids.
     """
     same = {str(name): k for k, name in enumerate(ids)}
     equal: dict[float | None, int] = {}

@@ -126,11 +126,9 @@ class Tracks(Samples):
         why: tuple[str, ...] = ()
         if step is None:
             step, why = choose_step(tracks)
-        offsets, time, position, leader = resample_positions(tracks, step, max_gap)
         if spikes := self.samples - tracks.samples:
             why = (*why, f"{format_count(spikes, 'spike')} left out, unless keep_spikes (--keep-spikes) is given.")
-        notes, grid = (*self.notes, *why), {"offsets": offsets, "time": time, "position": position, "leader": leader}
-        return replace(self, **grid, notes=notes, step=step)
+        return replace(resample_positions(tracks, step, max_gap), notes=(*self.notes, *why))
 
     def windows(
         self, length: int = 100, stride: int | None = None, *, least_steps: int | None = None
