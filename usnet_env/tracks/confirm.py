@@ -26,11 +26,9 @@ _MOST_ALIKE = 0.999  # the logarithm of equal tracks is infinite
 def confirm_leaders(
     window: Window, leaders: Sequence[int] | NDArray[np.integer[Any]], followers: Sequence[Sequence[int]]
 ) -> tuple[Mask, list[list[int]]]:
-    """Confirm c leaders and their followers.
+    """Which of c leaders are confirmed, ``(c,)`` bool, and the followers that each keeps.
 
-    Returns:
-        Which leaders are confirmed, ``(c,)`` bool: by :func:`confirm_lead` with those followers that
-        :func:`keep_group` keeps, and not by :func:`find_followers`; and these followers of each leader.
+    They are by :func:`confirm_lead` with the followers of :func:`keep_group`, and not by :func:`find_followers`.
     """
     kept = [keep_group(window, int(leader), members) for leader, members in zip(leaders, followers, strict=True)]
     sure = ~find_followers(window, leaders, kept)

@@ -1,8 +1,4 @@
-"""Read Parquet, NPZ, GPX and ULog files as tables of pandas.
-
-Each function returns the names of the columns, and a function that reads some of them. What is wrong
-with a file, libraries say by exceptions of their own.
-"""
+"""Read Parquet, NPZ, GPX and ULog files as tables of pandas; libraries say by exceptions what is wrong with a file."""
 
 from __future__ import annotations
 
@@ -29,14 +25,10 @@ def _as_table(frame: pd.DataFrame) -> Table:
 
 
 def read_parquet(path: Path) -> Table:
-    """Read the columns of a Parquet file."""
+    """Read a Parquet file; an index that pandas has written into it is a column like others."""
     import pyarrow.parquet
 
-    def read(names: Mapping[str, str]) -> pd.DataFrame:
-        found = [*names.values()]
-        return pd.read_parquet(path, engine="pyarrow", columns=found)[found].set_axis(list(names), axis=1)
-
-    return pyarrow.parquet.read_schema(path).names, read
+    return _as_table(pyarrow.parquet.read_table(path).to_pandas(ignore_metadata=True))
 
 
 def read_npz(path: Path, mapping: Mapping[Any, str]) -> Table:
