@@ -93,12 +93,6 @@ def test_an_independent_group_is_removed_from_the_followers():
     assert sum(max(followers) > 4 for followers in named) <= 0.2 * len(named)
 
 
-@pytest.mark.parametrize("leader_of_itself", [0, 1, -1])
-def test_a_candidate_with_a_leader_keeps_its_followers(leader_of_itself):
-    found = find_leaders(group(0, 4, 0, 402, True), names_the_first(leader_of_itself))
-    assert found.leaders[0].followers == (1, 2, 3, 4)
-
-
 def test_a_head_of_a_small_group_does_not_follow_independent_ids():
     """Among many independent ids, some are like the head by chance."""
     found = [find_leaders(group(seed, 2, 300, 502, False), names_the_first(followers=2)).windows for seed in range(3)]

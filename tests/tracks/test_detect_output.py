@@ -21,16 +21,6 @@ def leaderless(path):
     return write_csv(path, [row[:4] for row in example().leaderless()])
 
 
-def test_a_folder_that_cannot_be_written_is_refused_before_the_work(run, tmp_path):
-    tracks, taken = flock(tmp_path / "flock.csv"), tmp_path / "taken"
-    taken.write_text("a file")
-    for out in (taken, taken / "inside"):
-        status, printed, err = run("detect", tracks, *QUICK, "--out", out)
-        assert (status, printed) == (2, "")
-        assert err.startswith("usnet: out must be a folder that can be written, got ")
-    assert taken.read_text() == "a file"
-
-
 def test_files_of_an_earlier_run_do_not_stay(run, tmp_path):
     out = tmp_path / "out"
     assert run("detect", flock(tmp_path / "flock.csv"), *QUICK, "--out", out, "--record")[0] == 0
@@ -38,17 +28,6 @@ def test_files_of_an_earlier_run_do_not_stay(run, tmp_path):
     assert run("detect", leaderless(tmp_path / "other.csv"), *QUICK, "--out", out)[0] == 0
     assert not [name for name in ("episode.npz", "replay.rrd") if (out / name).exists()]
     assert not [path.name for path in out.iterdir() if path.name.endswith(".lock")]
-
-
-def test_parquet_files_with_and_without_leaders_have_the_same_schema(run, tmp_path):
-    pyarrow = pytest.importorskip("pyarrow")
-    parquet = pytest.importorskip("pyarrow.parquet")
-    for name, make in (("led", flock), ("not", leaderless)):
-        assert run("detect", make(tmp_path / f"{name}.csv"), *QUICK, "--out", tmp_path / name)[0] == 0
-    for table in ("windows", "leaders", "links"):
-        both = [parquet.read_table(tmp_path / name / f"{table}.parquet") for name in ("led", "not")]
-        assert both[0].schema == both[1].schema
-        assert pyarrow.concat_tables(both).num_rows == both[0].num_rows + both[1].num_rows
 
 
 def test_odd_ids_are_drawn_and_written_as_plain_text(run, tmp_path):

@@ -3,7 +3,7 @@
 import numpy as np
 from track_files import write_csv
 
-from usnet_env.tracks import Tracks, read_tracks
+from usnet_env.tracks import read_tracks
 
 HEADER = ["timestamp", "location-long", "location-lat", "individual-local-identifier", "visible"]
 QUICK = ("--detector", "lagged-regression")
@@ -34,8 +34,8 @@ def test_one_fix_at_zero_degrees_is_left_out_and_changes_nothing_else(run, tmp_p
     rows[8][1:3] = [0.0, 0.0]
     glitch = read_tracks(write(tmp_path / "glitch.csv", rows))
     (found,) = glitch.report().warnings
-    assert (found.kind, found.count) == ("spikes", 1)
-    assert "at 2010-07-08T09:12:08.000Z (id bird-0)" in found.sentence
+    assert found.startswith("1 spike, ")
+    assert "at 2010-07-08T09:12:08.000Z (id bird-0)" in found
     even, without = whole.resample(), glitch.resample()
     assert without.step == even.step
     assert glitch.resample(1.0).samples == whole.resample(1.0).samples - 1
@@ -45,8 +45,8 @@ def test_one_fix_at_zero_degrees_is_left_out_and_changes_nothing_else(run, tmp_p
     for words in ((), ("--keep-spikes", "--step", "1")):
         status, out, err = run("detect", tmp_path / "glitch.csv", *QUICK, *words)
         assert status == 0
-        assert "1 sample is a spike" in err
-        assert ("1 spike was left out, unless keep_spikes (--keep-spikes) is given." in out) == (not words)
+        assert "1 spike, " in err
+        assert ("1 spike left out, unless keep_spikes (--keep-spikes) is given." in out) == (not words)
         assert "bird-0" in out
     assert np.abs(glitch.resample(1.0, keep_spikes=True).position).max() > 1e6
 
@@ -64,17 +64,5 @@ def test_fixes_at_zero_degrees_in_a_row_are_reported_and_do_not_choose_the_step(
         row[1:3] = [0.0, 0.0]
     glitch = read_tracks(write(tmp_path / "glitch.csv", rows))
     (found,) = glitch.report().warnings
-    assert (found.kind, found.count) == ("jumps", 2)
+    assert found.startswith("2 jumps, ")
     assert glitch.resample().step == step
-
-
-def test_a_delay_that_is_shorter_than_the_step_is_warned_of():
-    """At this step, noise hides the delay of 0.3 s of the follower, and only the turns show who leads."""
-    rng = np.random.default_rng(1)
-    rate = np.convolve(rng.normal(0, 0.15, 12_000), np.ones(20) / 20, "same")
-    path = np.cumsum(np.stack([np.cos(np.cumsum(rate)), np.sin(np.cumsum(rate))], axis=1), axis=0)
-    places = np.stack([path[6:], path[3:-3], path[:-6]], axis=1) + rng.normal(0, 3.0, (11_994, 3, 2))
-    time, who = np.repeat(np.arange(11_994) * 0.1, 3), ["a", "b", "c"] * 11_994
-    even = Tracks.from_samples(who, time, places.reshape(-1, 2)).resample()
-    assert even.step > 0.6
-    assert any("this delay is shorter than the step" in each for each in even.notes), even.notes

@@ -26,11 +26,9 @@ def test_a_csv_in_any_order_gives_the_same_tracks(tmp_path, delimiter, order):
     rows = sorted(ROWS) if order == "id" else ROWS
     if order == "shuffled":
         rows = [rows[k] for k in np.random.default_rng(0).permutation(len(rows))]
-    counts = []
     path = write_csv(tmp_path / "tracks.csv", rows, delimiter=delimiter)
-    read = read_tracks(path, progress=counts.append)
+    read = read_tracks(path)
     assert sorted(read.ids) == ["a", "b", "c"]
-    assert counts == [60]
     for k, name in enumerate("abc"):
         part = slice(*read.offsets[[read.ids.index(name), read.ids.index(name) + 1]])
         np.testing.assert_allclose(read.time[part], np.arange(20) * 0.5)
@@ -122,7 +120,7 @@ def test_arrays_beside_positions(tmp_path):
     assert (read.ids, read.duration) == (("a", "b", "c"), 9.5)
     assert read_tracks(path, columns={"frame": "when"}, time_unit=2).duration == 19
     assert "'noon'" in refusal(path, columns={"t": "noon"})
-    assert "when must fit position" in refusal(path, columns={"id": "when"})
+    assert "broadcast" in refusal(path, columns={"id": "when"})
     read = read_tracks(write(id=np.array(["a", "b", "c"]), leader=np.array(["", "a", "a"])))
     assert read.leader.reshape(3, 20)[:, 0].tolist() == [-1, 0, 0]
     leader = np.where(np.arange(20)[:, None] < 5, [[-1, 0, 0]], [[1, -1, 1]])
@@ -134,7 +132,7 @@ def test_arrays_beside_positions(tmp_path):
     times = np.array([f"2024-05-01T00:00:{k:02}" for k in range(20)])
     assert read_tracks(write(t=times)).file_time(19.0) == "2024-05-01T00:00:19.000Z"
     assert "time must differ" in refusal(write(t=np.full(20, b"2020-01-01")))
-    assert "leader must fit position" in refusal(write(leader=np.zeros(7)))
+    assert "broadcast" in refusal(write(leader=np.zeros(7)))
 
 
 def test_times_of_parquet_keep_their_types(tmp_path):
@@ -173,8 +171,8 @@ def test_degrees_become_metres_also_across_the_180th_meridian(tmp_path, monkeypa
 
 
 def test_gpx_files(tmp_path):
-    read = read_tracks(write_gpx(tmp_path / "log.gpx", 0, "Walk", "Rex", "Walk", "", "Walk-3", height=120))
-    assert read.ids == ("Walk-1", "Rex", "Walk-3-3", "log-4", "Walk-3")
+    read = read_tracks(write_gpx(tmp_path / "log.gpx", 0, "Walk", "Rex", "Walk", "", "Run", height=120))
+    assert read.ids == ("Walk-1", "Rex", "Walk-3", "log-4", "Run")
     assert np.diff(read.offsets).tolist() == [4] * 5
     assert (read.duration, read.origin[2], read.dimensions) == (3.0, 122.0, 3)
     assert read_tracks(tmp_path / "log.gpx", columns={"z": ""}).dimensions == 2
@@ -190,14 +188,6 @@ def test_gpx_files(tmp_path):
         assert "intact file" in refusal(tmp_path / f"{name}.gpx")
     (tmp_path / "none.gpx").write_text("<gpx></gpx>")
     assert "at least 2 ids" in refusal(tmp_path / "none.gpx")
-
-
-def test_a_gpx_file_with_a_long_token_is_read_at_once(tmp_path):
-    """Old versions of expat take minutes for a long token that comes in many pieces."""
-    track = '<trk><name>{}</name><trkseg><trkpt lat="1" lon="2"><time>2024-05-01</time></trkpt></trkseg></trk>'
-    text = f"<gpx><!--{' ' * 2**23}-->{track.format('a')}{track.format('b')}</gpx>"
-    (tmp_path / "tracks.gpx.gz").write_bytes(gzip.compress(text.encode()))
-    assert read_tracks(tmp_path / "tracks.gpx.gz").ids == ("a", "b")
 
 
 def write_ulog(path, north):
@@ -243,7 +233,7 @@ def test_a_missing_package_is_named(tmp_path, monkeypatch):
 BAD = {
     "no id": ("t,x,y\n0,1,2\n", "for id;"),
     "no x": ("id,t,y\na,1,2\n", "for x;"),
-    "no time": ("id,x,y\na,1,2\n", "for t (or frame);"),
+    "no time": ("id,x,y\na,1,2\n", "for t;"),
     "a column twice": ("id,t,x,x,y\na,0,1,1,2\n", "'x'"),
     "no names": ("a,0,1,2\nb,0,2,3\n", "row 1 names"),
     "NaN": ("id,t,x,y\na,0,1,2\nb,0,nan,2\n", "x must be a number"),
@@ -288,6 +278,7 @@ def test_rows_without_values_can_be_skipped_and_repetitions_are(tmp_path):
 
 def test_files_that_cannot_be_read(tmp_path):
     assert "No such file" in refusal(tmp_path / "none.csv")
+    assert refusal([]).startswith("path must")
     assert "directory" in refusal(tmp_path)
     with zipfile.ZipFile(tmp_path / "two.zip", "w") as archive:
         archive.writestr("a.csv", "id")
@@ -305,17 +296,6 @@ def test_files_that_cannot_be_read(tmp_path):
     assert "intact file" in refusal(tmp_path / "objects.npz")
 
 
-def test_files_that_expand_to_too_many_bytes_are_refused(tmp_path):
-    text = b"id,t,x,y\n" + b"a,0,1,2\n" * 200_000
-    (tmp_path / "rows.csv.gz").write_bytes(gzip.compress(text))
-    with zipfile.ZipFile(tmp_path / "rows.zip", "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("rows.csv", text)
-    np.savez_compressed(tmp_path / "zeros.npz", position=np.zeros((1000, 50, 3)))
-    write_parquet(tmp_path / "zeros.parquet", [["a", 0.0, 0.0, 0.0]] * 10**5)
-    for name in ("rows.csv.gz", "rows.zip", "zeros.npz", "zeros.parquet"):
-        assert "max_bytes" in refusal(tmp_path / name, max_bytes=10**6)
-
-
 @pytest.mark.parametrize(
     "options",
     [
@@ -324,7 +304,6 @@ def test_files_that_expand_to_too_many_bytes_are_refused(tmp_path):
         {"columns": [1]},
         {"time_unit": 0},
         {"missing": "guess"},
-        {"max_bytes": 0},
         {"decimal": ";"},
     ],
 )

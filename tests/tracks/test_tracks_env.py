@@ -137,32 +137,6 @@ def test_windows_without_leaders_have_no_score_of_groups(path, tmp_path):
     assert 0 < scores.isna().sum() < 6
 
 
-@pytest.fixture(scope="module")
-def large(path, tmp_path_factory):
-    """The same tracks in another unit of length: each number is 1,024 times as large."""
-    place = tmp_path_factory.mktemp("tracks") / "large.csv"
-    with open(path, newline="", encoding="utf-8") as file:
-        head, *rows = csv.reader(file)
-    with open(place, "w", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerows([head, *([*row[:2], *(1024 * float(x) for x in row[2:4]), row[4]] for row in rows)])
-    return str(place)
-
-
-def test_detectors_made_for_unit_speed_do_not_depend_on_the_unit_of_length(path, large):
-    found = [play(file, "lagged-regression", 3)[["swarm_seed", "J", "f1_first", "ap_first"]] for file in (path, large)]
-    pd.testing.assert_frame_equal(*found)
-
-
-def test_recorded_play_and_policies_scale_windows_too(path, large):
-    detector = make_detector("lagged-regression")
-    small, big = (record_episode(make(file), detector, 0, 0) for file in (path, large))
-    np.testing.assert_allclose(big.scores, small.scores, rtol=1e-4)
-    np.testing.assert_allclose(big.velocity, 1024 * small.velocity, rtol=1e-3, atol=1)  # as it was seen
-    observation, _ = make(large).reset(seed=0)
-    action, _ = detector.as_policy().predict(observation)
-    np.testing.assert_array_equal(action, small.candidates[0])
-
-
 @pytest.mark.parametrize(
     ("arguments", "name"),
     [({"path": "nowhere.csv"}, "path"), ({"window": 10**5}, "length"), ({"step": 0}, "step"), ({"path": 3}, "path")],

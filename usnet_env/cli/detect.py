@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,23 +13,21 @@ import numpy as np
 
 from usnet_env.cli.options import PositiveNumber, WholeNumber
 from usnet_env.cli.output import print_message, show
-from usnet_env.config import MissingExtraError, format_number
-from usnet_env.files import as_path, atomic_write, reserve_folder
+from usnet_env.config import MissingExtraError
+from usnet_env.files import as_path, reserve_folder, write_text
 from usnet_env.progress import progress_bar
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from usnet_env.arrays import Floats
     from usnet_env.detection import Detection
     from usnet_env.replay import EpisodeRecord
     from usnet_env.tracks import DetectedWindow, FoundLeaders, Leader, Tracks, TrackWindow
 
-    Kept = tuple[TrackWindow, Floats, DetectedWindow]  # with the scores of the answer
+    Kept = tuple[TrackWindow, Detection, DetectedWindow]
 
 _DETECTOR = "follow-mixture(policy='map')"
 _MOST_ROWS, _MOST_NAMES = 40, 6  # of a table that is printed; ids in a row
-_LARGEST_RECORD = 2**30  # bytes of an episode file before compression
 _EXAMPLES = """
 \b
 Examples:
@@ -39,7 +37,7 @@ Examples:
 
 \b
 Roles for --column:
-  id  t  frame  x  y  z  lon  lat  vx  vy  vz  leader
+  id  t  frame  x  y  z  lon  lat  leader
 """  # click reads the control characters: they keep the lines
 
 
@@ -74,16 +72,9 @@ def _parse_columns(context: click.Context, option: click.Parameter, words: Seque
     help="Name of a column; without NAME, the role is left out. May be repeated.",
 )
 @click.option("--time-unit", type=PositiveNumber(), help="Seconds in one unit of the time column.  [default: 1]")
-@click.option(
-    "--skip-missing",
-    "missing",
-    flag_value="skip",
-    default="refuse",
-    help="Skip rows without a time, place or id.",
-)
+@click.option("--skip-missing", is_flag=True, help="Skip rows without a time, place or id.")
 @click.option("--encoding", default="utf-8", show_default=True, metavar="NAME", help="Encoding of a CSV file.")
-@click.option("--decimal", type=click.Choice([".", ","]), help="Decimal sign of a CSV file.  [default: as it says]")
-@click.option("--max-bytes", type=WholeNumber(1, 2**60), help="Most bytes that a compressed file may expand to.")
+@click.option("--decimal", type=click.Choice([".", ","]), default=".", help="Decimal sign of a CSV file.  [default: .]")
 @click.option("--seed", type=WholeNumber(0, 2**63 - 1), default=0, show_default=True, help="Seed of the detector.")
 @click.option("--unconfirmed", is_flag=True, help="Also name leaders whose followers don't move like them later.")
 @click.option("--out", metavar="DIR", help="Folder for tables, JSON and a picture.")
@@ -102,6 +93,7 @@ def detect(
     out: str | None,
     record: bool,
     as_json: bool,
+    skip_missing: bool,
     **reading: Any,
 ) -> None:
     """Find the leaders in recorded tracks: their followers, times, probabilities and reasons.
@@ -117,41 +109,28 @@ def detect(
         raise click.UsageError("--record needs --out.")
     folder = None if out is None else as_path("out", out)
     player = make_detector(detector)
-    with progress_bar("rows") as progress:
-        read = read_tracks(list(tracks), progress=lambda rows: progress(rows, rows), **reading)
+    read = read_tracks(list(tracks), missing="skip" if skip_missing else "refuse", **reading)
     report = read.report()
-    for finding in report.warnings:
-        print_message(f"warning: {_plain(finding.sentence)}")
+    for sentence in report.warnings:
+        print_message(f"warning: {sentence}")
     even = read.resample(step, max_gap=max_gap, keep_spikes=keep_spikes)
     facts = [*report.facts, *even.notes[len(read.notes) :]]
-    del read
-    stride = window if stride is None else stride
-    count = even.count_windows(window, stride)
-    if count and (rest := even.duration - (even.step or 0.0) * ((count - 1) * stride + window)) >= (even.step or 0) / 2:
-        facts.append(f"The last {format_number(rest)} s are in no window.")
     if window < LEAST_STEPS and not unconfirmed:
         facts.append(f"Windows of fewer than {LEAST_STEPS} steps are too short for the test that confirms leaders.")
-    needed = count * (window + 1) * len(even.ids) * 25  # two float32 vectors and a flag
-    if record and needed > _LARGEST_RECORD:
-        raise click.UsageError(f"--record needs {needed} bytes, more than {_LARGEST_RECORD}; a longer --stride less.")
     if folder is not None:
         reserve_folder(folder)
     kept: list[Kept] = []
-    done, groups_given = 0, unconfirmed
+    count = even.count_windows(window, stride or window)
     with progress_bar("windows") as progress:
 
-        def keep(cut: TrackWindow, detection: Detection, found: DetectedWindow) -> None:
-            nonlocal done, groups_given
-            groups_given |= detection.leader is not None or detection.clusters is not None
-            if record:
-                kept.append((cut, detection.scores, found))
-            done += 1
-            progress(done, count)
+        def keep(*answered: Any) -> None:
+            kept.append(answered)
+            progress(len(kept), count)
 
         found = find_leaders(
             even, player, length=window, stride=stride, seed=seed, confirm=not unconfirmed, on_window=keep
         )
-    if not groups_given:
+    if not unconfirmed and all(answer.leader is None and answer.clusters is None for _, answer, _ in kept):
         print_message("the detector names no followers, so no leader is confirmed; --unconfirmed lists its candidates.")
     if as_json:
         click.echo(_to_json(found))
@@ -161,13 +140,14 @@ def detect(
         show(*_tables(found))
     if folder is not None:
         title = ", ".join(Path(name).name for name in tracks)
-        episode = _make_record(even, kept, found, title, seed) if record else None
-        _write_files(folder, found, even, even.windows(window, stride), title, episode)
+        _write_files(folder, found, _make_record(even, kept, title, found.detector, seed) if record else None)
+        _write_picture(folder, found, even, [cut for cut, _, _ in kept], title)
+        click.echo(f"{', '.join(sorted(path.name for path in folder.iterdir()))} are in {folder}.", err=True)
 
 
 def _plain(text: Any) -> str:
     """A text without characters that control a terminal."""
-    return "".join(character for character in str(text) if character.isprintable())
+    return "".join(filter(str.isprintable, str(text)))
 
 
 def _to_json(found: FoundLeaders) -> str:
@@ -176,36 +156,31 @@ def _to_json(found: FoundLeaders) -> str:
 
 def _tables(found: FoundLeaders) -> list[Table]:
     """The tables of windows and of leaders over the file, with the first rows of long ones."""
-    from usnet_env.tracks.leaders import find_date, format_time
-
     rows: list[list[str]] = []
-    date = find_date(found)
     for window in found.windows:
-        when = [format_time(time, date) if date else str(time) for time in (window.start, window.end)]
+        when = [str(window.start), str(window.end)]
         for leader in window.leaders:
             rows.append([*when, *_cells(leader)])
             when = ["", ""]
         if window.not_confirmed or not window.leaders:
-            named = ", ".join(map(str, window.not_confirmed[:_MOST_NAMES]))
-            words = "" if window.leaders else "none found"
-            rows.append([*when, words, "", "", f"Not confirmed: {named}." if named else ""])
-    over_file = []
-    for leader in found.leaders:
-        name, *cells = _cells(leader)
-        over_file.append([name, f"{leader.share or 0.0:.0%}", *cells])
-    title = f"Windows{f' on {date} (UTC)' if date else ''}, by {found.detector}"
+            named = f"Not confirmed: {_names(window.not_confirmed)}." if window.not_confirmed else ""
+            rows.append([*when, "" if window.leaders else "none found", "", "", named])
+    over_file = [[*_cells(leader), f"{leader.share or 0.0:.0%}"] for leader in found.leaders]
     headings = ["leader", "p", "followers", "why"]
     return [
-        _make_table(title, ["from", "to", *headings], rows),
-        _make_table("Over the file", ["leader", "windows", *headings[1:]], over_file or [["none found", *[""] * 4]]),
+        _make_table(f"Windows, by {found.detector}", ["from", "to", *headings], rows),
+        _make_table("Over the file", [*headings, "windows"], over_file or [["none found"]]),
     ]
 
 
+def _names(ids: Sequence[str | int]) -> str:
+    more = f" and {len(ids) - _MOST_NAMES} more" if len(ids) > _MOST_NAMES else ""
+    return ", ".join(map(str, ids[:_MOST_NAMES])) + more
+
+
 def _cells(leader: Leader) -> list[str]:
-    followers = ", ".join(map(str, leader.followers[:_MOST_NAMES]))
-    if len(leader.followers) > _MOST_NAMES:
-        followers += f" and {len(leader.followers) - _MOST_NAMES} more"
-    return [str(leader.id), "" if leader.probability is None else f"{leader.probability:.2f}", followers, leader.reason]
+    probability = "" if leader.probability is None else f"{leader.probability:.2f}"
+    return [str(leader.id), probability, _names(leader.followers), leader.reason]
 
 
 def _make_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
@@ -223,43 +198,38 @@ def _make_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str
     return table
 
 
-def _write_files(
-    folder: Path,
-    found: FoundLeaders,
-    even: Tracks,
-    cuts: Iterable[TrackWindow],
-    title: str,
-    episode: EpisodeRecord | None,
-) -> None:
-    """Write all files; a picture or a replay whose extra is not installed is left out with a message."""
-    from usnet_env.drawing import write_figure
+def _write_files(folder: Path, found: FoundLeaders, episode: EpisodeRecord | None) -> None:
+    """Write tables, JSON and the episode; a replay whose extra is not installed is left out with a message."""
     from usnet_env.replay import write_recording
-    from usnet_env.tracks.picture import draw_leaders
-    from usnet_env.tracks.tables import write_tables
 
     for name in ("picture.png", "episode.npz", "replay.rrd"):  # of an earlier run, which this one may not replace
         (folder / name).unlink(missing_ok=True)
-    write_tables(found, folder, even.ids)
-    with atomic_write(folder / "leaders.json") as aside:
-        aside.write_text(_to_json(found) + "\n", encoding="utf-8")
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        try:
-            write_figure(draw_leaders(found, cuts, title, even), folder / "picture.png")
-        except MissingExtraError as error:
-            print_message(f"the picture is left out. {error}")
-    for warning in caught:
-        print_message(f"warning: {warning.message}")
+    for name, table in found.tables().items():
+        write_text(folder / f"{name}.csv", table.to_csv(index=False))
+    write_text(folder / "leaders.json", _to_json(found) + "\n")
     if episode is not None:
         episode.save(folder / "episode.npz")
         try:
             write_recording(episode, folder / "replay.rrd")
         except MissingExtraError as error:
             print_message(f"the replay is left out. {error}")
-    click.echo(f"{', '.join(sorted(path.name for path in folder.iterdir()))} are in {folder}.", err=True)
 
 
-def _make_record(even: Tracks, kept: Sequence[Kept], found: FoundLeaders, title: str, seed: int) -> EpisodeRecord:
+def _write_picture(folder: Path, found: FoundLeaders, even: Tracks, cuts: Sequence[TrackWindow], title: str) -> None:
+    """Draw the leaders; without Matplotlib, the picture is left out with a message."""
+    from usnet_env.drawing import write_figure
+    from usnet_env.tracks.picture import draw_leaders
+
+    with warnings.catch_warnings(record=True, action="always") as caught:
+        try:
+            write_figure(draw_leaders(found, cuts, title, even), folder / "picture.png")
+        except MissingExtraError as error:
+            print_message(f"the picture is left out. {error}")
+    for warning in caught:
+        print_message(f"warning: {warning.message}")
+
+
+def _make_record(even: Tracks, kept: Sequence[Kept], title: str, detector: str, seed: int) -> EpisodeRecord:
     """The episode of all windows: a round for each, without truth, and without destroyed UAVs."""
     from usnet_env.provenance import versions
     from usnet_env.replay import EpisodeRecord
@@ -271,12 +241,12 @@ def _make_record(even: Tracks, kept: Sequence[Kept], found: FoundLeaders, title:
     for r, (cut, answer, detected) in enumerate(kept):
         rows, window = cut.rows, cut.window
         position[r][:, rows] = np.where(window.seen[..., None], window.position + cut.origin, 0.0)
-        velocity[r][:, rows], seen[r][:, rows], scores[r, rows] = window.velocity, window.seen, answer
+        velocity[r][:, rows], seen[r][:, rows], scores[r, rows] = window.velocity, window.seen, answer.scores
         behind = detected.roots(cut.ids)
         root[r, rows] = np.where(behind >= 0, rows[behind], -1)
         reasons.append({str(rows[cut.ids.index(leader.id)]): leader.reason for leader in detected.leaders})
     candidates = root == np.arange(ids)  # confirmed ones only
-    times = {end: [getattr(window, end) for window in found.windows] for end in ("start", "end")}
+    times = {end: [getattr(found, end) for _, _, found in kept] for end in ("start", "end")}
     return EpisodeRecord(
         position=position,
         velocity=velocity,
@@ -293,7 +263,7 @@ def _make_record(even: Tracks, kept: Sequence[Kept], found: FoundLeaders, title:
         leader_estimate=root,
         reasons=reasons,
         env_id=title,
-        detector=found.detector,
+        detector=detector,
         detector_seed=seed,
         config={"ids": [*even.ids], "step": even.step, "frame": even.frame, "origin": even.origin.tolist(), **times},
         versions=versions(),

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from usnet_env.tracks.leaders import DetectedWindow, FoundLeaders, Leader, Link, find_leaders
 from usnet_env.tracks.read import read_tracks
-from usnet_env.tracks.report import Finding, TrackReport
+from usnet_env.tracks.report import TrackReport
 from usnet_env.tracks.samples import Clock
 from usnet_env.tracks.tracks import Tracks, TrackWindow
 
 __all__ = [
     "Clock",
     "DetectedWindow",
-    "Finding",
     "FoundLeaders",
     "Leader",
     "Link",

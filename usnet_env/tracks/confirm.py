@@ -26,11 +26,9 @@ _MOST_ALIKE = 0.999  # the logarithm of equal tracks is infinite
 def confirm_leaders(
     window: Window, leaders: Sequence[int] | NDArray[np.integer[Any]], followers: Sequence[Sequence[int]]
 ) -> tuple[Mask, list[list[int]]]:
-    """Confirm c leaders and their followers.
+    """Which of c leaders are confirmed, ``(c,)`` bool, and the followers that each keeps.
 
-    Returns:
-        Which leaders are confirmed, ``(c,)`` bool: by :func:`confirm_lead` with those followers that
-        :func:`keep_group` keeps, and not by :func:`find_followers`; and these followers of each leader.
+    They are by :func:`confirm_lead` with the followers of :func:`keep_group`, and not by :func:`find_followers`.
     """
     kept = [keep_group(window, int(leader), members) for leader, members in zip(leaders, followers, strict=True)]
     sure = ~find_followers(window, leaders, kept)
@@ -42,11 +40,10 @@ def confirm_leaders(
 def keep_group(window: Window, leader: int, followers: Sequence[int]) -> list[int]:
     """The followers that move like their leader, or like others that do.
 
-    The likeness of a follower is the inverse hyperbolic tangent (Fisher's z) of the largest correlation of its velocity
-    with those of the leader and of the followers kept so far, at any lag up to 4. A follower is kept if its likeness
-    exceeds the mean of those after 9 circular shifts in time by 3 of their standard deviations. The likeness does not
-    depend on who is first, so the choice does not favour a lead. All stay in a window of fewer than 32 steps, and where
-    none is kept: then single followers are too unlike for this test.
+    The likeness of a follower is Fisher's z of the largest correlation of its velocity with those of the leader and of
+    the followers kept so far, at any lag up to 4, so it does not depend on who is first. It must exceed the mean of
+    those after 9 circular shifts in time by 3 of their standard deviations. All stay in a window of fewer than 32
+    steps, and where none is kept.
     """
     steps = window.observation_steps
     if steps < 2 * LEAST_STEPS:
@@ -71,17 +68,8 @@ def confirm_lead(window: Window, leader: int, followers: Sequence[int]) -> bool:
     the leader's velocity τ steps earlier, both centred over the window. It is compared with the leads of 35 surrogates
     in which time is reversed in 4 of 8 blocks: these keep what both do at the same time, and cancel leads. It must
     exceed their standard deviation z times; z is the quantile of a normal distribution at 0.05 / n, because the leader
-    was chosen from the n members of its group. An animal that drives a herd and a flock with a common route have no
-    such lead.
-
-    Args:
-        window: the window.
-        leader: index of the leader.
-        followers: indices of those that follow it.
-
-    Returns:
-        Whether the lead is confirmed; false without followers, and true in a window of fewer than 16 steps, which is
-        too short for the test.
+    was chosen from the n members of its group. It is false without followers, and true in a window of fewer than 16
+    steps, which is too short for the test.
     """
     if not followers or window.observation_steps < LEAST_STEPS:
         return bool(followers)
@@ -98,18 +86,10 @@ def find_followers(
 ) -> Mask:
     """Which of the leaders follow another UAV in the first or the second half of a window.
 
-    If groups change within a window, a UAV that follows one head after another moves like neither of them through the
-    whole window, and may look like a head. In one of the halves it follows one head for most of the time. In each half,
-    the UAVs of :func:`find_alike` are tested: it follows one if :func:`confirm_lead`'s test says so. The level is 0.05
-    for all five; for a UAV outside of its group, which should not move like its head at all, any lead is enough.
-
-    Args:
-        window: the window.
-        leaders: c indices.
-        followers: the indices of those that follow each.
-
-    Returns:
-        ``(c,)`` bool; false in a window of fewer than 32 steps.
+    A UAV that follows one head after another moves like neither of them through the whole window, and may look like a
+    head. In each half, the UAVs of :func:`find_alike` are tested: it follows one if :func:`confirm_lead`'s test says
+    so. The level is 0.05 for all five; for a UAV outside of its group, which should not move like its head at all, any
+    lead is enough. ``(c,)`` bool; false in a window of fewer than 32 steps.
     """
     steps, follows, uavs = window.observation_steps, np.zeros(len(leaders), bool), np.asarray(leaders, np.int64)
     if steps < 2 * LEAST_STEPS or not len(uavs):
@@ -126,18 +106,13 @@ def find_followers(
 
 
 def find_alike(window: Window, uavs: Indices, half: slice) -> list[list[int]]:
-    """Those UAVs, up to 5 for each of some, that are more like it in a half of a window than chance allows.
+    """For each of some UAVs, those up to 5 that are more like it in a half of a window than chance allows.
 
     The likeness is Fisher's z of the largest correlation of both velocities at any lag up to 4. It must exceed a
-    quantile of the Gumbel distribution, that of maxima. Its mean and standard deviation are those of the largest z of
-    the other UAVs in parts of the window that begin at 9 other times; unlike circular shifts, these have no jumps. The
-    level is 0.05 for all of the c ``uavs`` and both halves.
-
-    Returns:
-        For each of the ``uavs`` the indices of these, the most similar one first.
+    quantile of the Gumbel distribution, that of maxima, with the mean and the standard deviation of the largest z of
+    the other UAVs in parts of the window that begin at 9 other times. The level is 0.05 for all ``uavs`` and halves.
     """
     length, last = half.stop - half.start, window.observation_steps - (half.stop - half.start)
-    quantile = -np.log(-np.log1p(-LEVEL / (2 * len(uavs))))  # of the standard Gumbel distribution
     late = np.linspace(min(_LEAST_SHIFT, length), last, _SHIFTS).astype(int)
     starts = [half.start, *(late if half.start == 0 else half.start - late)]
     parts = [_scale(window.velocity[k : k + length], window.velocity_seen[k : k + length]) for k in starts]
@@ -146,6 +121,7 @@ def find_alike(window: Window, uavs: Indices, half: slice) -> list[list[int]]:
     like = np.arctanh(np.minimum(like, _MOST_ALIKE))
     by_chance = like[1:].max(axis=2)
     scale = by_chance.std(axis=0) * np.sqrt(6) / np.pi
+    quantile = -np.log(-np.log1p(-LEVEL / (2 * len(uavs))))  # of the standard Gumbel distribution
     limit = by_chance.mean(axis=0) + scale * (quantile - np.euler_gamma)
     nearest = np.argsort(-like[0], axis=1, kind="stable")[:, :_NEAREST]
     return [[int(k) for k in near if like[0, c, k] > limit[c]] for c, near in enumerate(nearest)]
@@ -164,10 +140,8 @@ def _reversals(steps: int) -> Iterator[tuple[NDArray[np.intp], Floats]]:
     parts = np.array_split(np.arange(steps), _BLOCKS)
     for chosen in combinations(range(1, _BLOCKS), _BLOCKS // 2):  # the other 35 choices are these, reversed
         order = np.concatenate([part[::-1] if b in chosen else part for b, part in enumerate(parts)])
-        yield (
-            order,
-            np.concatenate([np.full((len(part), 1), -1.0 if b in chosen else 1.0) for b, part in enumerate(parts)]),
-        )
+        sign = np.repeat([-1.0 if b in chosen else 1.0 for b in range(_BLOCKS)], [len(part) for part in parts])
+        yield order, sign[:, None]
 
 
 def _measure_lead(group: Floats, ahead: Floats) -> float:

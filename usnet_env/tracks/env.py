@@ -10,13 +10,12 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pydantic import Field
 
-from usnet_env.arrays import Mask, Observation
+from usnet_env.arrays import Observation
 from usnet_env.config import ArgumentError, Config, list_arguments, optional_seed, takes_arguments
 from usnet_env.envs.game import Rules, check_options, parse_candidates
 from usnet_env.objectives import find_roots, group_leader_accuracy, hits_and_redundant
 from usnet_env.swarm import SwarmState
 from usnet_env.tracks.read import read_tracks
-from usnet_env.tracks.tracks import TrackWindow
 
 
 class TracksArguments(Config):
@@ -131,8 +130,7 @@ class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
         truth = self.swarm
         hits, redundant = map(int, hits_and_redundant(truth.head, truth.alive, candidates))
         self._over = True
-        found_all = hits == int(truth.head.sum())
-        info = self._info(hits, redundant, 1, found_all)
+        info = self._info(hits, redundant, 1, hits == int(truth.head.sum()))
         return self._observe(2), -info["J"], True, False, info
 
     @property
@@ -141,26 +139,20 @@ class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
         return self.tracks.leader is not None
 
     @property
-    def cut(self) -> TrackWindow:
-        """The present window with its ids and times."""
-        if self._number < 0:
-            raise ArgumentError("reset must be called first, got an environment that was never reset.")
-        return self.windows[self._number]
-
-    @property
     def swarm(self) -> SwarmState:
         """The truth of the present window for an evaluation, N ids; a detector must not use it."""
-        rows, uavs = self.cut.rows, len(self.tracks.ids)
-        alive = np.isin(np.arange(uavs), rows)
-        direct = np.full(uavs, -1)
-        if self.cut.leader is not None:
-            direct[rows] = np.where(self.cut.leader >= 0, rows[self.cut.leader], -1)
+        cut, uavs = self.windows[self._number], len(self.tracks.ids)
+        alive, direct = np.zeros(uavs, bool), np.full(uavs, -1)
+        alive[cut.rows] = True
+        if cut.leader is not None:
+            direct[cut.rows] = np.where(cut.leader >= 0, cut.rows[cut.leader], -1)
         roots = find_roots(direct)
         follows = (roots >= 0) & (roots != np.arange(uavs))
         head = np.zeros(uavs, bool)
         head[roots[follows]] = True
         last = np.zeros((1, uavs, 3), np.float32)
-        last[0, rows] = self.cut.window.position[-1]
+        last[0, cut.rows] = cut.window.position[-1]
+        free = np.flatnonzero(alive & ~follows)
         return SwarmState(
             head=head,
             decoy=alive & ~head & ~follows,
@@ -168,35 +160,25 @@ class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
             root=np.where(alive, roots, -1),
             past_position=last,
             past_velocity=np.zeros((0, uavs, 3), np.float32),
-            free=np.flatnonzero(alive & ~follows),
-            mobility_state=np.zeros((int((alive & ~follows).sum()), 0)),
+            free=free,
+            mobility_state=np.zeros((len(free), 0)),
             parameters=np.zeros(0, np.float32),
         )
 
     def score_answer(self, scores: NDArray[np.float64]) -> dict[str, float | None]:
-        """The metrics that recorded groups allow: ``group_leader_first``, ``None`` if the window has no group.
-
-        Args:
-            scores: ``(N,)`` of the answer.
-        """
+        """The metric that recorded groups allow, for scores ``(N,)``; ``None`` if the window has no group."""
         truth = self.swarm
         return {"group_leader_first": group_leader_accuracy(truth.root, scores) if truth.head.any() else None}
 
-    def action_masks(self) -> Mask:
-        """``(2 N,)`` bool for maskable agents: for each id whether 0 and whether 1 is allowed."""
-        alive = self.swarm.alive
-        return np.stack([np.ones_like(alive), alive], axis=1).reshape(-1)
-
     def _observe(self, round: int) -> Observation:
-        cut, uavs = self.cut, len(self.tracks.ids)
+        cut = self.windows[self._number]
         whole: Observation = {
             name: np.zeros(space.shape, space.dtype)
             for name, space in self.observation_space.items()  # type: ignore[attr-defined]
         }
         for name in ("position", "velocity", "seen"):
             whole[name][:, cut.rows] = getattr(cut.window, name)
-        whole["alive"][:] = np.isin(np.arange(uavs), cut.rows)
-        whole["round"][:], whole["step"][:] = round, cut.step
+        whole["alive"][cut.rows], whole["round"][:], whole["step"][:] = 1, round, cut.step
         return whole
 
     def _info(self, hits: int, redundant: int, round: int, success: bool) -> dict[str, Any]:
@@ -208,6 +190,6 @@ class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
             "is_success": success,
             "J": round + redundant / len(self.tracks.ids),
             "over_budget": 0,
-            "start": self.tracks.file_time(self.cut.start),
-            "end": self.tracks.file_time(self.cut.end),
+            "start": self.tracks.file_time(self.windows[self._number].start),
+            "end": self.tracks.file_time(self.windows[self._number].end),
         }

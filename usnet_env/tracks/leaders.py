@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from scipy.optimize import linear_sum_assignment
 from scipy.special import bdtrc
 
@@ -25,8 +27,12 @@ _SAME_GROUP = 0.25  # two groups are one if they share this part of all their me
 _SAME_LEADER = 0.25
 _UNLIKELY = 0.01  # a leader in as many windows is called chance if that is more probable than this
 _MOST_LAG = 12  # steps
-_DIGITS = 9  # decimals of a delay
 _LEAST_STEPS = 4  # of the window for each step of the longest lag
+_COLUMNS = {  # of the tables
+    "windows": "start end group id probability score followers reason not_confirmed left_out",
+    "leaders": "id probability followers reason group score share",
+    "links": "start end follower leader head delay",
+}
 
 Group = tuple[int, set[int]]  # the row of its leader in ``Tracks.ids``, and those of its members
 
@@ -97,13 +103,9 @@ class DetectedWindow:
 
     def roots(self, ids: Sequence[str | int]) -> Indices:
         """``(N,)`` index of the leader of each of the window's ids; a leader has its own index, -1: none."""
-        place = {name: i for i, name in enumerate(ids)}
-        root = np.full(len(ids), -1, np.int64)
-        for leader in self.leaders:
-            root[[place[name] for name in leader.followers]] = place[leader.id]
-        for leader in self.leaders:
-            root[place[leader.id]] = place[leader.id]
-        return root
+        follows = {name: leader.id for leader in self.leaders for name in leader.followers}
+        follows |= {leader.id: leader.id for leader in self.leaders}
+        return np.array([ids.index(follows[name]) if name in follows else -1 for name in ids], np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,30 +130,31 @@ class FoundLeaders:
                 del leader["share"]
         return values
 
-    def rows(self) -> list[dict[str, Any]]:
-        """A row for each leader of each window; a window without leaders has one row without an id."""
-        return [
-            {
-                "start": window.start,
-                "end": window.end,
-                "group": leader and leader.group,
-                "id": leader and leader.id,
-                "probability": leader and leader.probability,
-                "score": leader and leader.score,
-                "followers": leader.followers if leader else (),
-                "reason": leader and leader.reason,
-                "not_confirmed": window.not_confirmed,
-                "left_out": window.left_out,
-            }
+    def tables(self) -> dict[str, pd.DataFrame]:
+        """Three tables, as they are written to CSV: ``windows``, ``leaders`` and ``links``.
+
+        A window without leaders has one row without an id. Lists of ids are joined by semicolons; a semicolon or a
+        backslash in an id has a backslash before it. A text that a spreadsheet would read as a formula has an
+        apostrophe before it.
+        """
+        rows: dict[str, list[dict[str, Any]]] = {"leaders": [vars(leader) for leader in self.leaders]}
+        rows["windows"] = [
+            vars(window) | (vars(leader) if leader else {})
             for window in self.windows
             for leader in window.leaders or (None,)
         ]
+        rows["links"] = [vars(window) | vars(link) for window in self.windows for link in window.links]
+        return {
+            name: pd.DataFrame(rows[name], columns=names.split(), dtype=object).map(_cell)
+            for name, names in _COLUMNS.items()
+        }
 
-    def link_rows(self) -> list[dict[str, Any]]:
-        """A row for each follower of each window: its direct leader, its head, and the delay in seconds."""
-        return [
-            {"start": window.start, "end": window.end, **vars(link)} for window in self.windows for link in window.links
-        ]
+
+def _cell(value: Any) -> Any:
+    """A value in a cell of a table."""
+    if isinstance(value, tuple):
+        value = ";".join(re.sub(r"([;\\])", r"\\\1", str(name)) for name in value)
+    return f"'{value}" if isinstance(value, str) and value.startswith(("=", "+", "-", "@")) else value
 
 
 def find_leaders(
@@ -176,8 +179,8 @@ def find_leaders(
         stride: steps from the start of a window to the start of the next; ``None``: ``length``.
         seed: seeds the detector.
         confirm: whether to leave out candidates whose followers don't move like them later, or that follow another id
-            in half of the window, by the tests of :mod:`usnet_env.tracks.confirm`; their probability becomes 0.
-            So no candidate of a detector that says nothing about followers is confirmed.
+            in half of the window, by the tests of :mod:`usnet_env.tracks.confirm`. So no candidate of a detector that
+            says nothing about followers is confirmed.
         on_window: called with each window, the detector's answer and the leaders.
 
     Returns:
@@ -207,11 +210,7 @@ def find_leaders(
 
 
 def _answer(player: DetectorLike, cut: TrackWindow, seed: int, number: int, when: str) -> Detection:
-    """Ask the detector for one window.
-
-    Raises:
-        ArgumentError: the detector fails, or its answer is none for this window.
-    """
+    """Ask the detector for one window; what it raises becomes an ``ArgumentError`` that names the window."""
     try:
         player.reset(int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1)[0]))
         detection = player.detect(fit_window(player, cut.window))
@@ -231,48 +230,32 @@ def _detect_window(
     cut: TrackWindow, detection: Detection, confirm: bool, groups: list[Group], times: tuple[Any, Any]
 ) -> DetectedWindow:
     """The leaders that an answer names in a window; their groups update those of earlier windows."""
+    ids, scores, extras = cut.ids, detection.scores, detection.extras
     heads = np.flatnonzero(detection.candidates)
-    heads = heads[np.argsort(-detection.scores[heads], kind="stable")]
+    heads = heads[np.argsort(-scores[heads], kind="stable")]
     followers = [list_followers(detection, int(head)) for head in heads]
-    rejected = heads[:0]
+    confirmed = np.ones(len(heads), bool)
     if confirm:
         confirmed, followers = confirm_leaders(cut.window, heads, followers)
-        rejected, heads = heads[~confirmed], heads[confirmed]
-        followers = [members for members, kept in zip(followers, confirmed, strict=True) if kept]
+    led = {int(heads[k]): followers[k] for k in np.flatnonzero(confirmed)}
     labels = _number_groups(
-        [
-            (int(cut.rows[head]), {int(cut.rows[i]) for i in (int(head), *members)})
-            for head, members in zip(heads, followers, strict=True)
-        ],
+        [(int(cut.rows[head]), {int(row) for row in cut.rows[[head, *members]]}) for head, members in led.items()],
         groups,
     )
-    probability = detection.extras.get("probability")
-    reasons = _reasons(detection, heads, followers)
-    leaders = tuple(
-        Leader(
-            cut.ids[head],
-            None if probability is None else float(probability[head]),
-            tuple(cut.ids[i] for i in members),
-            reason,
-            label,
-            float(detection.scores[head]),
-        )
-        for head, members, reason, label in zip(heads, followers, reasons, labels, strict=True)
-    )
-    links = _find_links(cut, detection, heads, followers)
-    return DetectedWindow(*times, leaders, tuple(cut.ids[head] for head in rejected), links, cut.left_out)
-
-
-def _find_links(
-    cut: TrackWindow, detection: Detection, heads: Indices, followers: Sequence[Sequence[int]]
-) -> tuple[Link, ...]:
-    """The direct leader of each follower of some heads, which is the head if the answer has none, and the delay."""
-    links = []
-    for head, members in zip(heads, followers, strict=True):
+    reasons = dict(zip(map(int, extras.get("heads", ())), extras.get("reasons", ()), strict=False))
+    ranks = np.argsort(np.argsort(-scores, kind="stable"), kind="stable") + 1
+    leaders, links = [], []
+    for (head, members), label in zip(led.items(), labels, strict=True):
+        why = f"Has score {scores[head]:.3g}, rank {ranks[head]} of {len(scores)}, and "
+        why = str(reasons.get(head) or why + f"{format_count(len(members), 'follower')}.")
+        probability = float(extras["probability"][head]) if "probability" in extras else None
+        behind = tuple(ids[i] for i in members)
+        leaders.append(Leader(ids[head], probability, behind, why, label, float(scores[head])))
         for i in members:
-            ahead = int(head) if detection.leader is None else int(detection.leader[i])
-            links.append(Link(cut.ids[i], cut.ids[ahead], cut.ids[head], _measure_delay(cut, i, ahead)))
-    return tuple(links)
+            ahead = head if detection.leader is None else int(detection.leader[i])
+            links.append(Link(ids[i], ids[ahead], ids[head], _measure_delay(cut, i, ahead)))
+    rejected = tuple(ids[head] for head in heads[~confirmed])
+    return DetectedWindow(*times, tuple(leaders), rejected, tuple(links), cut.left_out)
 
 
 def _measure_delay(cut: TrackWindow, follower: int, leader: int) -> float | None:
@@ -291,51 +274,28 @@ def _measure_delay(cut: TrackWindow, follower: int, leader: int) -> float | None
     most = min(_MOST_LAG, len(centred) // _LEAST_STEPS)
     curve = np.array([(ahead[: len(ahead) - lag] * behind[lag:]).sum() for lag in range(most + 1)])
     lag = int(curve.argmax())
-    return round(lag * cut.step, _DIGITS) if lag else None
-
-
-def _reasons(detection: Detection, heads: Indices, followers: list[list[int]]) -> list[str]:
-    """A sentence for each head: the detector's own if it gives one, otherwise the rank of its score."""
-    named, given = detection.extras.get("heads", ()), detection.extras.get("reasons", ())
-    reasons = {int(head): str(reason) for head, reason in zip(named, given, strict=False)}
-    scores = detection.scores
-    ranks = np.argsort(np.argsort(-scores, kind="stable"), kind="stable") + 1
-    return [
-        reasons.get(int(head))
-        or f"Has score {scores[head]:.3g}, rank {ranks[head]} of {len(scores)}, and "
-        f"{format_count(len(members), 'follower')}."
-        for head, members in zip(heads, followers, strict=True)
-    ]
+    return round(lag * cut.step, 9) if lag else None
 
 
 def _number_groups(found: list[Group], known: list[Group]) -> list[int]:
     """Number the groups of a window from 1, so that a group keeps its number from window to window.
 
     A group has the number of the earlier group with which it shares the most members; a common leader counts as a
-    quarter of them. It has a new number if it shares less than a quarter with each.
-
-    Args:
-        found: the groups of the window.
-        known: each group as it was found last, in the order of the numbers; updated in place.
+    quarter of them. It has a new number if it shares less than a quarter with each. ``known`` holds each group as it
+    was found last, in the order of the numbers, and is updated.
     """
-    labels = [0] * len(found)
-    if found and known:
-        share = np.array(
-            [
-                [len(now & then) / len(now | then) + _SAME_LEADER * (head == leader) for leader, then in known]
-                for head, now in found
-            ]
-        )
-        for k, g in zip(*linear_sum_assignment(-share), strict=True):
-            if share[k, g] >= _SAME_GROUP:
-                labels[k] = int(g) + 1
+    share = np.zeros((len(found), len(known)))
+    for k, (head, now) in enumerate(found):
+        for g, (leader, then) in enumerate(known):
+            share[k, g] = len(now & then) / len(now | then) + _SAME_LEADER * (head == leader)
+    same = {k: int(g) for k, g in zip(*linear_sum_assignment(-share), strict=True) if share[k, g] >= _SAME_GROUP}
     for k, group in enumerate(found):
-        if labels[k]:
-            known[labels[k] - 1] = group
+        if k in same:
+            known[same[k]] = group
         else:
+            same[k] = len(known)
             known.append(group)
-            labels[k] = len(known)
-    return labels
+    return [same[k] + 1 for k in range(len(found))]
 
 
 def _summarise(
@@ -343,11 +303,8 @@ def _summarise(
 ) -> tuple[Leader, ...]:
     """The leaders over the file, the one with the most windows first.
 
-    Args:
-        windows: all windows.
-        ids: the ids of the tracks.
-        seen: ``(N,)`` number of windows that hold each id, or ``None`` if the leaders are not confirmed.
-        sure: whether the detector gives probabilities in all windows.
+    ``seen`` ``(N,)`` is the number of windows that hold each id, or ``None`` if the leaders are not confirmed; ``sure``
+    says whether the detector gives probabilities in all windows.
     """
     row = {name: k for k, name in enumerate(ids)}
     entries_of: dict[tuple[int, int], list[Leader]] = {}  # by the group and the row of its leader
@@ -369,19 +326,3 @@ def _summarise(
         share = count / len(windows)
         found.append(Leader(ids[head], probability if sure else None, tuple(behind), reason, group, score, share))
     return tuple(found)
-
-
-def find_date(found: FoundLeaders) -> str:
-    """The date of all windows if the times are timestamps of one day, otherwise nothing."""
-    times = [time for window in found.windows for time in (window.start, window.end)]
-    dates = {time.partition("T")[0] for time in times if isinstance(time, str)}
-    return dates.pop() if len(dates) == 1 else ""
-
-
-def format_time(time: float | int | str, date: str) -> str:
-    """A time of the file: up to 12 digits, or a timestamp in UTC without ``date`` and final zeros."""
-    if not isinstance(time, str):
-        return f"{time:.12g}" if isinstance(time, float) else str(time)
-    day, _, clock = time.removesuffix("Z").partition("T")
-    clock = clock.rstrip("0").removesuffix(".") if "." in clock else clock
-    return clock if day == date else f"{day} {clock}"

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from usnet_env.arrays import Floats, Indices
-from usnet_env.config import ArgumentError, format_number, quote
+from usnet_env.config import ArgumentError, format_number
 from usnet_env.tracks.samples import Samples
 
 SamplesT = TypeVar("SamplesT", bound=Samples)
@@ -31,33 +32,25 @@ _FEWEST = 16  # one in this many ids must follow another
 _SIGNIFICANT = 5.0  # a lead exceeds those of shifted tracks by this many robust standard deviations
 _NEARLY = 0.8  # the shortest step whose lead is at least this share of the largest is chosen
 _SIGNAL = 4.0  # in a step, the squared movement should exceed the noise of the squared movement this many times
-_SHORT_LAG = 0.75  # steps; a delay that is shorter is none of one step
 _LARGEST_SCALE = 64  # samples; the noise asks for no longer step
 
 
 def typical_intervals(tracks: Samples) -> Floats:
     """``(N,)`` median interval between the samples of each id, seconds; NaN for an id with fewer than two samples."""
     typical = np.full(len(tracks.ids), np.nan)
-    for i, (first, last) in enumerate(zip(tracks.offsets[:-1], tracks.offsets[1:], strict=True)):
+    for i, (first, last) in enumerate(pairwise(tracks.offsets)):
         if last - first > 1:
             typical[i] = np.median(np.diff(tracks.time[first:last]))
     return typical
 
 
 class Jumps(NamedTuple):
-    """The jumps of some tracks.
+    """The jumps of some tracks."""
 
-    Args:
-        steps: indices of the samples after which a track jumps.
-        spikes: indices of the samples to and from which a track jumps, although the way past them is no jump.
-        speed: ``(S - 1,)`` metres per second from each sample to the next of its id; 0 between ids.
-        usual: the speed that 95 % of the steps of moving ids don't exceed.
-    """
-
-    steps: Indices
-    spikes: Indices
-    speed: Floats
-    usual: float
+    steps: Indices  # the samples after which a track jumps
+    spikes: Indices  # the samples to and from which a track jumps, although the way past them is no jump
+    speed: Floats  # (S - 1,) metres per second from each sample to the next of its id; 0 between ids
+    usual: float  # the speed that 95 % of the steps of moving ids don't exceed
 
 
 def find_jumps(tracks: Samples) -> Jumps:
@@ -85,7 +78,6 @@ def leave_out_spikes(tracks: SamplesT) -> SamplesT:
         offsets=tracks.offsets - np.searchsorted(spikes, tracks.offsets),
         time=np.delete(tracks.time, spikes),
         position=np.delete(tracks.position, spikes, axis=0),
-        velocity=None,
         leader=None if tracks.leader is None else np.delete(tracks.leader, spikes),
     )
 
@@ -101,48 +93,35 @@ def close_jumps(tracks: SamplesT) -> SamplesT:
     return replace(tracks, position=tracks.position - (moved - moved[first])) if len(jumps) else tracks
 
 
-def resample_positions(
-    tracks: Samples, step: float, max_gap: float | None
-) -> tuple[Indices, Floats, Floats, Indices | None]:
-    """Resample all tracks to the times 0, ``step``, 2 ``step``, ...; see :meth:`Tracks.resample`.
-
-    Returns:
-        The offsets ``(N + 1,)``, times ``(G,)``, positions ``(G, 3)`` and leaders ``(G,)`` or ``None`` of the result.
+def resample_positions(tracks: SamplesT, step: float, max_gap: float | None) -> SamplesT:
+    """The tracks at the times 0, ``step``, 2 ``step``, ...; see :meth:`Tracks.resample`.
 
     Raises:
         ArgumentError: the step is so short that the result has more than 10⁸ samples.
     """
-    parts = [slice(int(first), int(last)) for first, last in zip(tracks.offsets[:-1], tracks.offsets[1:], strict=True)]
+    parts = [slice(int(first), int(last)) for first, last in pairwise(tracks.offsets)]
     filled = [i for i, part in enumerate(parts) if part.stop - part.start > 1]
     counts = np.zeros(len(parts), np.int64)
     for i in filled:
         counts[i] = int(_grid_numbers(tracks.time[parts[i]] / step, step, max_gap)[1].sum())
-    total = int(counts.sum())
-    if total > _MOST_GRID:
+    if counts.sum() > _MOST_GRID:
         raise ArgumentError(
-            f"step must be at least {step * total / _MOST_GRID:.3g} s, or the result has more than {_MOST_GRID:g} "
-            f"samples, got {quote(step)}."
+            f"step must be so long that the result has at most {_MOST_GRID:g} samples, got {step:g} s and "
+            f"{counts.sum():g} samples."
         )
+    grids = [_resample_one(tracks.time[parts[i]], tracks.position[parts[i]], step, max_gap) for i in filled]
+    times, places = (np.concatenate([grid[k] for grid in grids]) for k in (0, 1))
+    leader = tracks.leader
+    if leader is not None:
+        leader = np.concatenate([leader[parts[i]][grid[2]] for i, grid in zip(filled, grids, strict=True)])
     offsets = np.concatenate([[0], np.cumsum(counts)])
-    times, places = np.empty(total), np.empty((total, 3))
-    leaders = None if tracks.leader is None else np.empty(total, np.int64)
-    for i in filled:
-        grid = slice(*offsets[i : i + 2])
-        number, places[grid], nearest = _resample_one(tracks.time[parts[i]], tracks.position[parts[i]], step, max_gap)
-        times[grid] = number * step
-        if leaders is not None and tracks.leader is not None:
-            leaders[grid] = tracks.leader[parts[i]][nearest]
-    return offsets, times, places, leaders
+    return replace(tracks, offsets=offsets, time=times * step, position=places, leader=leader, step=step)
 
 
 def _resample_one(
     time: Floats, position: Floats, step: float, max_gap: float | None
 ) -> tuple[Indices, Floats, Indices]:
-    """Resample one track ``(S,)``, ``(S, 3)``.
-
-    Returns:
-        ``(G,)`` numbers of the grid times, ``(G, 3)`` positions, and ``(G,)`` index of the nearest sample.
-    """
+    """Resample one track ``(S,)``, ``(S, 3)``: numbers of the grid times ``(G,)``, positions, and nearest samples."""
     at = time / step
     low, count = _grid_numbers(at, step, max_gap)
     number = np.repeat(low - np.cumsum(count) + count, count) + np.arange(int(count.sum()))
@@ -160,11 +139,9 @@ def _resample_one(
 
 
 def _grid_numbers(at: Floats, step: float, max_gap: float | None) -> tuple[Indices, Indices]:
-    """The grid times at which a track has samples, for sample times ``at`` ``(S,)`` in steps.
+    """The first grid time from each sample on, ``(S,)``, for sample times ``at`` ``(S,)`` in steps, and their number.
 
-    Returns:
-        ``(S,)`` number of the first grid time from each sample on, and ``(S,)`` how many grid times there are from it
-        and before the next sample: all of them if the next sample is close enough, otherwise only the sample's own.
+    They are all grid times before the next sample if that is close enough, otherwise only the sample's own.
     """
     interval = np.diff(at)
     usual = max(_BRIDGE * float(np.quantile(interval, _TYPICAL_SHARE)), 1.0)
@@ -180,10 +157,9 @@ def _fit_lines(at: Floats, position: Floats, number: Indices, place: Floats) -> 
     """Replace ``place`` ``(G, 3)`` by straight lines fitted within half a step, where there are enough samples."""
     cell = np.floor(at + 0.5).astype(np.int64)
     starts = np.flatnonzero(np.diff(cell, prepend=cell[0] - 1))
-    numbers = cell[starts]
-    base = np.repeat(position[starts], np.diff(np.append(starts, len(at))), axis=0)
-    u, p = at - cell, position - base
-    count = np.diff(np.append(starts, len(at))).astype(np.float64)
+    numbers, sizes = cell[starts], np.diff(np.append(starts, len(at)))
+    u, p = at - cell, position - np.repeat(position[starts], sizes, axis=0)
+    count = sizes.astype(np.float64)
     sum_u, sum_uu = np.add.reduceat(u, starts), np.add.reduceat(u * u, starts)
     sum_p, sum_up = np.add.reduceat(p, starts, axis=0), np.add.reduceat(u[:, None] * p, starts, axis=0)
     spread = count * sum_uu - sum_u**2
@@ -204,25 +180,17 @@ class _Lead(NamedTuple):
 
 
 def choose_step(tracks: Samples) -> tuple[float, tuple[str, ...]]:
-    """Choose the step of the grid: the shortest at which the changes of velocity tell clearly who follows.
+    """Choose the step of the grid, in seconds, and say why, a sentence each; an id must have two samples.
 
     The noise of the positions is white, so it adds -σ² to the covariance of successive steps and nothing to later ones:
-    σ² = 2 c₂ - c₃ - c₁ (at least 0), with the covariances c_k of steps k apart, because those of the movement itself
-    change slowly. The shortest step that is tried is long enough that the mean squared movement is at least four times
-    its noise. Each further step is √2 times as long, as long as the tracks have 100 steps. Gross jumps count as steps
-    of no length: a single one may exceed the noise and the movement of all others.
+    σ² = 2 c₂ - c₃ - c₁ (at least 0), with the covariances c_k of steps k apart. The shortest step that is tried is long
+    enough that the mean squared movement is at least four times its noise; each further step is √2 times as long, as
+    long as the tracks have 100 steps. Gross jumps count as steps of no length.
 
     At each step, the lead of j over i is max_τ C(τ) - max_τ C(-τ), τ = 1, ..., 4, with the correlation C(τ) of the
     changes of i's velocity with those of j's velocity τ steps before. The lead over i is that of the best j, less the
     median for tracks that are shifted in time. It counts if it is significant and the delay is at most 4 steps. The
-    mean lead over the ids is small if the step is much shorter than the delays or than the time between turns, or much
-    longer than the delays. The shortest step with 80 % of the largest mean lead is chosen.
-
-    Args:
-        tracks: tracks of which an id has two samples.
-
-    Returns:
-        The step in seconds, and why: a sentence each.
+    shortest step with 80 % of the largest mean lead is chosen.
     """
     interval = float(f"{np.nanmedian(typical_intervals(tracks)):.9g}")  # differences of times have rounding errors
     tracks = close_jumps(tracks)
@@ -232,36 +200,16 @@ def choose_step(tracks: Samples) -> tuple[float, tuple[str, ...]]:
     largest = max(lead.mean for lead in leads)
     best = next(k for k, lead in enumerate(leads) if lead.mean >= _NEARLY * largest)
     lead, step = leads[best], factors[best] * interval
-    reasons = []
-    noisy = f"the noise of the positions is about {format_number(noise, 2)} m"
-    if needed > 1:
-        reasons.append(f"{noisy}, and the movement exceeds it twice in {format_number(needed * interval)} s")
-    elif noise:
-        reasons.append(f"{noisy}, less than half of the movement in a step")
-    warnings = []
-    if not largest:
-        reasons.append("no id follows another with a significant delay, so delays have no part in the choice")
-    else:
-        after = f"{format_number(lead.lag * step, 2)} s (median of {lead.followers})"
-        reasons.append(f"it is the shortest that shows clearly who follows: an id follows another after about {after}")
-        if lead.lag < _SHORT_LAG:
-            warnings.append(
-                "Warning: this delay is shorter than the step, so direct leaders and delays can't be told; a shorter "
-                "step and longer windows may show them."
-            )
-        if best == len(factors) - 1 and len(factors) > 1:
-            warnings.append(
-                f"Warning: it is the longest step that was tried, since the tracks should have at least {_LEAST_STEPS} "
-                "steps; a longer step may suit them better."
-            )
+    why, warnings = "no id follows another with a significant delay", []
+    if largest:
+        after = f"about {format_number(lead.lag * step, 2)} s (median of {lead.followers})"
+        why = f"it is the shortest that shows clearly who follows: an id follows another after {after}"
         if best == 0 and needed > 1:
-            warnings.append(
-                "Warning: the step is this long because of the noise; ids that follow after much less time may be "
-                "missed."
-            )
+            warnings.append("Warning: the step is this long because of the noise; shorter delays may be missed.")
     factor = f"{factors[best]:g} sampling intervals of {format_number(interval)} s"
     sampled = factor if factors[best] > 1 else "the sampling interval"
-    return step, (f"The step is {format_number(step)} s, {sampled}: {'; '.join(reasons)}.", *warnings)
+    noisy = f"; the noise of the positions is about {format_number(noise, 2)} m" * bool(noise)
+    return step, (f"The step is {format_number(step)} s, {sampled}: {why}{noisy}.", *warnings)
 
 
 def _step_factors(shortest: int, samples: float) -> list[int]:
@@ -281,15 +229,13 @@ def _sample_velocities(tracks: Samples, interval: float) -> Floats:
     pairs = counts[:-1] + counts[1:] if len(counts) > 1 else counts
     begin = float(edges[int(pairs.argmax())])
     low, high = np.empty((2, len(tracks.ids)), np.int64)
-    for i, (first, last) in enumerate(zip(tracks.offsets[:-1], tracks.offsets[1:], strict=True)):
+    for i, (first, last) in enumerate(pairwise(tracks.offsets)):
         low[i], high[i] = first + np.searchsorted(tracks.time[first:last], (begin, begin + length))
     longest = np.argsort(low - high, kind="stable")[:_POOL]
     longest = longest[: max(2, int(np.searchsorted(np.cumsum((high - low)[longest]), _MOST_SAMPLES)) + 1)]
     instants = int(min(_PART, tracks.duration / interval)) + 1
     place = np.full((instants, len(longest), 3), np.nan)
-    for k, i in enumerate(longest):
-        if high[i] - low[i] < 2:
-            continue
+    for k, i in enumerate(longest[(high - low)[longest] > 1]):
         part = slice(int(low[i]), int(high[i]))
         number, where, _ = _resample_one(tracks.time[part] - begin, tracks.position[part], interval, None)
         inside = (number >= 0) & (number < instants)
@@ -353,16 +299,7 @@ def _measure_leads(velocity: Floats) -> _Lead:
         spread = 1.4826 * float(np.median(np.abs(by_chance - middle)))
         if lead.max() > middle + _SIGNIFICANT * spread:
             leads.append(float(lead.max()) - middle)
-            delays.append(_find_peak(curve[lead.argmax()]))
+            delays.append(1 + int(curve[lead.argmax(), 1 : _LAGS + 1].argmax()))
     if len(leads) < max(1, len(focal) / _FEWEST):
         return none
     return _Lead(sum(leads) / len(focal), float(np.median(delays)), len(leads))
-
-
-def _find_peak(curve: Floats) -> float:
-    """The lag of the largest of the correlations ``(T,)`` at the lags 1 to 4: the peak of the parabola through it."""
-    lag = 1 + int(curve[1 : _LAGS + 1].argmax())
-    before, at, after = (float(curve[lag + k]) for k in (-1, 0, 1))
-    bend = before - 2 * at + after
-    shift = (before - after) / (2 * bend) if bend < 0 else 0.0
-    return lag + min(max(shift, -0.5), 0.5)

@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
-from decimal import Decimal
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from usnet_env.arrays import Floats, Indices, Mask
-from usnet_env.config import ArgumentError, format_number, quote
+from usnet_env.config import ArgumentError, quote
 
 _DIGITS = 9  # decimals of a time that is written as a number, where float64 has as many
 _EPOCH = datetime(1970, 1, 1)
-_UNIT_NAMES = {1.0: "s", 1e-3: "ms", 1e-6: "µs", 1e-9: "ns", 60.0: "min", 3600.0: "h"}
 _NO_VALUE = {"", "na", "n/a", "nan", "null", "none", "nat"}
-_RECORDED = (315_532_800, 4_102_444_800)  # seconds from 1970 to 1980 and to 2100
-_DECIMAL = re.compile(r"[+-]?[0-9]+(\.[0-9]*)?")
 
 
 @dataclass(frozen=True)
@@ -33,24 +28,12 @@ class Clock:
         unit: seconds in one unit of the file's times; 1 for timestamps.
         timestamps: whether the file's times are dates with a time of day; they are written as ISO 8601 in UTC.
         whole: whether the file's times are whole numbers.
-        frames: whether the file's times are numbers of frames.
-        likely_unit: 0.001, 1e-6 or 1e-9 seconds, if the times were read as seconds because no unit was given, but their
-            numbers or the name of their column say this unit; otherwise ``None``.
     """
 
     origin: float = 0.0
     unit: float = 1.0
     timestamps: bool = False
     whole: bool = False
-    frames: bool = False
-    likely_unit: float | None = None
-
-    @property
-    def unit_name(self) -> str:
-        """The unit of the file's times, such as ``"s"`` or ``"frames"``; nothing for timestamps."""
-        if self.timestamps or self.frames:
-            return "frames" if self.frames else ""
-        return _UNIT_NAMES.get(self.unit, f"units of {format_number(self.unit)} s")
 
     def file_time(self, seconds: float) -> float | int | str:
         """Write ``seconds`` after the start as a time of the file."""
@@ -71,7 +54,6 @@ class Samples:
     time: Floats
     position: Floats
     origin: Floats
-    velocity: Floats | None = None
     leader: Indices | None = None
     clock: Clock = Clock()
     frame: str = "metres"
@@ -117,15 +99,13 @@ def sort_samples(
     *,
     clock: Clock = Clock(),
     origin: Floats | None = None,
-    velocity: Floats | None = None,
     leader: Indices | None = None,
     notes: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Sort samples by id and time, and move the origin of time and space to the first sample and the middle.
 
-    The arguments are those of :class:`Samples`, but for ``codes`` ``(S,)``, index of the id of each sample; ``time``
-    ``(S,)`` in the clock's unit, or in seconds for timestamps; ``axes``, the two or three coordinates ``(S,)``; and
-    ``origin``, if the positions are relative to it already.
+    ``codes`` ``(S,)`` is the index of the id of each sample, ``time`` ``(S,)`` is in the clock's unit, or in seconds
+    for timestamps, and ``axes`` are the two or three coordinates ``(S,)``, relative to ``origin`` if it is given.
 
     Returns:
         The fields of :class:`Samples` but for ``frame`` and ``step``. Repeated samples are left out, with a note.
@@ -167,7 +147,6 @@ def sort_samples(
         "time": time,
         "position": position,
         "origin": origin,
-        "velocity": None if velocity is None else velocity[order],
         "leader": None if leader is None else leader[order],
         "clock": clock,
         "notes": tuple(notes),
@@ -181,28 +160,19 @@ def match_leaders(
     ids: Sequence[str | int],
     where: str = "",
 ) -> tuple[Indices | None, list[str]]:
-    """Which id each sample follows.
+    """Which id each sample follows: ``(S,)``, -1 for none, or ``None`` if no leader has a track; and sentences.
 
-    Args:
-        index: ``(S,)`` which of the labels names the leader of each sample.
-        labels: the different labels of leaders. One names the id of the same text, or else of an equal number: ``0.0``,
-            which pandas writes for whole numbers in a column with gaps, is the id 0. A number that equals several ids,
-            such as 1 and 01, is none of them.
-        codes: ``(S,)`` index of the id of each sample.
-        ids: the N ids.
-        where: names the column in a sentence, such as ``" in column leader"``.
-
-    Returns:
-        ``(S,)`` index of each sample's leader, -1 for none; ``None`` if none of those that are named has a track. And a
-        sentence about each kind of leader that was not found.
+    A label, of which ``index`` ``(S,)`` are the numbers, names the id of the same text, or else of an equal number:
+    ``0.0``, which pandas writes for whole numbers in a column with gaps, is the id 0. A number that equals several ids,
+    such as 1 and 01, is none of them. ``codes`` ``(S,)`` are the numbers of the samples' own ids.
     """
     same = {str(name): k for k, name in enumerate(ids)}
-    equal: dict[Decimal | None, int] = {}
+    equal: dict[float | None, int] = {}
     for text, k in same.items():
         equal[_to_number(text)] = -1 if _to_number(text) in equal else k
     equal[None] = -1
-    texts = list(map(str, labels))
-    known, notes = np.array([same.get(text, equal.get(_to_number(text), -1)) for text in texts], np.int64), []
+    known = np.array([same.get(text, equal.get(_to_number(text), -1)) for text in map(str, labels)], np.int64)
+    notes = []
     unknown = [label for label, k in zip(labels, known, strict=True) if k < 0 and not is_none(label)]
     if unknown:
         notes.append(f"Leaders without a track: {len(unknown)} ({', '.join(map(str, unknown[:3]))}).")
@@ -217,13 +187,11 @@ def is_none(value: Any) -> bool:
     return str(value).strip().lower() in _NO_VALUE
 
 
-def is_epoch(time: float, unit: float) -> bool:
-    """Whether ``time`` units of ``unit`` seconds after 1970 are a date from 1980 to 2100."""
-    return _RECORDED[0] <= time * unit <= _RECORDED[1]
-
-
-def _to_number(text: str) -> Decimal | None:
-    return Decimal(text) if _DECIMAL.fullmatch(text) else None
+def _to_number(text: str) -> float | None:
+    try:
+        return None if is_none(text) else float(text)
+    except ValueError:
+        return None
 
 
 def _count_decimals(number: float) -> int:

@@ -7,16 +7,15 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike
 
 from usnet_env.arrays import Floats, Indices
-from usnet_env.config import ArgumentError, format_number, quote, real_number, whole_number
+from usnet_env.config import ArgumentError, format_count, quote, real_number, whole_number
 from usnet_env.tracks.report import TrackReport, find_problems
 from usnet_env.tracks.resample import choose_step, leave_out_spikes, resample_positions
 from usnet_env.tracks.samples import Samples, match_leaders, sort_samples
 from usnet_env.window import Window, as_array, frozen_array
-
-_SHORTEST_STEP, _LONGEST_STEP = 1e-9, 1e9  # seconds
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +59,6 @@ class Tracks(Samples):
         position: ``(S, 3)`` float64, metres from ``origin``; z is 0 in planar tracks.
         origin: ``(3,)`` float64, the coordinates of the local origin: metres, or longitude and latitude in degrees and
             height in metres.
-        velocity: ``(S, 3)`` float64, the velocities in the file, or ``None``. They are compared with the positions in
-            :meth:`report` and are not used for anything else.
         leader: ``(S,)`` int64, index of the id that each id follows at that time (-1: none), or ``None`` if the file
             has no column of leaders, or if none of the leaders in it has a track.
         clock: how seconds are written as times of the file.
@@ -121,30 +118,17 @@ class Tracks(Samples):
         Raises:
             ArgumentError: ``step`` or ``max_gap`` is not a positive number, or no id has two samples.
         """
-        if max_gap is not None:
-            max_gap = real_number("max_gap", max_gap, _SHORTEST_STEP, _LONGEST_STEP)
-        if step is not None:
-            step = real_number("step", step, _SHORTEST_STEP, _LONGEST_STEP)
+        max_gap = None if max_gap is None else real_number("max_gap", max_gap, 1e-9, 1e9)
+        step = None if step is None else real_number("step", step, 1e-9, 1e9)
         if (np.diff(self.offsets) < 2).all():
             raise ArgumentError("tracks must hold an id with at least 2 samples; each id has only one.")
         tracks = self if keep_spikes else leave_out_spikes(self)
-        why: tuple[str, ...] = () if step is None else (f"The step of {format_number(step)} s was given.",)
+        why: tuple[str, ...] = ()
         if step is None:
             step, why = choose_step(tracks)
-        offsets, time, position, leader = resample_positions(tracks, step, max_gap)
         if spikes := self.samples - tracks.samples:
-            left_out = "1 spike was" if spikes == 1 else f"{spikes} spikes were"
-            why = (*why, f"{left_out} left out, unless keep_spikes (--keep-spikes) is given.")
-        return replace(
-            self,
-            offsets=offsets,
-            time=time,
-            position=position,
-            velocity=None,
-            leader=leader,
-            notes=(*self.notes, *why),
-            step=step,
-        )
+            why = (*why, f"{format_count(spikes, 'spike')} left out, unless keep_spikes (--keep-spikes) is given.")
+        return replace(resample_positions(tracks, step, max_gap), notes=(*self.notes, *why))
 
     def windows(
         self, length: int = 100, stride: int | None = None, *, least_steps: int | None = None
@@ -166,13 +150,13 @@ class Tracks(Samples):
         stride = length if stride is None else whole_number("stride", stride, 1, 10**9)
         least_steps = -(-length // 2) if least_steps is None else whole_number("least_steps", least_steps, 1, length)
         even = self if self.step is not None else self.resample()
-        count = even.count_windows(length, stride)
+        count, step = even.count_windows(length, stride), float(even.step or 1.0)
         if not count:
             raise ArgumentError(
-                f"length must be at most {round(even.duration / (even.step or 1.0))}, the number of steps of "
-                f"{even.step:g} s in the tracks, got {quote(length)} (--window sets it)."
+                f"length must be at most {round(even.duration / step)}, the number of steps of {step:g} s in the "
+                f"tracks, got {quote(length)} (--window sets it)."
             )
-        number = np.round(even.time / (even.step or 1.0)).astype(np.int64)
+        number = np.round(even.time / step).astype(np.int64)
         known, starts = np.unique(number), np.arange(count) * stride
         filled = np.searchsorted(known, starts + length, side="right") > np.searchsorted(known, starts)
         cuts = (_cut(even, number, int(first), length, least_steps) for first in starts[filled])
@@ -185,11 +169,7 @@ class Tracks(Samples):
 
 
 def _read_ids(name: str, value: Any, samples: int) -> tuple[Indices, tuple[str | int, ...]]:
-    """Which of the different ids each sample has, ``(S,)``, and these ids: whole numbers if all are, otherwise texts.
-
-    Raises:
-        ArgumentError: there are none, another number of them, or other values among them.
-    """
+    """Which of the different ids each sample has, ``(S,)``, and these ids: whole numbers if all are, or else texts."""
     ids = as_array(name, value)
     plain = ids.tolist()
     if ids.shape != (samples,) or not samples or not all(isinstance(label, str | int) for label in plain):
@@ -203,12 +183,7 @@ def _read_ids(name: str, value: Any, samples: int) -> tuple[Indices, tuple[str |
 def _cut(tracks: Tracks, number: Indices, first: int, length: int, least_steps: int) -> TrackWindow | None:
     """Cut the window that begins at grid time ``first``; ``None`` if fewer than two ids are seen long enough.
 
-    Args:
-        tracks: the resampled tracks.
-        number: ``(S,)`` the grid time of each sample, in steps.
-        first: the grid time of the first instant.
-        length: steps of the window.
-        least_steps: steps in which an id must be seen.
+    ``number`` ``(S,)`` is the grid time of each sample, in steps.
     """
     step = float(tracks.step or 0.0)
     inside = np.flatnonzero((number >= first) & (number <= first + length))
@@ -228,6 +203,11 @@ def _cut(tracks: Tracks, number: Indices, first: int, length: int, least_steps: 
     position[number[inside] - first, column] = tracks.position[inside] - origin
     velocity = np.where((seen[1:] & seen[:-1])[..., None], np.diff(position, axis=0), 0.0)
     places, moves, alive = position.astype(np.float32), velocity.astype(np.float32), np.ones(len(rows), bool)
+    leader = None
+    if tracks.leader is not None:
+        pairs = pd.DataFrame({"column": column, "leader": tracks.leader[inside]}).groupby(["column", "leader"]).size()
+        often = pairs.sort_values(ascending=False, kind="stable").reset_index().drop_duplicates("column")
+        leader = pd.Index(rows).get_indexer(often.sort_values("column")["leader"]).astype(np.int64)
     return TrackWindow(
         window=Window(places, moves, seen, alive, step=step),
         ids=tuple(tracks.ids[i] for i in rows),
@@ -236,17 +216,6 @@ def _cut(tracks: Tracks, number: Indices, first: int, length: int, least_steps: 
         end=(first + length) * step,
         step=step,
         origin=origin,
-        leader=None if tracks.leader is None else _usual_leaders(tracks.leader[inside], column, rows),
+        leader=leader,
         left_out=left_out,
     )
-
-
-def _usual_leaders(leader: Indices, column: Indices, rows: Indices) -> Indices:
-    """The leader that each of the window's UAVs has in most of its samples, as an index in the window."""
-    pairs, counts = np.unique(np.stack([column, leader], axis=1), axis=0, return_counts=True)
-    order = np.lexsort((-counts, pairs[:, 0]))
-    first = np.unique(pairs[order, 0], return_index=True)[1]
-    usual = pairs[order][first, 1]
-    place = np.searchsorted(rows, usual)
-    known = (usual >= 0) & (place < len(rows))
-    return np.where(known & (rows[np.minimum(place, len(rows) - 1)] == usual), place, -1).astype(np.int64)
