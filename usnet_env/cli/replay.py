@@ -22,7 +22,6 @@ _DEMO_EXAMPLES = """
 Examples:
   usnet demo --open
   usnet demo --detector learned --clusters 8 --uavs 185 --follow f1
-  usnet demo --paper-example --out runs/paper
 """  # click reads the control characters: they keep the lines
 _REPLAY_EXAMPLES = """
 \b
@@ -41,9 +40,8 @@ Examples:
 @click.option("--follow", metavar="NAME", help="Strategy; see `usnet list follow`.  [default: f3]")
 @click.option("--clusters", type=int, metavar="N", help="Number of clusters.  [default: 5]")
 @click.option("--uavs", type=int, metavar="N", help="Number of UAVs.  [default: 60]")
-@click.option("--paper-example", is_flag=True, help="Play the paper's example, 185 UAVs and mc-gassl; takes minutes.")
 @click.option("--open", "open_viewer", is_flag=True, help="Open the replay in the Rerun viewer.")
-def demo(out: str, seed: int | None, detector: str | None, paper_example: bool, open_viewer: bool, **game: Any) -> None:
+def demo(out: str, open_viewer: bool, **given: Any) -> None:
     """Play one episode of USNET/MultiCluster-v0 with UAVs that fly smoothly, and keep it.
 
     The detector errs in round 1 and recovers. The folder gets an episode file, a replay, a page and a picture.
@@ -51,8 +49,7 @@ def demo(out: str, seed: int | None, detector: str | None, paper_example: bool, 
     from usnet_env.replay.demo import run_demo
     from usnet_env.replay.rerun import open_replay
 
-    given = {name: value for name, value in game.items() if value is not None}
-    files = run_demo(out, seed=seed, detector=detector, paper_example=paper_example, **given)
+    files = run_demo(out, **{name: value for name, value in given.items() if value is not None})
     if open_viewer and "replay" in files:
         open_replay(files["replay"])
 
