@@ -111,17 +111,6 @@ def test_an_empty_window_can_be_drawn():
     assert frame_of(**blank).shape == (720, 960, 3)
 
 
-def test_environments_render_with_it():
-    with gym.make("USNET/MultiCluster-v0", render_mode="rgb_array", clusters=3, uavs=20) as env:
-        env.reset(seed=0)
-        before = env.render()
-        env.step(env.unwrapped.swarm.head.astype(np.int8))
-        after = env.render()
-    assert before.shape == after.shape == (720, 960, 3)
-    assert painted(before, drawing.HIT) == 0
-    assert painted(after, drawing.HIT) > 100
-
-
 def test_frames_keep_their_axes_and_mark_the_destroyed_of_earlier_rounds():
     values = scene()
     frames, shown = drawing.EpisodeFrames(), []
@@ -190,12 +179,6 @@ def test_figures_are_written_at_200_pixels_an_inch_or_as_pdf(tmp_path):
         assert picture.size == (400, 200)
 
 
-def test_long_names_keep_their_ends():
-    names = ["zzz_female_collar-1-leader", "zzz_female_collar-2-leader", "short", "a name that is much too long"]
-    assert drawing.abbreviate(names, 13) == [*names[:2], "short", "a name…o long"]
-    assert drawing.abbreviate([], 9) == []
-
-
 @given(st.sets(st.text("ab1-", max_size=30)), st.text("ab1", max_size=15), st.integers(5, 20))
 def test_different_names_stay_different(names, start, longest):
     full = [start + name + start for name in sorted(names)]
@@ -231,11 +214,3 @@ def test_names_beside_points_stay_in_the_frame_and_apart():
         assert frame.x0 <= box.x0 <= box.x1 <= frame.x1
         assert frame.y0 <= box.y0 <= box.y1 <= frame.y1
         assert not any(box.overlaps(other) for other in boxes[:k])
-
-
-def test_what_the_detector_sees_has_no_roles():
-    truth = frame_of(**scene(), candidates=named(0, 1))
-    seen = frame_of(**scene(), candidates=named(0, 1), truth=False)
-    for color in (drawing.HIT, drawing.REDUNDANT, *drawing.CLUSTER_COLORS[:2]):
-        assert painted(truth, color) > 0 == painted(seen, color)
-    assert painted(seen, "#0072B2") > 100

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import html
 import re
-import shutil
-import subprocess
 import sys
 
 import gymnasium as gym
@@ -21,8 +19,6 @@ from usnet_env.replay.page import write_page
 
 pytest.importorskip("matplotlib")
 Image = pytest.importorskip("PIL.Image")
-
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 
 
 def painted(frame, color):
@@ -149,27 +145,3 @@ def test_a_page_of_recorded_tracks_says_what_is_true_of_them(tmp_path):
     assert "1 of 1 head found in 1 window with 3 redundant candidates: F1 = 0.400 (1 is best)" in words
     assert "bird-0" in words
     assert not re.search(r"\bUAVs?\b|destroyed|\bJ\b|[Rr]ound", words)
-
-
-#: At the end of the page: move the slider, and write what is seen before and after into the page.
-PROBE = """<script>
-setTimeout(() => {
-  const slider = document.querySelector("input"), img = document.querySelector("img"), first = img.src;
-  slider.value = slider.max; slider.dispatchEvent(new Event("input"));
-  setTimeout(() => document.body.insertAdjacentHTML("beforeend", `<pre id="probe">${[window.failed || "no error",
-    first !== img.src, img.naturalWidth > 100, document.documentElement.scrollWidth <= innerWidth].join()}</pre>`), 99);
-}, 300);
-</script>"""
-WATCHER = "<script>window.onerror = (text) => { window.failed = text; };</script>"
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed")
-@pytest.mark.parametrize("size", ["1280,900", "500,900"])
-def test_the_slider_changes_the_picture_in_a_browser(page, tmp_path, size):
-    copy = tmp_path / "probe.html"
-    copy.write_text(page.read_text().replace("<body>", f"<body>{WATCHER}").replace("</body>", f"{PROBE}</body>"))
-    options = ["--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=5000", f"--window-size={size}"]
-    words = [BROWSER, *options, "--dump-dom", copy.as_uri()]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=True)
-    assert re.search('id="probe">(.*?)</pre>', done.stdout)[1] == "no error,true,true,true"
