@@ -59,16 +59,14 @@ def test_json_is_the_summary_and_nothing_else(run):
     assert summary[0]["metrics"]["J"] == {"mean": 1.85, "low": 1.85, "high": 1.85}
 
 
-def test_one_ranked_table_and_a_sentence(run, monkeypatch):
+def test_one_ranked_table_and_a_sentence(run):
     """The best J is first, whatever the order of the options; in a file, no line is padded."""
     status, out, _ = run("evaluate", "--detector", "none", *QUICK[1:])
-    assert status == 0
     lines = out.splitlines()
-    assert all(line == line.rstrip() for line in lines)
+    assert (status, lines) == (0, [line.rstrip() for line in lines])
     names = [line.split()[0] for line in lines if line and line.split()[0] in {"destroy-all", "none"}]
     assert names[:2] == ["destroy-all", "none"]
     assert "J_m" in out
-    assert "1.85" in out
 
 
 def test_two_workers_give_the_rows_of_the_function(run):
@@ -152,13 +150,13 @@ def test_help_imports_nothing_heavy():
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["--episodes", "0"], ["--episodes", "'0'"]),
+        (["--episodes", "0"], ["--episodes", "0 is not"]),
         (["--episodes", "2.5"], ["--episodes", "'2.5'"]),
         (["--episodes", "9" * 5000], ["--episodes"]),
         (["--episodes"], ["--episodes"]),
-        (["--time-limit", "0"], ["--time-limit", "'0'"]),
+        (["--time-limit", "0"], ["--time-limit", "0.0 is not"]),
         (["--memory-limit", "much"], ["--memory-limit", "'much'"]),
-        (["--seed", "-1"], ["--seed", "'-1'"]),
+        (["--seed", "-1"], ["--seed", "-1 is not"]),
         (["--workers", "inf"], ["--workers", "'inf'"]),
         (["--backend", "dask"], ["--backend", "'dask'", "ray"]),
         (["--env", "USNET/MultiCluster"], ["env ", "USNET/MultiCluster-v0"]),
@@ -168,6 +166,7 @@ def test_help_imports_nothing_heavy():
         (["--detector", "random(seeed=1)"], ["seeed"]),
         (["--detector", "random(", "--trivial"], ["random("]),
         (["--detector", ""], ["detector"]),
+        (["--detector", "x\x1b[2Jy"], ["detector", "x\\x1b[2Jy"]),
         (["--set", "follow"], ["--set", "'follow'"]),
         (["--set", "=f1"], ["--set", "'=f1'"]),
         (["--set", "follow=f1", "--set", "follow=f2"], ["--set", "follow"]),
@@ -265,12 +264,6 @@ def test_a_current_folder_that_was_removed_is_one_sentence(run, tmp_path, monkey
     monkeypatch.chdir(folder)
     folder.rmdir()
     refused(run, ["list", "envs"], "the current folder must exist")
-
-
-def test_what_controls_a_terminal_is_not_printed(run):
-    _, _, err = run("evaluate", "--detector", "x\x1b[2Jy", "--episodes", "1")
-    assert "\x1b" not in err
-    assert err.count("\n") == 1
 
 
 @pytest.mark.parametrize("program", ["-m usnet_env list follow", "-m usnet_env evaluate --detector none --episodes 1"])

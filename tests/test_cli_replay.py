@@ -104,14 +104,3 @@ def test_refusals_are_one_sentence_and_leave_nothing(run, recorded, tmp_path):
     assert "detector must" in refusal(run, "demo", "--detector", "nobody", "--out", tmp_path / "demo")
     assert "--seed" in refusal(run, "demo", "--seed", "-1", "--out", tmp_path / "demo")
     assert [path.name for path in tmp_path.iterdir()] == ["broken.npz"]
-
-
-def test_the_demo_opens_its_replay(run, tmp_path, monkeypatch):
-    pytest.importorskip("rerun")
-    opened = []
-    monkeypatch.setattr(subprocess, "Popen", lambda words, **_: opened.append(words))
-    words = ("--clusters", "2", "--uavs", "8", "--detector", "destroy-all")
-    status, out, _ = run("demo", "--out", tmp_path / "demo", "--open", *words)
-    assert status == 0
-    assert "Who leads this swarm?" in out
-    assert [path[1:] for path in opened] == [[str(tmp_path / "demo" / "replay.rrd")]]

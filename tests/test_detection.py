@@ -25,13 +25,7 @@ def parts(**changes):
 def test_types_and_read_only_copies():
     whole = parts()
     detection = Detection(**whole)
-    types = {
-        "candidates": bool,
-        "scores": np.float64,
-        "clusters": np.int64,
-        "leader": np.int64,
-        "attention": np.float64,
-    }
+    types = {"candidates": bool, "scores": float, "clusters": np.int64, "leader": np.int64, "attention": float}
     for name, dtype in types.items():
         array = getattr(detection, name)
         assert array.dtype == dtype

@@ -95,37 +95,20 @@ def test_the_legend_explains_what_is_there_and_no_more():
 
 def test_clusters_keep_their_colour_when_followers_change_sides():
     values = scene()
-    colors, _ = drawing.cluster_colors(values["head"], values["root"])
-    later, _ = drawing.cluster_colors(values["head"], np.where(values["root"] == 0, 4, values["root"]))
+    colors = drawing.cluster_colors(values["head"], values["root"])
+    later = drawing.cluster_colors(values["head"], np.where(values["root"] == 0, 4, values["root"]))
     assert later[1] == colors[4] == later[4]
     assert colors[0] != colors[4]
-    numbered, _ = drawing.cluster_colors(values["head"], values["root"], np.full(UAVS, 7))
+    numbered = drawing.cluster_colors(values["head"], values["root"], np.full(UAVS, 7))
     assert set(numbered) == {drawing.CLUSTER_COLORS[7]} | set(colors) & {drawing.NO_CLUSTER_COLOR}
-    assert drawing.cluster_colors(values["head"], np.full(UAVS, -1))[0].tolist() == [drawing.NO_CLUSTER_COLOR] * UAVS
-
-
-def test_every_cluster_of_a_large_swarm_looks_different():
-    head = np.ones(72, bool)
-    colors, markers = drawing.cluster_colors(head, np.arange(72))
-    assert len(set(zip(colors.tolist(), markers.tolist(), strict=True))) == 72
-    assert len(set(colors[:24])) == 24
+    assert set(drawing.cluster_colors(values["head"], np.full(UAVS, -1))) == {drawing.NO_CLUSTER_COLOR}
+    assert len(set(drawing.cluster_colors(np.ones(24, bool), np.arange(24)))) == 24
 
 
 def test_an_empty_window_can_be_drawn():
     """After a terminated episode nothing is seen any more."""
     blank = scene(seen=np.zeros((30, UAVS), bool), position=np.zeros((30, UAVS, 3), np.float32))
     assert frame_of(**blank).shape == (720, 960, 3)
-
-
-def test_environments_render_with_it():
-    with gym.make("USNET/MultiCluster-v0", render_mode="rgb_array", clusters=3, uavs=20) as env:
-        env.reset(seed=0)
-        before = env.render()
-        env.step(env.unwrapped.swarm.head.astype(np.int8))
-        after = env.render()
-    assert before.shape == after.shape == (720, 960, 3)
-    assert painted(before, drawing.HIT) == 0
-    assert painted(after, drawing.HIT) > 100
 
 
 def test_frames_keep_their_axes_and_mark_the_destroyed_of_earlier_rounds():
@@ -190,17 +173,10 @@ def test_figures_are_written_at_200_pixels_an_inch_or_as_pdf(tmp_path):
     from PIL import Image
 
     figure = drawing.new_figure(2, 1)
-    drawing.style_axes(figure.add_axes((0.1, 0.1, 0.8, 0.8)))
     files = drawing.write_figure(figure, tmp_path / "figure.any", ("png", "pdf"))
     assert [file.name for file in files] == ["figure.png", "figure.pdf"]
     with Image.open(files[0]) as picture:
         assert picture.size == (400, 200)
-
-
-def test_long_names_keep_their_ends():
-    names = ["zzz_female_collar-1-leader", "zzz_female_collar-2-leader", "short", "a name that is much too long"]
-    assert drawing.abbreviate(names, 13) == [*names[:2], "short", "a name…o long"]
-    assert drawing.abbreviate([], 9) == []
 
 
 @given(st.sets(st.text("ab1-", max_size=30)), st.text("ab1", max_size=15), st.integers(5, 20))
@@ -238,11 +214,3 @@ def test_names_beside_points_stay_in_the_frame_and_apart():
         assert frame.x0 <= box.x0 <= box.x1 <= frame.x1
         assert frame.y0 <= box.y0 <= box.y1 <= frame.y1
         assert not any(box.overlaps(other) for other in boxes[:k])
-
-
-def test_what_the_detector_sees_has_no_roles():
-    truth = frame_of(**scene(), candidates=named(0, 1))
-    seen = frame_of(**scene(), candidates=named(0, 1), truth=False)
-    for color in (drawing.HIT, drawing.REDUNDANT, *drawing.CLUSTER_COLORS[:2]):
-        assert painted(truth, color) > 0 == painted(seen, color)
-    assert painted(seen, "#0072B2") > 100

@@ -110,12 +110,6 @@ make_detector("granger")
     )
 
 
-@pytest.mark.slow
-def test_the_lowest_versions_that_are_allowed():
-    done = subprocess.run([sys.executable, ROOT / "tests/packaging/lowest.py"], capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout + done.stderr
-
-
 def test_what_is_declared_is_there():
     for package in ("usnet_env", "detectors"):
         assert files(package).joinpath("py.typed").is_file()

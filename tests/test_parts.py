@@ -91,16 +91,6 @@ def test_what_cannot_be_loaded_says_why(numbers, installed, value, reason):
         numbers.find("odd")
 
 
-def test_of_two_packages_with_one_name_the_first_is_taken_with_a_warning(numbers, monkeypatch):
-    points = [importlib.metadata.EntryPoint("top", value, numbers.group) for value in ("sys:maxsize", "sys:path")]
-    monkeypatch.setattr(parts, "entry_points", lambda group: points)
-    parts.find_entry_points.cache_clear()
-    with pytest.warns(UserWarning, match="entry point top = sys:path is ignored"):
-        assert list(numbers) == ["one", "top"]
-    assert numbers.find("top") > 10**9
-    parts.find_entry_points.cache_clear()
-
-
 SOURCE = """
 import numpy as np
 from detectors.clustering import KMeans as Groups

@@ -36,21 +36,14 @@ __all__ = [
     "register_mobility",
 ]
 
-# Lazy imports: the evaluation imports SciPy and tables, which an environment doesn't need.
-_LAZY_IMPORTS = {
-    "evaluate": "usnet_env.evaluation",
-    "make_detector": "usnet_env.plugins",
-    "register_detector": "usnet_env.plugins",
-}
-
 register_environments()
 
 
-def __getattr__(name: str) -> Any:
-    if name in _LAZY_IMPORTS:
-        return getattr(import_module(_LAZY_IMPORTS[name]), name)
+def __getattr__(name: str) -> Any:  # the evaluation imports SciPy and tables, which an environment doesn't need
+    if name in ("evaluate", "make_detector", "register_detector"):
+        return getattr(import_module("usnet_env.evaluation" if name == "evaluate" else "usnet_env.plugins"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_LAZY_IMPORTS})
+    return sorted({*globals(), *__all__})

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 import re
 import reprlib
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from difflib import get_close_matches
 from functools import update_wrapper
-from inspect import Parameter, Signature
+from inspect import Parameter, Signature, signature
 from pathlib import PurePath
-from typing import Any, ClassVar, Concatenate, ParamSpec, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, ClassVar, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
@@ -33,12 +33,9 @@ EXTRAS |= {"pettingzoo": "multiagent", "pyarrow": "tracks", "pyproj": "tracks", 
 
 _EXPECTED = {  # texts for pydantic's error types
     "int_type": "a whole number",
-    "float_type": "a number",
-    "bool_type": "true or false",
     "string_type": "a name",
     "tuple_type": "a list",
     "list_type": "a list",
-    "finite_number": "a finite number",
     "missing": "longer",
     "too_long": "shorter",
 }
@@ -83,15 +80,11 @@ def quote(value: object) -> str:
     return line if len(line) <= _LONGEST_VALUE else line[: _LONGEST_VALUE - 1] + "…"
 
 
-def whole_number(name: str, value: Any, least: int, most: int | None = None) -> int:
+def whole_number(name: str, value: Any, least: int, most: float = math.inf) -> int:
     """Return the argument ``name``, an integer of Python or NumPy within its limits, as an ``int``."""
     plain = _to_python(value)
-    if (
-        isinstance(plain, bool)
-        or not isinstance(plain, int)
-        or not least <= plain <= (math.inf if most is None else most)
-    ):
-        limits = f"from {least}" if most is None else f"from {least} to {most}"
+    if isinstance(plain, bool) or not isinstance(plain, int) or not least <= plain <= most:
+        limits = f"from {least}" if most == math.inf else f"from {least} to {most}"
         raise ArgumentError(f"{name} must be a whole number {limits}, got {quote(value)}.")
     return int(plain)
 
@@ -123,7 +116,7 @@ def named_values(name: str, value: Any) -> dict[str, Any]:
     return dict(value or {})
 
 
-def suggest_name(got: object, known: Collection[str]) -> str:
+def _hint(got: object, known: Iterable[str]) -> str:
     """Ask for the most similar known name, in any case, as the end of a sentence; an empty text if none is similar."""
     by_case = {name.casefold(): name for name in known}
     near = get_close_matches(got.casefold(), by_case, n=1) if isinstance(got, str) else []
@@ -133,14 +126,14 @@ def suggest_name(got: object, known: Collection[str]) -> str:
 def unknown_name(argument: str, got: object, known: Iterable[str]) -> ArgumentError:
     """The error for a name that is not registered; it suggests the most similar known name."""
     names = sorted(known)
-    return ArgumentError(f"{argument} must be one of {', '.join(names)}, got {quote(got)}{suggest_name(got, names)}.")
+    return ArgumentError(f"{argument} must be one of {', '.join(names)}, got {quote(got)}{_hint(got, names)}.")
 
 
 def unknown_argument(
-    name: str, owner: str, known: Collection[str], instead: Mapping[str, str] | None = None
+    name: str, owner: str, known: Iterable[str], instead: Mapping[str, str] | None = None
 ) -> ArgumentError:
     """The error for an argument that ``owner`` does not have; it suggests a similar one, or what ``instead`` says."""
-    hint = f" ({instead[name]})" if instead and name in instead else suggest_name(name, known)
+    hint = f" ({instead[name]})" if instead and name in instead else _hint(name, known)
     return ArgumentError(f"{name} is not an argument of {owner}{hint}; it takes {', '.join(known) or 'none'}.")
 
 
@@ -155,12 +148,12 @@ def _to_python(value: Any) -> Any:
 
 def _to_sentence(error: ValidationError, config: type[Config]) -> str:
     """The first error that pydantic found, an unknown argument before others, as one sentence."""
-    found = sorted(error.errors(), key=lambda one: one["type"] != "extra_forbidden")
-    first = found[0]
+    first = min(error.errors(), key=lambda one: one["type"] != "extra_forbidden")
     name = str(first["loc"][0]) if first["loc"] else "configuration"
     match first["type"]:
         case "extra_forbidden":
-            return str(unknown_argument(name, config.__name__, config.model_fields, config.instead))
+            owner = config.__name__.replace("Arguments", "Env")
+            return str(unknown_argument(name, owner, config.model_fields, config.instead))
         case "value_error":  # raised by a validator of this project: its text is the sentence
             return str(first["ctx"]["error"])
         case "literal_error":
@@ -168,8 +161,7 @@ def _to_sentence(error: ValidationError, config: type[Config]) -> str:
         case "missing" if len(first["loc"]) == 1:
             return f"{name} must be given."
     takes = _EXPECTED.get(first["type"], first["msg"].removeprefix("Input should be ").rstrip("."))
-    if "Sequence" in takes:
-        takes = "a list"
+    takes = "a list" if "Sequence" in takes else takes
     if takes == "a list" and isinstance(first["input"], str) and "," in first["input"]:
         takes += f" such as [{first['input'][:_LONGEST_VALUE]}]"
     return f"{name} must be {takes}, got {quote(first['input'])}."
@@ -178,10 +170,7 @@ def _to_sentence(error: ValidationError, config: type[Config]) -> str:
 class Config(BaseModel):
     """A frozen, strictly typed configuration; an invalid value raises :class:`ArgumentError`.
 
-    The descriptions of the fields, if they have any, become the section ``Args`` of the docstring.
-
-    Attributes:
-        instead: arguments that this configuration does not have and similar ones do, and what to say about each.
+    ``instead`` says, about arguments that this configuration does not have and similar ones do, what to use.
     """
 
     instead: ClassVar[Mapping[str, str]] = {}
@@ -202,22 +191,14 @@ class Config(BaseModel):
         if not isinstance(values, dict):  # a config in another one
             return values
 
-        def is_declared(name: str, kind: type) -> bool:  # an argument may be declared as a list or an array
-            if kind not in (list, np.ndarray) or name not in cls.model_fields:
-                return False
-            annotation = cls.model_fields[name].annotation
-            return any(kind in (part, get_origin(part)) for part in (annotation, *get_args(annotation)))
+        def is_declared(name: str, value: Any) -> bool:  # an argument may be declared as a list or an array
+            field = cls.model_fields.get(name)
+            return field is not None and type(value).__name__ in str(field.annotation)
 
-        return {name: value if is_declared(name, type(value)) else _to_python(value) for name, value in values.items()}
-
-    @classmethod
-    def __pydantic_init_subclass__(cls, **values: Any) -> None:
-        super().__pydantic_init_subclass__(**values)
-        described = {name: field.description for name, field in cls.model_fields.items() if field.description}
-        if described and cls.__doc__ and "Args:" not in cls.__doc__:
-            lines = "".join(f"        {name}: {text}.\n" for name, text in described.items())
-            summary, raises, errors = cls.__doc__.rstrip().partition("    Raises:")
-            cls.__doc__ = f"{summary.rstrip()}\n\n    Args:\n{lines}\n{raises}{errors}"
+        return {
+            name: value if isinstance(value, list | np.ndarray) and is_declared(name, value) else _to_python(value)
+            for name, value in values.items()
+        }
 
     def part(self, kind: type[ConfigT], **changes: Any) -> ConfigT:
         """The values of those fields that another config has too, with changes, as this config."""
@@ -227,45 +208,27 @@ class Config(BaseModel):
 
 def describe_arguments(config: BaseModel) -> dict[str, Any]:
     """The arguments in a config, as JSON holds them; an argument that is an object is kept as its text."""
-    values = {name: getattr(config, name) for name in type(config).model_fields}
     return {
-        name: value if isinstance(value, str | int | float | tuple | None) else quote(value)
-        for name, value in values.items()
+        name: value if isinstance(value, str | int | float | tuple | None) else quote(value) for name, value in config
     }
 
 
 def takes_arguments(
     config: Callable[P, ConfigT],
 ) -> Callable[[Callable[[OwnerT, ConfigT], None]], Callable[Concatenate[OwnerT, P], None]]:
-    """Decorate a constructor that takes a :class:`Config`, so that it takes the fields of the config as keywords.
-
-    The signature and the types of the arguments are those of the config.
-    """
-    fields: Mapping[str, FieldInfo] = config.model_fields  # type: ignore[attr-defined]  # a class, typed by its constructor
-    types = get_type_hints(config)
+    """Decorate a constructor that takes a :class:`Config`, so that it takes the fields of the config as keywords."""
 
     def decorate(init: Callable[[OwnerT, ConfigT], None]) -> Callable[Concatenate[OwnerT, P], None]:
         def checked(self: OwnerT, /, *none: P.args, **values: P.kwargs) -> None:
-            for name in values:
-                if name not in fields:
-                    raise unknown_argument(name, type(self).__name__, fields, config.instead)  # type: ignore[attr-defined]
             init(self, config(*none, **values))
 
-        update_wrapper(checked, init)
-        keywords = [
-            Parameter(name, Parameter.KEYWORD_ONLY, default=_default_of(field), annotation=types[name])
-            for name, field in fields.items()
-        ]
-        signature = Signature([Parameter("self", Parameter.POSITIONAL_OR_KEYWORD), *keywords], return_annotation=None)
-        checked.__signature__ = signature  # type: ignore[attr-defined]
-        checked.config = config  # type: ignore[attr-defined]
+        keywords = signature(config).parameters.values()
+        described: Any = update_wrapper(checked, init)
+        described.__signature__ = Signature([Parameter("self", Parameter.POSITIONAL_OR_KEYWORD), *keywords])
+        described.config = config
         return checked
 
     return decorate
-
-
-def _default_of(field: FieldInfo) -> Any:
-    return Parameter.empty if field.is_required() else field.default
 
 
 def list_arguments(**parts: str) -> Callable[[ClassT], ClassT]:
@@ -281,17 +244,15 @@ def list_arguments(**parts: str) -> Callable[[ClassT], ClassT]:
             for name, field in vars(described)["__init__"].config.model_fields.items()
         ]
         table = "\n".join(["| name | default | meaning |", "    | --- | --- | --- |", *rows])
-        text = described.__doc__ or ""  # Python leaves docstrings out with -OO
         for name, part in {**parts, "arguments": table}.items():
-            text = text.replace(f"{{{name}}}", part)
-        described.__doc__ = text
+            described.__doc__ = (described.__doc__ or "").replace(f"{{{name}}}", part)
         return described
 
     return complete
 
 
 def _format_default(field: FieldInfo) -> str:
-    value = _default_of(field)
+    value = field.default
     if isinstance(value, int | float) and not isinstance(value, bool):
         return f"{value:g}"
     return "required" if field.is_required() else f"`{value!r}`".replace("'", '"')

@@ -37,9 +37,8 @@ CLUSTER_COLORS = (
 )  # fmt: skip
 NO_CLUSTER_COLOR = "#9A9A9A"  # UAVs without a head: decoys, destroyed UAVs, and followers if no head is left
 HIT, REDUNDANT, MISSED = "#009E73", "#D55E00", "#000000"  # their shapes differ too: circle, square, dashed circle
-#: The colours of Okabe and Ito, which colour-blind readers can distinguish, without their yellow; and their markers.
+#: The colours of Okabe and Ito, which colour-blind readers can distinguish, without their yellow.
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
-MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 
 HEAD_MARK, FOLLOWER_MARK, LINK_MARK = "head", "follower (colour = cluster)", "link from follower to head"
 DECOY_MARK, DESTROYED_MARK = "decoy: has no followers", "destroyed earlier"
@@ -60,8 +59,6 @@ _STYLES: dict[str, dict[str, Any]] = {  # of the marks, in the order of the lege
     MISSED_MARK: _RING | {"s": 400, "edgecolors": MISSED, "linestyles": [(0, (2, 1.2))], "linewidths": 1.6},
     DESTROYED_MARK: {"marker": "x", "s": 34, "c": NO_CLUSTER_COLOR, "linewidths": 1.5, "zorder": 2.5},
 }
-_SHAPES = "o^sD"
-_CLUSTERS_PER_SHAPE = 9  # a second sign beside the colour: clusters with the same colour have other markers
 _TRACK_PARTS = 6  # number of segments of a track, from faint to strong
 _TRACK_SAMPLES = 49  # maximum number of points of a track; more would not be visible
 _MARGIN_OF_FRAMES = 0.4  # room for the swarm to drift and spread before the axes have to grow
@@ -69,7 +66,6 @@ _METADATA: dict[str, Any] = {  # without the date and the versions, so that equa
     "png": {"Software": None},
     "pdf": {"Creator": None, "Producer": None, "CreationDate": None},
 }
-FORMATS = tuple(_METADATA)
 _FONTS = ("Noto Sans CJK JP", "WenQuanYi Zen Hei", "Microsoft YaHei", "Arial Unicode MS", "DejaVu Sans Mono")
 _BESIDE = [(side, row) for row in (1, -1, 0, 2, -2, 3, -3, 4, -4) for side in (1, -1, 0) if side or row]  # of a point
 
@@ -108,15 +104,11 @@ def limits_around(place: NDArray[np.floating[Any]], margin: float = 0.12, least:
     return x, y, (1 + margin) / 2 * max(float((high - low).max()), least)
 
 
-def cluster_colors(head: Mask, root: Indices, number: Indices | None = None) -> tuple[NDArray[np.str_], Indices]:
-    """The colour and the marker number of every UAV by its head, ``(N,)``; the arguments are as in :func:`draw_round`.
-
-    The colours differ for 24 clusters, colours and markers together for 72.
-    """
+def cluster_colors(head: Mask, root: Indices, number: Indices | None = None) -> NDArray[np.str_]:
+    """The colour of every UAV by its head, ``(N,)``; the arguments are as in :func:`draw_round`."""
     numbers = np.asarray(np.cumsum(head) - 1 if number is None else number)
-    cluster = np.asarray(np.where((root >= 0) & head[root], numbers[root], -1))
-    colors = np.where(cluster >= 0, np.array(CLUSTER_COLORS)[cluster % len(CLUSTER_COLORS)], NO_CLUSTER_COLOR)
-    return colors, np.maximum(cluster, 0) // _CLUSTERS_PER_SHAPE % len(_SHAPES)
+    colors = np.array(CLUSTER_COLORS)[numbers[root] % len(CLUSTER_COLORS)]
+    return np.where((root >= 0) & head[root], colors, NO_CLUSTER_COLOR)
 
 
 def round_marks(
@@ -128,10 +120,7 @@ def round_marks(
     candidates: Mask | None = None,
     destroyed_at: Singles | None = None,
 ) -> dict[str, Mask]:
-    """The mask ``(N,)`` of UAVs for each mark in the picture of a round. The keys are the texts of the legend.
-
-    ``place`` ``(N, 3)`` holds positions, NaN for UAVs that are not drawn; all others are as in :func:`draw_round`.
-    """
+    """The UAVs ``(N,)`` of each mark, by the texts of the legend; ``place`` is NaN for UAVs that are not drawn."""
     shown = np.isfinite(place[:, 0])
     target = head & alive
     none = np.zeros_like(alive)
@@ -150,10 +139,7 @@ def round_marks(
 
 
 def draw_legend(axes: Axes, labels: Mapping[str, str], **place: Any) -> None:
-    """Draw a legend at the right of ``axes``, or at the ``place`` that arguments of ``Axes.legend`` give.
-
-    ``labels`` holds the text for each mark: those of :func:`round_marks`, ``CANDIDATE_MARK`` and ``UNLED_MARK``.
-    """
+    """Draw a legend of texts by mark at the right of ``axes``, or at the ``place`` that ``Axes.legend`` takes."""
     from matplotlib.lines import Line2D
 
     link = Line2D([], [], color="#777777", alpha=0.6, linewidth=1)
@@ -242,7 +228,7 @@ def draw_round(
     everywhere = place if destroyed_at is None else np.asarray(np.where(gone[:, None], destroyed_at, place))
     # The limits come first: otherwise they are computed anew for everything that is drawn.
     _set_up_axes(axes, limits_around(everywhere) if limits is None else limits, title)
-    colors, shape = cluster_colors(head, root, number)
+    colors = cluster_colors(head, root, number)
     linked = marks[LINK_MARK]
     links = list(np.stack([place[linked, :2], place[root[linked], :2]], axis=1))
     axes.add_collection(LineCollection(links, colors=colors[linked], alpha=0.28, linewidths=0.7, zorder=1))
@@ -254,13 +240,8 @@ def draw_round(
 
     for mark in (DECOY_MARK, CANDIDATE_MARK, HIT_MARK, REDUNDANT_MARK, MISSED_MARK, DESTROYED_MARK):
         draw(mark, marks.get(mark, gone & ~gone))
-    stars = marks[HEAD_MARK]
-    draw(HEAD_MARK, stars, c=colors[stars])
-    for kind, sign in enumerate(_SHAPES):
-        dots = marks[FOLLOWER_MARK] & (shape == kind)
-        draw(FOLLOWER_MARK, dots, c=colors[dots], marker=sign)
-        if kind:  # heads with the same colour have their followers' marker
-            draw(FOLLOWER_MARK, stars & (shape == kind), c="white", marker=sign, linewidths=0, zorder=5.5)
+    for mark in (HEAD_MARK, FOLLOWER_MARK):
+        draw(mark, marks[mark], c=colors[marks[mark]])
     if legend:
         counts = {mark: int(who.sum()) for mark, who in marks.items()}
         draw_legend(axes, {mark: f"{mark} ({count})" for mark, count in counts.items() if count})
@@ -286,22 +267,20 @@ def describe_frame(
 class EpisodeFrames:
     """Renders the frames of one episode: on axes that stay in place, with the UAVs destroyed in earlier rounds.
 
-    The axes fit the first window with a margin. If a later window does not fit, they are fitted to all windows so far.
+    The axes fit the first window with a margin, and grow if a later window does not fit.
     """
 
     def __init__(self) -> None:
         self.limits: Limits | None = None
-        self._places: list[Singles] = []  # where each UAV was seen last, in every window
-        self._last: Singles | None = None  # and in all of them
+        self._last: Singles | None = None  # where each UAV was seen last
 
     def watch(self, position: Singles, seen: Mask) -> None:
         """Take note of a window, once for each, in their order; the arrays are those of :func:`draw_round`."""
         place = last_seen_position(position, seen)
         self._last = place if self._last is None else np.where(np.isfinite(place), place, self._last)
-        self._places.append(place)
         x, y, half = self.limits or (0.0, 0.0, -1.0)
         if (np.abs(place[:, :2] - (x, y)) > half).any():
-            self.limits = limits_around(np.stack(self._places), _MARGIN_OF_FRAMES)
+            self.limits = limits_around(self._last, _MARGIN_OF_FRAMES)
 
     def render(self, **scene: Any) -> NDArray[np.uint8]:
         """Render a window, ``(720, 960, 3)`` uint8; ``scene`` holds arguments of :func:`draw_round` by name."""
@@ -351,15 +330,6 @@ def annotate_points(axes: Axes, places: Floats, names: Sequence[str], **style: A
         best = low[int(np.argmin(np.maximum(shared, 0).prod(axis=2) @ weight))]
         text.set_position(((best - point) / pixels).tolist())
         taken = np.vstack([taken, [*best, *(best + size)]])
-
-
-def style_axes(axes: Axes) -> None:
-    """Give axes the look that all figures share: a faint grid behind the data, and no frame at the top and right."""
-    axes.grid(color="#e3e3e3", linewidth=0.6)
-    axes.set_axisbelow(True)
-    axes.tick_params(labelsize=9, color="#888888")
-    axes.spines[:].set_color("#888888")
-    axes.spines[["top", "right"]].set_visible(False)
 
 
 def caption_figure(figure: Figure, title: str, caption: str) -> None:

@@ -15,11 +15,7 @@ from usnet_env.config import ArgumentError, quote
 
 
 def as_path(name: str, value: Any) -> Path:
-    """Return the argument ``name``, a ``str`` or an object of ``os.PathLike``, as a path.
-
-    Raises:
-        ArgumentError: the value has another type, or is empty.
-    """
+    """Return the argument ``name``, a ``str`` or an object of ``os.PathLike``, as a path; an empty one is refused."""
     text = str(value) if isinstance(value, str | os.PathLike) else ""
     if not text or "\0" in text:
         raise ArgumentError(f"{name} must be a path, got {quote(value)}.")
@@ -31,9 +27,6 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Write to a temporary file that replaces ``path`` at the end of the block; an error deletes it instead.
 
     Missing folders are created. Yields the path of the temporary file, in the same folder.
-
-    Raises:
-        ArgumentError: the file can't be written.
     """
     final = as_path("path", path)
     aside = final.with_name(f".{uuid4().hex}.{final.name}")
@@ -59,11 +52,7 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
 
 
 def reserve_folder(folder: Path) -> Path:
-    """Create the folder ``out`` before the work begins, and check that it can be written; return it.
-
-    Raises:
-        ArgumentError: it can't be created or written; this should not cost the work.
-    """
+    """Create the folder ``out`` before the work begins, check that it can be written, and return it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with TemporaryFile(dir=folder):

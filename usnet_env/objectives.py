@@ -23,10 +23,7 @@ from usnet_env.detection import Detection
 
 def _count(*masks: ArrayLike) -> Indices:
     """Number of UAVs that are in all sets."""
-    common: Mask = np.asarray(masks[0], bool)
-    for mask in masks[1:]:
-        common = common & np.asarray(mask, bool)
-    return common.sum(axis=-1, dtype=np.int64)
+    return np.logical_and.reduce(np.broadcast_arrays(*masks)).sum(axis=-1, dtype=np.int64)
 
 
 def _ratio(part: Indices, whole: Indices) -> Floats:
@@ -41,7 +38,7 @@ def hits_and_redundant(head: Mask, alive: Mask, candidates: Mask) -> tuple[Indic
     """Number of candidates of a round that are living heads (hits), and number of the other candidates (redundant).
 
     These are |H_{r-1}∖H_r| and |C_r∖H_{r-1}| of §II-A, each ``(...)`` int64. A destroyed UAV, which is not among those
-    ``alive`` before this round, is not in H_{r-1}, so it counts as redundant.
+    ``alive`` before this round, counts as redundant.
     """
     hits = _count(head, alive, candidates)
     return hits, _count(candidates) - hits
@@ -50,9 +47,8 @@ def hits_and_redundant(head: Mask, alive: Mask, candidates: Mask) -> tuple[Indic
 def single_cluster_objective(head: ArrayLike, candidates: ArrayLike) -> Floats:
     """P1's objective J_s = |C_1 & H_0| - |C_1|, to be maximised; the maximum is 0.
 
-    With one head it is the paper's 1{i_L in C_1} - |C_1|. The formula also gives 0 for an empty set of candidates.
-    Where a UAV leads, at least one candidate is required, so an empty set scores -1, like a miss (decision (k) on
-    docs/game.md). A follow strategy may have any number of heads, none included.
+    With one head it is the paper's 1{i_L in C_1} - |C_1|; there may be any number. The formula gives 0 for an empty set
+    of candidates, too; where a UAV leads, it scores -1, like a miss (decision (k) on docs/game.md).
     """
     named, hits = _count(candidates), _count(head, candidates)
     return np.asarray(np.where(named > 0, hits - named, np.where(np.any(head, axis=-1), -1.0, 0.0)))
@@ -83,28 +79,20 @@ def exact(head: ArrayLike, candidates: ArrayLike) -> Mask:
 
 def remaining_heads(head: ArrayLike, candidates_per_round: ArrayLike) -> Mask:
     """The remaining heads H_0, ..., H_R by H_r = H_{r-1}∖C_r, equation (2), as ``(R + 1, N)`` bool."""
-    heads, candidates = np.asarray(head, bool), np.asarray(candidates_per_round, bool)
-    hit_so_far = np.logical_or.accumulate(np.vstack([np.zeros_like(heads), candidates]), axis=0)
-    return np.asarray(heads & ~hit_so_far)
-
-
-def rounds_hits_and_redundant(head: ArrayLike, candidates_per_round: ArrayLike) -> tuple[Indices, Indices]:
-    """Hits and redundant candidates of every round, each ``(R,)`` int64; see :func:`hits_and_redundant`."""
-    hits = _count(remaining_heads(head, candidates_per_round)[:-1], candidates_per_round)
-    return hits, _count(candidates_per_round) - hits
+    hit = np.logical_or.accumulate(np.asarray(candidates_per_round, bool), axis=0)
+    return np.asarray(head, bool) & ~np.vstack([np.zeros_like(hit[:1]), hit])
 
 
 def redundancy(head: ArrayLike, candidates_per_round: ArrayLike) -> float:
     """Detection redundancy of §II-A, (1/N) sum_r |C_r∖H_{r-1}|; it exceeds 1 if many UAVs are redundant repeatedly."""
-    _, redundant = rounds_hits_and_redundant(head, candidates_per_round)
-    return float(redundant.sum() / np.shape(head)[-1])
+    hits = _count(remaining_heads(head, candidates_per_round)[:-1], candidates_per_round)
+    return float((_count(candidates_per_round) - hits).sum() / np.shape(head)[-1])
 
 
 def multi_cluster_objective(head: ArrayLike, candidates_per_round: ArrayLike) -> float:
     """P2's objective J_m = R + (1/N) sum_r |C_r∖H_{r-1}|, to be minimised; the minimum is 1.
 
-    An empty set of candidates counts as a round. The value is that of the given rounds, also if heads are left (see
-    :func:`found_all_heads`).
+    An empty set of candidates counts as a round, and heads may be left (see :func:`found_all_heads`).
     """
     return len(np.asarray(candidates_per_round)) + redundancy(head, candidates_per_round)
 
@@ -137,9 +125,8 @@ def average_precision(head: ArrayLike, scores: ArrayLike) -> float:
 def purity(root: ArrayLike, clusters: ArrayLike) -> float:
     """Purity of a clustering: share of the UAVs whose head is the most frequent head in their cluster.
 
-    The usual definition, (1/n) sum_k max_j |cluster k & class j|, where the class of a UAV is its head (that of a head
-    is the head itself). The n UAVs are those with a head; a UAV without a cluster counts as wrong. The value is from 0
-    to 1; 0 if no UAV has a head. Purity says little about the heads: see :func:`head_in_cluster`.
+    Only UAVs with a head count, a head as its own; one without a cluster counts as wrong. The value is 0 if no UAV has
+    a head. Purity says little about the heads: see :func:`head_in_cluster`.
     """
     roots, label = np.asarray(root), np.asarray(clusters)
     counted = roots >= 0
@@ -153,9 +140,9 @@ def purity(root: ArrayLike, clusters: ArrayLike) -> float:
 def head_in_cluster(head: ArrayLike, root: ArrayLike, clusters: ArrayLike) -> float:
     """Share of the heads whose cluster is the one that holds most of their followers.
 
-    Heads are few, so a clustering that puts all heads in wrong clusters still has a high purity. Here only heads with
-    at least one follower count; without any, the value is 0. The cluster of the followers is their most frequent label,
-    without -1; if several labels tie, each of them is accepted.
+    Heads are few, so a clustering that puts all of them in wrong clusters still has a high purity. Only heads with
+    followers count; without any, the value is 0. The cluster of the followers is their most frequent label except -1;
+    if several labels tie, each of them is accepted.
     """
     heads, roots, label = np.asarray(head, bool), np.asarray(root), np.asarray(clusters)
     correct = []
@@ -171,10 +158,7 @@ def head_in_cluster(head: ArrayLike, root: ArrayLike, clusters: ArrayLike) -> fl
 
 
 def find_roots(leader: ArrayLike) -> Indices:
-    """Find the head of each UAV's tree, ``(N,)`` int64: the UAV from which the chain of leaders begins.
-
-    A UAV that follows none has its own index, and one whose leaders form a cycle has -1.
-    """
+    """The head of each UAV's tree, ``(N,)`` int64: its own index if it follows none, -1 if its leaders form a cycle."""
     direct = np.asarray(leader, np.int64)
     itself = np.arange(len(direct))
     root = np.where(direct >= 0, direct, itself)
@@ -200,12 +184,9 @@ def list_followers(detection: Detection, head: int) -> list[int]:
 
 
 def leader_accuracy(leader: ArrayLike, estimate: ArrayLike, *, roots: bool = False) -> float:
-    """Share of the followers whose leader is the estimated one; 0 if no UAV follows another one.
+    """Share of the followers whose leader is that of ``estimate`` ``(N,)``; 0 if no UAV follows another one.
 
-    Args:
-        leader: the true leaders.
-        estimate: ``(N,)``, those of a detection.
-        roots: whether to compare the heads of the trees, where a chain of leaders ends, instead of direct leaders.
+    With ``roots``, the heads of the trees, where a chain of leaders ends, are compared instead of direct leaders.
     """
     truth, found = np.asarray(leader), np.asarray(estimate)
     follows = (truth >= 0) & (truth != np.arange(len(truth)))
@@ -220,7 +201,7 @@ def group_leader_accuracy(leader: ArrayLike, scores: ArrayLike) -> float:
     """Share of the groups whose head has the highest score of its group; the groups are known.
 
     A group is a head with all that follow it, directly or through others. If k members tie at the top and the head is
-    one of them, the group counts 1/k. The value is from 0 to 1 over the groups of at least 2 UAVs; 0 if there is none.
+    one of them, the group counts 1/k. The value is 0 if no UAV follows another one.
     """
     roots, values, shares = find_roots(leader), np.asarray(scores), []
     for head in np.unique(roots[(roots >= 0) & (roots != np.arange(len(roots)))]):

@@ -10,7 +10,6 @@ from __future__ import annotations
 import ast
 import inspect
 import re
-import warnings
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from hashlib import sha256
@@ -29,26 +28,18 @@ _LONGEST_LABEL_VALUE, _LONGEST_ERROR = 80, 300  # characters
 
 @cache
 def find_entry_points(group: str) -> dict[str, EntryPoint]:
-    """The entry points of a group by name, read once; of two with one name, that of this package or the first."""
-    found: dict[str, EntryPoint] = {}
-    for point in sorted(entry_points(group=group), key=lambda point: point.dist is None or point.dist.name != "usnet"):
-        taken = found.setdefault(point.name, point)
-        if taken.value != point.value:
-            warnings.warn(
-                f"entry point {point.name} = {point.value} is ignored: {taken.value} has its name.", stacklevel=2
-            )
-    return found
+    """The entry points of a group by name, read once; of two with one name, that of this package."""
+    points = sorted(entry_points(group=group), key=lambda point: point.dist is not None and point.dist.name == "usnet")
+    return {point.name: point for point in points}
 
 
 class Registry(Mapping[str, PartT], Generic[PartT]):
     """The parts of one kind by name, in the order: this package, installed distributions, this process.
 
-    An entry point is loaded when its part is looked up for the first time.
-
     Args:
         kind: what a part is, for sentences: ``"follow strategy"``.
         argument: the argument that selects a part by name: ``"follow"``.
-        group: the group of entry points.
+        group: the group of entry points; one is loaded when its part is looked up for the first time.
         home: the module that creates this registry; another process imports it to register the same parts.
         accept: checks what a program registers or an entry point names, and returns the part; called with the object
             and, for an entry point, the subject of a refusal.
@@ -101,12 +92,7 @@ class Registry(Mapping[str, PartT], Generic[PartT]):
             self.registered[name] = accepted
 
     def find(self, name: object) -> PartT:
-        """The part of this name.
-
-        Raises:
-            ArgumentError: there is none, or its entry point can't be loaded.
-            MissingExtraError: it needs a package that is not installed.
-        """
+        """The part of this name; :class:`ArgumentError` without it, or if it can't be loaded."""
         if not isinstance(name, str) or name not in self:
             raise unknown_name(self.argument, name, [*self, *self._reserved])
         return self[name]
@@ -172,21 +158,16 @@ def named_parameters(factory: Callable[..., Any]) -> dict[str, inspect.Parameter
 
 
 def check_call(subject: str, factory: Callable[..., Any], arguments: Mapping[str, Any]) -> None:
-    """Refuse keyword arguments that a class or function does not take, and a call without one that it needs.
-
-    The refusal has a subject, such as ``"detector 'random'"``.
-    """
+    """Refuse keyword arguments that ``subject``, as ``"detector 'random'"``, does not take, and a call without one."""
     try:
-        signature = inspect.signature(factory)
-    except (TypeError, ValueError):  # a class written in C may have no signature: the call then reports wrong arguments
-        return
-    try:
-        signature.bind(**arguments)
+        inspect.signature(factory).bind(**arguments)
     except TypeError as error:
         known = named_parameters(factory)
         for name in arguments.keys() - known.keys():
             raise unknown_argument(name, subject, known) from None
         raise ArgumentError(f"{subject} is {error}; it takes {', '.join(known)}.") from None
+    except ValueError:  # the signature of a class in C can't be read: the call then reports wrong arguments
+        return
 
 
 def format_label(name: str, arguments: Mapping[str, Any]) -> str:
@@ -197,15 +178,13 @@ def format_label(name: str, arguments: Mapping[str, Any]) -> str:
 
 def _format_value(value: Any) -> str:
     """Format a value: a literal in full, since it may be typed again; another one short, with a hash if it was cut."""
-    if isinstance(value, FunctionType):
-        return value.__qualname__  # its address differs from run to run
-    text = repr(value)
+    text = value.__qualname__ if isinstance(value, FunctionType) else repr(value)  # an address differs from run to run
+    line = " ".join(text.split())
     if isinstance(value, str | bytes | list | tuple | set | dict):
         return text
-    line = " ".join(text.split())
-    if len(line) <= _LONGEST_LABEL_VALUE:
-        return line
-    return f"{line[:_LONGEST_LABEL_VALUE]}…#{sha256(text.encode()).hexdigest()[:8]}"
+    if len(line) > _LONGEST_LABEL_VALUE:
+        line = f"{line[:_LONGEST_LABEL_VALUE]}…#{sha256(text.encode()).hexdigest()[:8]}"
+    return line
 
 
 def parse_label(text: Any, more: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
@@ -222,13 +201,12 @@ def parse_label(text: Any, more: Mapping[str, Any]) -> tuple[str, dict[str, Any]
 def _parse_arguments(text: str, inner: str) -> dict[str, Any]:
     """Parse the arguments in ``inner``, the part of ``text`` after the opening bracket; this runs no code."""
     try:
-        call = ast.parse(f"name({inner}", mode="eval").body
-        if not isinstance(call, ast.Call) or not isinstance(call.func, ast.Name) or call.args:
-            raise ValueError
-        arguments = {keyword.arg or "**": ast.literal_eval(keyword.value) for keyword in call.keywords}
-        if "**" in arguments or len(arguments) < len(call.keywords):
-            raise ValueError
+        match ast.parse(f"name({inner}", mode="eval").body:
+            case ast.Call(func=ast.Name(), args=[], keywords=keywords):
+                arguments = {keyword.arg or "**": ast.literal_eval(keyword.value) for keyword in keywords}
+                if "**" not in arguments and len(arguments) == len(keywords):
+                    return arguments
     except (SyntaxError, ValueError, TypeError, MemoryError, RecursionError):
-        form = "name(argument=value, ...) with Python literals as values"
-        raise ArgumentError(f"detector must be written {form}, got {quote(text)}.") from None
-    return arguments
+        pass
+    form = "name(argument=value, ...) with Python literals as values"
+    raise ArgumentError(f"detector must be written {form}, got {quote(text)}.")

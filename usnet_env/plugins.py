@@ -1,9 +1,8 @@
 """Find and create detectors by name.
 
 A name is one of three things: a name registered with :func:`register_detector` in this process; the name of an entry
-point in the group ``usnet.detectors`` of an installed distribution, which is how the detectors of this package are
-found; or ``module:Class``. Arguments may follow in brackets: ``lagged-regression(clusters=5)``. They are Python
-literals, and reading them runs no code.
+point in the group ``usnet.detectors``; or ``module:Class``. Python literals may follow in brackets as arguments:
+``lagged-regression(clusters=5)``.
 """
 
 from __future__ import annotations
@@ -11,10 +10,9 @@ from __future__ import annotations
 import inspect
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from importlib import import_module
 from operator import attrgetter
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from usnet_env.config import ArgumentError, MissingExtraError, quote, unknown_name
 from usnet_env.detection import Detection, Tags, read_tags
@@ -53,8 +51,7 @@ def detector_names() -> list[str]:
     return sorted(DETECTORS)
 
 
-@dataclass(frozen=True)
-class DetectorEntry:
+class DetectorEntry(NamedTuple):
     """A registered or installed detector, and what it declares to need and to use."""
 
     name: str
@@ -68,10 +65,9 @@ def list_detectors() -> list[DetectorEntry]:
     for name in detector_names():
         try:
             factory = DETECTORS[name]
-            entry = DetectorEntry(name, (inspect.getdoc(factory) or "").partition("\n")[0], read_tags(factory))
+            entries.append(DetectorEntry(name, (inspect.getdoc(factory) or "").partition("\n")[0], read_tags(factory)))
         except (ArgumentError, MissingExtraError) as error:
-            entry = DetectorEntry(name, f"not available: {error}", Tags())
-        entries.append(entry)
+            entries.append(DetectorEntry(name, f"not available: {error}", Tags()))
     return entries
 
 
@@ -101,7 +97,7 @@ def make_detector(name: str, /, **arguments: Any) -> DetectorLike:
 
 
 def _find_factory(name: str) -> Factory:
-    """Return the class or function for a name without brackets."""
+    """The class or function for a name without brackets."""
     module, colon, attribute = name.partition(":")
     if colon:
         return DETECTORS.load(name, lambda: attrgetter(attribute)(import_module(module)))
@@ -127,12 +123,7 @@ def detector_label(detector: Any, arguments: Mapping[str, Any] | None = None) ->
         for name, parameter in named_parameters(detector_class).items()
         if hasattr(detector, name) and not are_equal(getattr(detector, name), parameter.default)
     }
-    return format_label(_find_name(detector_class) or detector_class.__name__, changed)
-
-
-def _find_name(detector_class: type) -> str | None:
-    """Find the name under which a class is registered or installed."""
     points = DETECTORS.entry_points()
     loaded = {name: getattr(sys.modules.get(point.module), point.attr, None) for name, point in points.items()}
-    named = {**DETECTORS.registered, **loaded}
-    return next((name for name, factory in named.items() if factory is detector_class), None)
+    names = (name for name, factory in {**DETECTORS.registered, **loaded}.items() if factory is detector_class)
+    return format_label(next(names, detector_class.__name__), changed)

@@ -17,11 +17,7 @@ _HOLDS = {"b": "only 0 and 1 (or booleans)", "i": "whole numbers", "f": "finite 
 
 
 def as_array(name: str, value: Any) -> NDArray[Any]:
-    """Return the argument ``name`` as an array of any shape and type.
-
-    Raises:
-        ArgumentError: NumPy can't make an array of it, for example of a ragged list.
-    """
+    """Return the argument ``name`` as an array of any shape and type; a ragged list is refused."""
     try:
         return np.asarray(value)
     except (TypeError, ValueError) as error:
@@ -31,9 +27,7 @@ def as_array(name: str, value: Any) -> NDArray[Any]:
 def frozen_array(name: str, value: ArrayLike, dtype: type, shape: tuple[int | None, ...]) -> NDArray[Any]:
     """A read-only copy of the argument ``name`` in ``dtype``; ``None`` in ``shape`` allows any length of an axis.
 
-    Raises:
-        ArgumentError: another shape, values that are not finite numbers, or values that ``dtype`` can't hold: other
-            values than 0 and 1 for ``bool``, fractions for ``int``, too large numbers for ``float``.
+    Values that are not finite or that ``dtype`` can't hold are refused: a 2 for ``bool``, a fraction for ``int``.
     """
     array = as_array(name, value)
     if array.ndim != len(shape) or any(
@@ -123,11 +117,7 @@ class Window:
         """
         keys = ("position", "velocity", "seen", "alive", "round")
         if not isinstance(observation, Mapping) or any(key not in observation for key in keys):
-            has = list(observation) if isinstance(observation, Mapping) else observation
-            raise ArgumentError(f"observation must be a mapping with the keys {', '.join(keys)}, got {quote(has)}.")
-        arrays = {key: observation[key] for key in keys[:-1]}
-        return cls(
-            **arrays,
-            round=_scalar("round", observation["round"]),
-            step=_scalar("step", observation["step"]) if "step" in observation else None,
-        )
+            got = list(observation) if isinstance(observation, Mapping) else observation
+            raise ArgumentError(f"observation must be a mapping with the keys {', '.join(keys)}, got {quote(got)}.")
+        scalars = {key: _scalar(key, observation[key]) for key in ("round", "step") if key in observation}
+        return cls(**{key: observation[key] for key in keys[:-1]}, **scalars)

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import html
 import re
-import shutil
-import subprocess
 import sys
 
 import gymnasium as gym
 import numpy as np
 import pytest
-from small_episode import MIND, ROUNDS, SAMPLES, UAVS, small_episode
+from small_episode import MIND, ROUNDS, SAMPLES, UAVS, large_episode, small_episode
 
 from usnet_env import ArgumentError, make_detector
 from usnet_env.drawing import HIT, REDUNDANT, pixels_of
@@ -21,8 +19,6 @@ from usnet_env.replay.page import write_page
 
 pytest.importorskip("matplotlib")
 Image = pytest.importorskip("PIL.Image")
-
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 
 
 def painted(frame, color):
@@ -43,12 +39,8 @@ def test_scenes_tell_the_game_in_order(scenes):
     assert first == [WATCH, WATCH, WATCH, NAME, VERDICT, REMERGE]
     assert [scene.phase for scene in scenes if scene.round == ROUNDS] == [WATCH, WATCH, WATCH, NAME, VERDICT, VERDICT]
     assert [scene.samples for scene in scenes[:3]] == [1, 11, SAMPLES]
-    assert [scene.text for scene in scenes[2:6]] == [
-        "The detector watches 20 steps.",
-        "It names 2 UAVs as heads.",
-        "2 candidates (1 head hit, 1 redundant), 1 head left.",
-        "3 followers without a head join the nearest remaining head.",
-    ]
+    assert scenes[4].text == "2 candidates (1 head hit, 1 redundant), 1 head left"
+    assert scenes[5].text.endswith(": 3")  # followers without a head
     assert "J = 2.083" in scenes[-1].text
     over = small_episode(over_budget=[True, False], alive=np.ones((ROUNDS, UAVS), bool))
     assert REMERGE not in {scene.phase for scene in list_scenes(over, 3)}  # no follower has lost its head
@@ -69,7 +61,7 @@ def test_where_the_truth_is_unknown_no_verdict_is_given():
     record = small_episode(labelled=False, over_budget=[True, True], alive=np.ones((ROUNDS, UAVS), bool))
     shown = list(list_scenes(record, 2))
     assert [scene.phase for scene in shown] == [WATCH, WATCH, NAME] * ROUNDS + [NAME]
-    assert shown[2].text == "It finds 2 leaders."
+    assert shown[2].text == "it names 2 leaders"
     painter = Painter(record)
     for scene in shown[1:3]:
         painter.draw(scene)
@@ -83,7 +75,7 @@ def test_a_gif_has_each_scene_with_its_duration(tmp_path, scenes):
         for number in range(image.n_frames):
             image.seek(number)
             durations.append(image.info["duration"])
-    assert sum(durations) == pytest.approx(1000 * sum((0.2, 2.0, 2.4, 2.0)[scene.phase] for scene in scenes))
+    assert sum(durations) == pytest.approx(1000 * sum((0.5, 2.0, 2.5, 2.0)[scene.phase] for scene in scenes))
     assert len(durations) >= 8
     assert [file.name for file in tmp_path.iterdir()] == ["game.gif"]
 
@@ -91,7 +83,7 @@ def test_a_gif_has_each_scene_with_its_duration(tmp_path, scenes):
 @pytest.mark.slow
 def test_an_mp4_is_written(tmp_path):
     pytest.importorskip("imageio_ffmpeg")  # of the extra render, which brings ffmpeg
-    assert animate(small_episode(), tmp_path / "game.mp4", frames=2).read_bytes()[4:8] == b"ftyp"
+    assert animate(large_episode(), tmp_path / "game.mp4", frames=2).read_bytes()[4:8] == b"ftyp"
 
 
 def test_what_cannot_be_written_is_refused_before(tmp_path, monkeypatch):
@@ -124,14 +116,12 @@ def test_the_page_holds_everything_and_loads_nothing(page):
     text = page.read_text()
     assert not re.findall(r"""(?:src|href)=""", text)
     assert "http" not in re.sub("base64,[^'\"]*", "", text)
-    assert len(re.findall("data:image/png;base64", text)) == 14
+    assert len(re.findall("data:image/png;base64", text)) == 12
     words = " ".join(read_words(text).split())
-    assert "All 2 heads found in 2 rounds with 1 redundant candidate: J = 2.083" in words
+    assert "2 of 2 heads found in 2 rounds with 1 redundant candidate: J = 2.083" in words
     assert "UAV 3 redundant, p 0.10, score" in words
     assert "Adds 2 nats." in words
-    assert re.search(
-        "round candidates heads hit redundant heads left J so far seconds 1 2 1 1 1 1.08 0.25 2 1 1 0 0", words
-    )
+    assert "Round 2: 1 candidate (1 head hit, 0 redundant), 0 heads left" in words
     assert "<title>by hand on USNET/MultiCluster-v0, seed 0</title>" in text
     assert page.stat().st_size < 2_000_000
 
@@ -140,8 +130,8 @@ def test_a_page_of_many_rounds_animates_the_first_and_names_cannot_break_it(tmp_
     monkeypatch.setattr("usnet_env.replay.page._MOST_ROUNDS", 1)
     record = small_episode(detector="<b>&amp;</script>", **dict.fromkeys(MIND))
     text = write_page(record, tmp_path / "x.html").read_text()
+    assert "<title>&lt;b&gt;&amp;amp;&lt;/script&gt; on" in text
     assert "The animation shows the first 1 round." in text
-    assert "&lt;b&gt;&amp;amp;&lt;/script&gt;" in text
 
 
 def test_a_page_of_recorded_tracks_says_what_is_true_of_them(tmp_path):
@@ -155,27 +145,3 @@ def test_a_page_of_recorded_tracks_says_what_is_true_of_them(tmp_path):
     assert "1 of 1 head found in 1 window with 3 redundant candidates: F1 = 0.400 (1 is best)" in words
     assert "bird-0" in words
     assert not re.search(r"\bUAVs?\b|destroyed|\bJ\b|[Rr]ound", words)
-
-
-#: At the end of the page: move the slider, and write what is seen before and after into the page.
-PROBE = """<script>
-setTimeout(() => {
-  const slider = document.querySelector("input"), img = document.querySelector("img"), first = img.src;
-  slider.value = slider.max; slider.dispatchEvent(new Event("input"));
-  setTimeout(() => document.body.insertAdjacentHTML("beforeend", `<pre id="probe">${[window.failed || "no error",
-    first !== img.src, img.naturalWidth > 100, document.documentElement.scrollWidth <= innerWidth].join()}</pre>`), 99);
-}, 300);
-</script>"""
-WATCHER = "<script>window.onerror = (text) => { window.failed = text; };</script>"
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed")
-@pytest.mark.parametrize("size", ["1280,900", "500,900"])
-def test_the_slider_changes_the_picture_in_a_browser(page, tmp_path, size):
-    copy = tmp_path / "probe.html"
-    copy.write_text(page.read_text().replace("<body>", f"<body>{WATCHER}").replace("</body>", f"{PROBE}</body>"))
-    options = ["--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=5000", f"--window-size={size}"]
-    words = [BROWSER, *options, "--dump-dom", copy.as_uri()]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=True)
-    assert re.search('id="probe">(.*?)</pre>', done.stdout)[1] == "no error,true,true,true"

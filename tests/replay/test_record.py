@@ -45,8 +45,7 @@ def test_records_what_was_seen_true_and_answered():
     heads, others = roles(0)
     script = (heads[0], others[0]), heads[1:]
     detector = Scripted(*script, clusters=np.arange(16), attention=np.eye(16))
-    reports = []
-    record = record_episode(multi(), detector, 0, 7, reports.append, label="scripted")
+    record = record_episode(multi(), detector, 0, 7, label="scripted")
 
     twin = multi()
     observation, _ = twin.reset(seed=0)
@@ -67,8 +66,7 @@ def test_records_what_was_seen_true_and_answered():
     assert record.clusters.tolist() == [list(range(16))] * 2
     assert record.leader_estimate is None
     np.testing.assert_array_equal(record.attention, [np.eye(16)] * 2)
-    assert [(this.number, this.candidates, this.heads_left) for this in reports] == [(1, 2, 2), (2, 2, 0)]
-    assert record.seconds.tolist() == [this.seconds for this in reports]
+    assert (record.seconds > 0).all()
     assert all(type(window) is Window for window in detector.windows)
 
 
@@ -100,15 +98,12 @@ def test_single_cluster_with_decoys():
     assert record.objective[0] == record.hits[0] - 2
 
 
-class Mute(Scripted):
-    def detect(self, window):
-        return self.answer.get("says")
-
-
 @pytest.mark.parametrize("says", [None, Detection(np.zeros(3, bool), np.zeros(3))])
 def test_refuses_other_answers(says):
+    mute = Scripted()
+    mute.detect = lambda window: says
     with pytest.raises(ArgumentError, match="detector must answer a Detection for 16 UAVs"):
-        record_episode(multi(), Mute(says=says), 0, None)
+        record_episode(multi(), mute, 0, None)
 
 
 def test_the_mind_of_the_detector_is_recorded():
@@ -133,7 +128,7 @@ def test_the_mind_of_the_detector_is_recorded():
 
 
 def small():
-    return gym.make("USNET/MultiCluster-v0", clusters=2, uavs=12, observation_steps=20, max_rounds=3)
+    return multi(clusters=2, uavs=12, max_rounds=3)
 
 
 def play(env, detector, seed, note=False):
@@ -157,8 +152,6 @@ def test_the_episodes_of_the_trigger_are_written(tmp_path):
     assert (found.seed, found.detector, found.env_id) == (3, "mine", "USNET/MultiCluster-v0")
     np.testing.assert_array_equal(found.scores, found.candidates)
     assert repr(found).startswith(f"<EpisodeRecord of USNET/MultiCluster-v0: {found.rounds} rounds, 12 UAVs, ")
-    with pytest.warns(UserWarning, match=r"^folder '.*' holds episode files"):
-        RecordReplay(small(), tmp_path / "new")
 
 
 def test_a_noted_detection_is_kept_whole(tmp_path):

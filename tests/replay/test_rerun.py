@@ -13,7 +13,7 @@ from small_episode import DECOY, ROUNDS, SAMPLES, UAVS, large_episode, small_epi
 from usnet_env import ArgumentError
 from usnet_env.config import MissingExtraError
 from usnet_env.replay import write_comparison, write_recording
-from usnet_env.replay.recording import attention_maps, find_groups, list_steps
+from usnet_env.replay.recording import attention_sheet, find_groups, list_steps
 
 rr = pytest.importorskip("rerun")
 
@@ -53,17 +53,17 @@ def test_rerun_verifies_the_file(recording):
     assert done.returncode == 0, done.stderr
 
 
-def test_positions_are_those_seen(chunks):
+def test_positions_and_roles_are_those_of_the_record(chunks):
     episode = small_episode()
-    heads = column(chunks, "/world/swarm/heads", "Points3D:positions")
-    np.testing.assert_array_equal(heads[0], episode.position[0, 0, [0, 5]])
-    np.testing.assert_array_equal(heads[-1], episode.position[1, -1, [5]])
-    followers = column(chunks, "/world/swarm/followers", "Points3D:positions")
-    beats = [~episode.head & ~episode.decoy & episode.alive[r] & ~episode.destroyed[r] for r in range(ROUNDS)]
-    watched = episode.seen[:, :, ~episode.head & ~episode.decoy].sum()
-    assert sum(map(len, followers)) == watched + 2 * sum(int(who.sum()) for who in beats)
-    decoys = column(chunks, "/world/swarm/decoys", "Points3D:positions")
-    np.testing.assert_array_equal(decoys[0], episode.position[0, 0, [DECOY]])
+    uavs = column(chunks, "/world/swarm/uavs", "Points3D:positions")
+    assert len(uavs) == ROUNDS * (SAMPLES + 2)
+    np.testing.assert_array_equal(uavs[0], episode.position[0, 0])
+    np.testing.assert_array_equal(uavs[SAMPLES + 2], episode.position[1, 0][episode.seen[1, 0]])
+    radii = np.array(column(chunks, "/world/swarm/uavs", "Points3D:radii")[0])
+    assert np.flatnonzero(radii == radii.max()).tolist() == [0, 5, DECOY]
+    colors = column(chunks, "/world/swarm/uavs", "Points3D:colors")[0]
+    assert len({colors[0], colors[5], colors[DECOY]}) == 3
+    assert colors[1] == colors[0]
 
 
 def test_tracks_grow_behind_the_uavs(chunks):
@@ -93,15 +93,16 @@ def test_the_answer_is_shown_when_it_is_given(chunks):
 
 def test_destruction_and_remerge_follow_the_answer(chunks):
     episode = small_episode()
-    crosses = column(chunks, "/world/swarm/destroyed", "LineStrips3D:strips")
-    assert [len(row) for row in crosses] == [4, 6]
-    middles = np.array(crosses[0]).reshape(2, 4, 3).mean(axis=1)
-    np.testing.assert_allclose(middles, episode.position[0, -1, [0, 3]], rtol=1e-5)
-    colors = column(chunks, "/world/swarm/followers", "Points3D:colors")
-    before, orphans, after = colors[0], colors[SAMPLES], colors[SAMPLES + 1]  # followers 1, 2, 3, 4, 6 … and without 3
-    assert before[0] != before[4]
-    assert orphans[0] not in (before[0], before[4])
-    assert after[0] == after[3] == before[4]
+    gone = column(chunks, "/world/swarm/destroyed", "Points3D:positions")
+    assert [len(row) for row in gone] == [2, 3]
+    np.testing.assert_array_equal(gone[0], episode.position[0, -1, [0, 3]])
+    colors = column(chunks, "/world/swarm/uavs", "Points3D:colors")
+    left = [i for i in range(UAVS) if i not in (0, 3)]
+    before = colors[0]
+    orphans, after = (dict(zip(left, colors[instant], strict=True)) for instant in (SAMPLES, SAMPLES + 1))
+    assert before[1] != before[6]
+    assert orphans[1] not in (before[1], before[6])
+    assert after[1] == after[6] == before[6]
 
 
 def test_marks_and_scores_are_the_answers(chunks):
@@ -116,12 +117,10 @@ def test_marks_and_scores_are_the_answers(chunks):
 
 def test_attention_and_features_are_those_of_the_record(chunks):
     episode = small_episode()
-    strips = column(chunks, "/world/found/attention", "LineStrips3D:strips")
-    assert [len(row) for row in strips] == [UAVS - 3, UAVS - 4]  # the heads and the decoy attend to themselves
-    (title, first), (_, head), _ = attention_maps(episode, 0)
-    assert title == "all weights"
-    np.testing.assert_array_equal(first, head)
-    assert attention_maps(episode, 1)[0][1].shape == (UAVS - 2,) * 2
+    first, second = attention_sheet(episode, 0), attention_sheet(episode, 1)
+    assert (first.shape, second.shape) == ((UAVS + 2, 3 * (UAVS + 2)), (UAVS, 3 * UAVS))  # framed, beside two heads
+    np.testing.assert_array_equal(first[:, : UAVS + 2], first[:, UAVS + 2 : 2 * (UAVS + 2)])
+    assert first[1 : UAVS + 1, 1 : UAVS + 1].max(axis=1).tolist() == [255] * UAVS
     points = column(chunks, "/mind/features", "Points2D:positions")
     plane = episode.features[1]
     np.testing.assert_allclose(points[-1], plane[episode.alive[1]] / (2 * np.abs(plane).max()), rtol=1e-5)
@@ -139,11 +138,11 @@ def test_groups_are_clusters_or_those_of_one_leader():
 def test_the_game_is_told_and_counted(chunks):
     texts = [text for (text,) in column(chunks, "/this_round", "TextDocument:text")]
     assert len(texts) == 2 * ROUNDS
-    assert "All 2 heads found in 2 rounds" in texts[-1]
+    assert "1 candidate (1 head hit, 0 redundant), 0 heads left" in texts[-1]
     ((about,),) = column(chunks, "/about", "TextDocument:text")
-    assert "**by hand:** All 2 heads found in 2 rounds" in about
-    curves = {name: [x for (x,) in column(chunks, f"/game/{name}", "Scalars:scalars")] for name in ("recall", "J")}
-    assert curves == {"recall": [0.0, 0.5, 1.0], "J": pytest.approx([0.0, 1 + 1 / UAVS, 2 + 1 / UAVS])}
+    assert "**by hand:** 2 of 2 heads found in 2 rounds" in about
+    curves = {name: [x for (x,) in column(chunks, f"/game/{name}", "Scalars:scalars")] for name in ("heads_left", "J")}
+    assert curves == {"heads_left": [1.0, 0.0], "J": pytest.approx([1 + 1 / UAVS, 2 + 1 / UAVS])}
 
 
 def test_timelines_are_named_and_in_steps(chunks):
@@ -180,7 +179,7 @@ def test_two_detectors_on_one_swarm(tmp_path):
     path = write_comparison(small_episode(), small_episode(candidates=other, detector="another"), tmp_path / "both.rrd")
     found = read(path)
     entities = {chunk.entity_path for chunk in found}
-    assert {"/a/world/swarm/heads", "/b/world/swarm/heads", "/a/game/J", "/b/game/J", "/about"} <= entities
+    assert {"/a/world/swarm/uavs", "/b/world/swarm/uavs", "/a/game/J", "/b/game/J", "/about"} <= entities
     ((text,),) = column(found, "/about", "TextDocument:text")
     assert "**by hand:**" in text
     assert "**another:**" in text

@@ -74,21 +74,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (ArgumentError, MissingExtraError) as error:
         print_message(str(error))
         return _REFUSED
-    except SystemExit as end:
-        if not isinstance(end.__context__, BrokenPipeError):  # raised by Rich in place of it
+    except (SystemExit, BrokenPipeError) as end:
+        if isinstance(end, SystemExit) and not isinstance(end.__context__, BrokenPipeError):  # Rich exits after one
             print_message(f"ended by sys.exit({end.code!r}) in a detector or another plug-in.")
-            return _FAILED
-        return _end_without_reader()
-    except BrokenPipeError:
-        return _end_without_reader()
+        else:  # the program that reads our output has ended, for example `head`
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _FAILED
     except Exception as error:
         return _report_failure(error)
-
-
-def _end_without_reader() -> int:
-    """End silently: the program that reads our output has ended, for example ``head``."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return _FAILED
 
 
 def _prepare_process() -> None:

@@ -23,9 +23,7 @@ _NAMES = ("envs", "detectors", *_REGISTRIES, "suites")
 def list_(part: str | None) -> None:
     """List the available environments, detectors or other parts, with one line about each.
 
-    The list of detectors also shows what a detector needs and uses: packages beyond those that USNET always installs,
-    the most UAVs and the least steps of a window, whether it uses positions, and whether it takes the number of
-    clusters M. Without a word, it lists what can be listed.
+    The list of detectors also shows what a detector needs. Without a word, it lists what can be listed.
     """
     from rich.table import Table
     from rich.text import Text
@@ -69,9 +67,9 @@ def _describe_registry(argument: str) -> dict[str, str]:
         try:
             part = registry[name]
             text = getattr(part, "equation", "") or getattr(part, "description", "") or inspect.getdoc(part) or ""
-            rows[name] = str(text).partition("\n")[0]
         except (ArgumentError, MissingExtraError) as error:
-            rows[name] = f"not available: {error}"
+            text = f"not available: {error}"
+        rows[name] = text.partition("\n")[0]
     return rows
 
 

@@ -14,14 +14,10 @@ def show(*renderables: Any) -> None:
     from rich.console import Console
 
     console = Console()
-    if console.is_terminal:
-        for renderable in renderables:
-            console.print(renderable)
-        return
-    wide = Console(width=_PIPE_WIDTH)
-    with wide.capture() as captured:
-        for renderable in renderables:
-            wide.print(renderable)
+    if not console.is_terminal:
+        console = Console(width=_PIPE_WIDTH)
+    with console.capture() as captured:
+        console.print(*renderables, sep="\n")
     # Not click.echo, which writes UTF-8 where the stream is ASCII.
     print("".join(f"{line.rstrip()}\n" for line in captured.get().splitlines()), end="")
 

@@ -22,7 +22,6 @@ _DEMO_EXAMPLES = """
 Examples:
   usnet demo --open
   usnet demo --detector learned --clusters 8 --uavs 185 --follow f1
-  usnet demo --paper-example --out runs/paper
 """  # click reads the control characters: they keep the lines
 _REPLAY_EXAMPLES = """
 \b
@@ -41,9 +40,8 @@ Examples:
 @click.option("--follow", metavar="NAME", help="Strategy; see `usnet list follow`.  [default: f3]")
 @click.option("--clusters", type=int, metavar="N", help="Number of clusters.  [default: 5]")
 @click.option("--uavs", type=int, metavar="N", help="Number of UAVs.  [default: 60]")
-@click.option("--paper-example", is_flag=True, help="Play the paper's example, 185 UAVs and mc-gassl; takes minutes.")
 @click.option("--open", "open_viewer", is_flag=True, help="Open the replay in the Rerun viewer.")
-def demo(out: str, seed: int | None, detector: str | None, paper_example: bool, open_viewer: bool, **game: Any) -> None:
+def demo(out: str, open_viewer: bool, **given: Any) -> None:
     """Play one episode of USNET/MultiCluster-v0 with UAVs that fly smoothly, and keep it.
 
     The detector errs in round 1 and recovers. The folder gets an episode file, a replay, a page and a picture.
@@ -51,8 +49,7 @@ def demo(out: str, seed: int | None, detector: str | None, paper_example: bool, 
     from usnet_env.replay.demo import run_demo
     from usnet_env.replay.rerun import open_replay
 
-    given = {name: value for name, value in game.items() if value is not None}
-    files = run_demo(out, seed=seed, detector=detector, paper_example=paper_example, **given)
+    files = run_demo(out, **{name: value for name, value in given.items() if value is not None})
     if open_viewer and "replay" in files:
         open_replay(files["replay"])
 
@@ -79,6 +76,7 @@ def replay(
     --episode chooses one.
     """
     from usnet_env.replay import EpisodeRecord, write_comparison, write_recording
+    from usnet_env.replay.rerun import find_viewer, open_replay
     from usnet_env.replay.story import describe_outcome, describe_round, name_game
 
     chosen = [_choose_episodes(path, episode) for path in paths]
@@ -89,18 +87,18 @@ def replay(
         raise click.UsageError("PATH must be one episode, two, or a folder to list; --episode chooses one of a folder.")
     records = [EpisodeRecord.load(found[0]) for found in chosen]
     if len(records) == 2:
-        for record in records:
-            _say(f"{record.detector}: {describe_outcome(record)}")
+        _say("\n".join(f"{record.detector}: {describe_outcome(record)}" for record in records))
         written = write_comparison(records[0], records[1], rrd or Path("comparison.rrd"))
     else:
-        record = records[0]
+        (record,) = records
         rounds = [f"  {number}: {describe_round(record, number)}" for number in range(1, record.rounds + 1)]
         _say("\n".join([name_game(record), *rounds, describe_outcome(record)]))
-        if not _write_files(record, **files) or rrd is not None or open_viewer:
-            written = write_recording(record, rrd or chosen[0][0].with_suffix(".rrd"))
-        else:
+        if _write_files(record, **files) and rrd is None and not open_viewer:
             return
-    _show_replay(written, open_viewer)
+        written = write_recording(record, rrd or chosen[0][0].with_suffix(".rrd"))
+    click.echo(f"replay     {written}" + ("" if open_viewer else f"  (open: {find_viewer()} {written})"))
+    if open_viewer:
+        open_replay(written)
 
 
 def _say(text: str) -> None:
@@ -117,11 +115,9 @@ def _choose_episodes(place: Path, episode: int | None) -> list[Path]:
     if episode is not None:
         found = [path for path in found if re.search(rf"(?:\D|\A)0*{episode}\Z", path.stem)]
     if not found:
-        kind = (
-            "a folder with episode files" if episode is None else f"a folder with an episode file of number {episode}"
-        )
+        number = "" if episode is None else f" of number {episode}"
         hint = "`usnet evaluate --out DIR --record every=10` writes such files"
-        raise ArgumentError(f"path must be an episode file or {kind}, got {quote(str(place))}; {hint}.")
+        raise ArgumentError(f"path must be an episode file{number} or their folder, got {quote(str(place))}; {hint}.")
     return found
 
 
@@ -134,13 +130,12 @@ def _list_episodes(files: Sequence[Path]) -> None:
     from usnet_env.replay.story import name_score
 
     records = [EpisodeRecord.load(file) for file in files]
-    scores = [name_score(record) for record in records]
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for name in ("file", "detector", "seed", "rounds", " or ".join(dict.fromkeys(n for n, _ in scores)), "heads left"):
+    for name in ("file", "detector", "seed", "rounds", "score", "heads left"):
         table.add_column(name, overflow="fold")
-    for record, file, (_, value) in zip(records, files, scores, strict=True):
-        score = ["–" if value is None else f"{value:.3f}", record.heads_left[-1] if record.labelled else "–"]
-        cells = (file, record.detector, "–" if record.seed is None else record.seed, record.rounds, *score)
+    for record, file in zip(records, files, strict=True):
+        known = ("{} {:.3f}".format(*name_score(record)), record.heads_left[-1]) if record.labelled else ("–", "–")
+        cells = (file, record.detector, "–" if record.seed is None else record.seed, record.rounds, *known)
         table.add_row(*(Text("".join(filter(str.isprintable, str(cell)))) for cell in cells))  # no markup, no escapes
     show(table)
 
@@ -150,18 +145,8 @@ def _write_files(record: EpisodeRecord, animation: str | None, page: str | None,
     from usnet_env.replay import animate, write_picture
     from usnet_env.replay.page import write_page
 
-    if animation is not None:
-        click.echo(f"animation  {animate(record, animation)}")
-    if page is not None:
-        click.echo(f"page       {write_page(record, page)}")
-    if figure is not None:
-        click.echo(f"figure     {write_picture(record, figure)}")
+    makers = {"animation": (animate, animation), "page": (write_page, page), "figure": (write_picture, figure)}
+    for name, (make, path) in makers.items():
+        if path is not None:
+            click.echo(f"{name:<9}  {make(record, path)}")
     return (animation, page, figure) != (None, None, None)
-
-
-def _show_replay(written: Path, open_viewer: bool) -> None:
-    from usnet_env.replay.rerun import find_viewer, open_replay
-
-    click.echo(f"replay     {written}" + ("" if open_viewer else f"  (open: {find_viewer()} {written})"))
-    if open_viewer:
-        open_replay(written)

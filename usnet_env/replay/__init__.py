@@ -5,13 +5,12 @@ from __future__ import annotations
 from usnet_env.replay.animate import animate
 from usnet_env.replay.episode import EpisodeRecord
 from usnet_env.replay.figure import draw_episode, write_picture
-from usnet_env.replay.record import RecordReplay, Round, record_episode
+from usnet_env.replay.record import RecordReplay, record_episode
 from usnet_env.replay.rerun import write_comparison, write_recording
 
 __all__ = [
     "EpisodeRecord",
     "RecordReplay",
-    "Round",
     "animate",
     "draw_episode",
     "record_episode",

@@ -7,24 +7,23 @@ Pillow, which writes the GIF, and moviepy, which brings the program ffmpeg for t
 from __future__ import annotations
 
 import os
-import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from usnet_env import drawing
-from usnet_env.config import ArgumentError, quote, whole_number
+from usnet_env.config import ArgumentError, format_count, quote, whole_number
 from usnet_env.files import atomic_write
 from usnet_env.replay.episode import EpisodeRecord
 from usnet_env.replay.figure import check_ending, describe_scene, find_least_side
-from usnet_env.replay.story import describe_answer, describe_outcome, describe_remerge, describe_round, name_round
+from usnet_env.replay.story import describe_outcome, describe_round, name_round
 
 _WIDTH, _HEIGHT = 9.6, 5.7  # inches
-_MP4_RATE = 5  # frames per second
+_RATE = 2  # frames per second
 WATCH, NAME, VERDICT, REMERGE = range(4)  # phases of a round
-SECONDS = (0.2, 2.0, 2.4, 2.0)  # how long their frames stay
+SECONDS = (0.5, 2.0, 2.5, 2.0)  # how long their frames stay
 
 
 class Scene(NamedTuple):
@@ -39,15 +38,15 @@ class Scene(NamedTuple):
 def list_scenes(record: EpisodeRecord, frames: int) -> Iterator[Scene]:
     """The frames of an episode in their order; ``frames`` are those in which the tracks of one window grow."""
     samples = record.position.shape[1]
-    watch = f"The detector watches {samples - 1} steps."
     for number in range(1, record.rounds + 1):
         for grown in np.unique(np.linspace(1, samples, frames).round().astype(int)).tolist():
-            yield Scene(number, WATCH, grown, watch)
-        yield Scene(number, NAME, samples, describe_answer(record, number))
+            yield Scene(number, WATCH, grown, f"the detector watches {samples - 1} steps")
+        named = format_count(int(record.candidates[number - 1].sum()), "candidate" if record.labelled else "leader")
+        yield Scene(number, NAME, samples, f"it names {named}")
         if record.labelled:
-            yield Scene(number, VERDICT, samples, describe_round(record, number) + ".")
-        if number < record.rounds and record.orphans[number - 1].any():
-            yield Scene(number, REMERGE, samples, describe_remerge(record, number))
+            yield Scene(number, VERDICT, samples, describe_round(record, number))
+        if number < record.rounds and (orphans := int(record.orphans[number - 1].sum())):
+            yield Scene(number, REMERGE, samples, f"followers without a head join another one: {orphans}")
     yield Scene(record.rounds, VERDICT if record.labelled else NAME, samples, describe_outcome(record))
 
 
@@ -57,12 +56,10 @@ class Painter:
     def __init__(self, record: EpisodeRecord, dpi: float = 100) -> None:
         self.record = record
         self.figure = drawing.new_figure(_WIDTH, _HEIGHT, dpi)
-        side = 0.45
         bottom = self.figure.add_axes((0, 0, 1, 0.1))
         bottom.axis("off")
-        self.observed, self.truth = (
-            self.figure.add_axes((left, 0.11, side, side * _WIDTH / _HEIGHT)) for left in (0.04, 0.54)
-        )
+        places = [(left, 0.11, 0.45, 0.45 * _WIDTH / _HEIGHT) for left in (0.04, 0.54)]
+        self.observed, self.truth = map(self.figure.add_axes, places)
         known = record.position[record.seen & record.alive[:, None]]
         self.limits = drawing.limits_around(known, 0.08, find_least_side(record))
         self.header = self.figure.text(0.02, 0.975, "", fontsize=12, va="top")
@@ -76,13 +73,10 @@ class Painter:
             names |= {} if record.recorded else {drawing.DESTROYED_MARK: "destroyed"}
         place = {"loc": "center", "bbox_to_anchor": (0.5, 0.35), "ncols": len(names), "fontsize": 9, "markerscale": 0.7}
         drawing.draw_legend(bottom, names, **place)
-        self.shown: Scene | None = None
 
     def draw(self, scene: Scene) -> None:
         """Draw a scene in place of the one before."""
-        if scene is self.shown:
-            return
-        record, r, self.shown = self.record, scene.round - 1, scene
+        record, r = self.record, scene.round - 1
         window = describe_scene(record, scene.round)
         window |= {name: window[name][: scene.samples] for name in ("position", "seen")}
         named = record.candidates[r] if scene.phase in (NAME, VERDICT) else None
@@ -105,48 +99,29 @@ class Painter:
         self.header.set_text(drawing.escape_math(words))
 
 
-def _write_gif(record: EpisodeRecord, shown: list[Scene], path: Path) -> None:
-    from PIL import Image
-
-    painter = Painter(record)
-
-    def paint(scene: Scene) -> Any:
-        painter.draw(scene)
-        return Image.fromarray(drawing.pixels_of(painter.figure))
-
-    answered = next(scene for scene in reversed(shown) if scene.round == 1)
-    palette = paint(answered).quantize(256, method=Image.Quantize.MAXCOVERAGE)  # of all frames: what rests stays equal
-    frames = [paint(scene).quantize(palette=palette, dither=Image.Dither.NONE) for scene in shown]
-    durations = [round(1000 * SECONDS[scene.phase]) for scene in shown]
-    frames[0].save(path, format="GIF", save_all=True, append_images=frames[1:], duration=durations, loop=0)
+def write_frames(
+    record: EpisodeRecord, scenes: Iterable[Scene], writer: Any, path: Path, dpi: float, rate: int
+) -> None:
+    """Draw scenes with a writer of matplotlib, with ``rate`` frames for each second of a scene, and at least one."""
+    painter = Painter(record, dpi)
+    with writer.saving(painter.figure, str(path), dpi=dpi):
+        for scene in scenes:
+            painter.draw(scene)
+            for _ in range(max(1, round(SECONDS[scene.phase] * rate))):
+                writer.grab_frame()
 
 
-def _find_ffmpeg(path: Path) -> str:
-    """The path of ffmpeg: of the one that moviepy installs, or the system's."""
+def _find_ffmpeg() -> str:
+    """The program ffmpeg that moviepy installs, or else the system's."""
     try:
         from imageio_ffmpeg import get_ffmpeg_exe
 
         return str(get_ffmpeg_exe())
     except (ImportError, RuntimeError):
-        found = shutil.which("ffmpeg")
-    if found is None:
-        raise ArgumentError(f"path must end in .gif where ffmpeg is not installed, got {quote(str(path))}.")
-    return found
+        return "ffmpeg"
 
 
-def _write_mp4(record: EpisodeRecord, shown: list[Scene], path: Path, ffmpeg: str) -> None:
-    from matplotlib import rc_context
-    from matplotlib.animation import FFMpegWriter
-
-    painter, writer = Painter(record), FFMpegWriter(fps=_MP4_RATE, extra_args=["-f", "mp4"])
-    with rc_context({"animation.ffmpeg_path": ffmpeg}), writer.saving(painter.figure, str(path), dpi=100):
-        for scene in shown:
-            painter.draw(scene)
-            for _ in range(max(1, round(SECONDS[scene.phase] * _MP4_RATE))):
-                writer.grab_frame()
-
-
-def animate(record: EpisodeRecord, path: str | os.PathLike[str], *, frames: int = 12) -> Path:
+def animate(record: EpisodeRecord, path: str | os.PathLike[str], *, frames: int = 8) -> Path:
     """Write an animation of an episode; the file appears whole.
 
     Two maps from above share fixed axes. The left one shows what the detector sees: equal dots whose tracks grow, then
@@ -164,11 +139,15 @@ def animate(record: EpisodeRecord, path: str | os.PathLike[str], *, frames: int 
         MissingExtraError: matplotlib is not installed.
     """
     place = check_ending(path, ".gif", ".mp4")
-    shown = list(list_scenes(record, whole_number("frames", frames, 2)))
-    ffmpeg = _find_ffmpeg(place) if place.suffix.lower() == ".mp4" else None
-    with atomic_write(place) as aside:
-        if ffmpeg is None:
-            _write_gif(record, shown, aside)
-        else:
-            _write_mp4(record, shown, aside, ffmpeg)
+    scenes = list_scenes(record, whole_number("frames", frames, 2))
+    drawing.new_figure(1, 1)  # refuses without matplotlib
+    from matplotlib import rc_context
+    from matplotlib.animation import FFMpegWriter, PillowWriter
+
+    kind = PillowWriter if place.suffix.lower() == ".gif" else FFMpegWriter
+    with rc_context({"animation.ffmpeg_path": _find_ffmpeg()}):
+        if not kind.isAvailable():
+            raise ArgumentError(f"path must end in .gif where ffmpeg is not installed, got {quote(str(place))}.")
+        with atomic_write(place) as aside:
+            write_frames(record, scenes, kind(fps=_RATE), aside, 100, _RATE)
     return place

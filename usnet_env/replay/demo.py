@@ -17,9 +17,9 @@ from usnet_env.files import as_path, reserve_folder
 from usnet_env.plugins import detector_label, make_detector
 from usnet_env.replay.figure import write_picture
 from usnet_env.replay.page import write_page
-from usnet_env.replay.record import Round, record_episode
+from usnet_env.replay.record import record_episode
 from usnet_env.replay.rerun import find_viewer, write_recording
-from usnet_env.replay.story import describe_outcome
+from usnet_env.replay.story import describe_outcome, describe_round
 
 #: The game of the demo: five clusters of UAVs that fly smoothly. The detector finds three heads in round 1 and names a
 #: follower, too; it needs two more rounds for the other heads.
@@ -32,32 +32,18 @@ DEMO: dict[str, Any] = {
     "formation": "around",
     "observation_steps": 60,
 }
-#: The paper's example: Algorithm 2 on 8 clusters of 185 UAVs.
-PAPER_EXAMPLE: dict[str, Any] = {"clusters": 8, "uavs": 185, "follow": "f1"}
-_ROW = "{:>5}  {:>10}  {:>9}  {:>9}  {:>10}  {:>7}"
-
-
-def _print_round(this: Round) -> None:
-    row = _ROW.format(this.number, this.candidates, this.hits, this.redundant, this.heads_left, f"{this.seconds:.2f}")
-    print(row + "  over the shot budget: no UAV destroyed" * this.over_budget)
 
 
 def run_demo(
-    out: str | os.PathLike[str] = "runs/demo",
-    *,
-    seed: int | None = None,
-    detector: str | None = None,
-    paper_example: bool = False,
-    **arguments: Any,
+    out: str | os.PathLike[str] = "runs/demo", *, seed: int = 3, detector: str = "lagged-correlation", **arguments: Any
 ) -> dict[str, Path]:
     """Play one episode of ``USNET/MultiCluster-v0``, print a line for each round, and keep the episode.
 
     Args:
         out: folder for ``episode.npz``, ``replay.rrd`` (for the Rerun viewer), ``episode.png`` and ``report.html``.
             Without its extra, a file is left out, and a line says which extra is missing.
-        seed: seed of the swarm; the detector's seed is derived from it. ``None``: the seed of the game that shows most.
-        detector: name of the detector; ``None``: ``lagged-correlation``, or ``mc-gassl`` with ``paper_example``.
-        paper_example: play the paper's example, M = 8 and N = 185 with f1, by Algorithm 2; this takes minutes.
+        seed: seed of the swarm; the detector's seed is derived from it.
+        detector: name of the detector.
         arguments: of the environment, such as ``clusters``, instead of those of :data:`DEMO`.
 
     Returns:
@@ -66,21 +52,16 @@ def run_demo(
     Raises:
         ArgumentError: the environment or the registry of detectors refuses an argument, or ``out`` can't be written to.
     """
-    folder = as_path("out", out)
-    usual, game, usual_seed = ("lagged-correlation", DEMO, 3) if not paper_example else ("mc-gassl", PAPER_EXAMPLE, 1)
-    seed, game = whole_number("seed", usual_seed if seed is None else seed, 0), game | arguments
-    player = make_detector(usual if detector is None else detector)
+    folder, game, seed = as_path("out", out), DEMO | arguments, whole_number("seed", seed, 0)
+    player = make_detector(detector)
     detector_seed = int(np.random.SeedSequence(seed, spawn_key=(1,)).generate_state(1)[0])
     with closing(gym.make("USNET/MultiCluster-v0", **game)) as env:
         reserve_folder(folder)
-        print("Who leads this swarm?")
-        print(
-            f"{game['uavs']} UAVs in {game['clusters']} clusters, follow strategy {game['follow']}, seed {seed}; ",
-            end="",
-        )
-        print(f"detector {detector_label(player)}.\n")
-        print(_ROW.format("round", "candidates", "heads hit", "redundant", "heads left", "seconds"))
-        record = record_episode(env, player, seed, detector_seed, _print_round)
+        swarm = f"{game['uavs']} UAVs in {game['clusters']} clusters, follow strategy {game['follow']}, seed {seed}"
+        print(f"Who leads this swarm?\n{swarm}; detector {detector_label(player)}.\n")
+        record = record_episode(env, player, seed, detector_seed)
+    for number, seconds in enumerate(record.seconds, start=1):
+        print(f"round {number}: {describe_round(record, number)}; {seconds:.2f} s")
     print(f"\n{describe_outcome(record)}\n")
     written = {"episode": record.save(folder / "episode.npz")}
     print(f"episode  {written['episode']}  (the whole record; read it with usnet_env.replay.EpisodeRecord.load)")

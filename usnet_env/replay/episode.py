@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from usnet_env.arrays import Floats, Indices, Mask, Singles
-from usnet_env.config import ArgumentError, format_count, quote, whole_number
+from usnet_env.config import ArgumentError, format_count, quote
 from usnet_env.drawing import last_seen_position
 from usnet_env.files import as_path, atomic_write
 from usnet_env.objectives import hits_and_redundant
@@ -39,10 +39,10 @@ _AXES = {
 }
 
 
-def _list_links(followed: Indices, followers: Mask, heads: Mask) -> Indices:
-    """``(L, 2)`` int64: which of ``followers`` ``(N,)`` follow which of ``heads`` ``(N,)``."""
-    linked = np.flatnonzero(followers & (followed >= 0) & heads[followed] & (followed != np.arange(len(followed))))
-    return np.column_stack([linked, followed[linked]])
+def _list_links(root: Indices, followers: Mask, heads: Mask) -> Indices:
+    """``(L, 2)`` int64: which of ``followers`` ``(N,)`` follow which of ``heads`` ``(N,)``, another UAV."""
+    linked = np.flatnonzero(followers & (root >= 0) & heads[root] & (root != np.arange(len(root))))
+    return np.column_stack([linked, root[linked]])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -52,9 +52,8 @@ class EpisodeRecord:
     Arrays are read-only copies. Their first axis counts the rounds, except in ``head``, ``decoy`` and ``observers``.
     ``alive`` and ``root`` hold for the window of the round, before the round's candidates are destroyed.
 
-    The cluster graph of the paper's §II-A, (nodes, edges, X), is computed from these arrays:
-    :meth:`communication_links` gives the edges, :meth:`topology_matrix` gives X of equation (5), and
-    :meth:`hierarchy` gives the edges that the detector found.
+    :meth:`communication_links` and :meth:`hierarchy` are the edges of the paper's cluster graph (§II-A): the true ones
+    and those that the detector found.
 
     Args:
         position: ``(R, T_ob + 1, N, 3)`` float32, metres, as observed; 0 where unseen.
@@ -141,13 +140,9 @@ class EpisodeRecord:
         """What is impossible in the record, or contradicts itself; an empty text if nothing does."""
         sizes = dict(zip("RSN", self.position.shape, strict=False))
         sizes |= {"T": sizes.get("S", 0) - 1, "2": 2, "3": 3, "4": 4}
-        for name, axes in _AXES.items():
-            value = getattr(self, name)
-            if value is None:
-                continue
-            if value.ndim != len(axes) or any(
-                sizes.get(axis, n) != n for axis, n in zip(axes, value.shape, strict=True)
-            ):
+        given = {name: value for name in _AXES if (value := getattr(self, name)) is not None}
+        for name, value in given.items():
+            if tuple(map(sizes.get, _AXES[name], value.shape)) != value.shape or value.ndim != len(_AXES[name]):
                 return f"{name} has the shape {value.shape}"
             if not np.isfinite(value).all():
                 return f"{name} is not finite"
@@ -208,96 +203,41 @@ class EpisodeRecord:
         """``(R,)`` living heads after each round."""
         return np.asarray((self.head & self.alive & ~self.fired).sum(axis=1))
 
-    def _index(self, number: int) -> int:
-        """Index of a round, from its number; :class:`ArgumentError` if there is no such round."""
-        return whole_number("number", number, 1, self.rounds) - 1
-
     def last_position(self, number: int) -> Singles:
         """Where each UAV was seen last, up to the end of a round (from 1): ``(N, 3)`` metres, NaN if never."""
-        rounds = self._index(number) + 1
-        position = self.position[:rounds].reshape(-1, self.uavs, 3)
-        return last_seen_position(position, self.seen[:rounds].reshape(-1, self.uavs))
+        position, seen = self.position[:number], self.seen[:number]
+        return last_seen_position(position.reshape(-1, self.uavs, 3), seen.reshape(-1, self.uavs))
 
     def communication_links(self, number: int) -> Indices:
         """The true communication links of a round (from 1): the paper's edge sets E_{j,t} of all clusters, §II-A.
 
         Returns:
-            ``(L, 2)`` int64: a row for each living follower, its index and the index of its head, in ascending order of
-            the followers. The graph is undirected.
+            ``(L, 2)`` int64: every living follower and its living head, in ascending order of the followers.
         """
-        r = self._index(number)
-        return _list_links(self.root[r], self.alive[r], self.head & self.alive[r])
+        alive = self.alive[number - 1]
+        return _list_links(self.root[number - 1], alive, self.head & alive)
 
     def hierarchy(self, number: int) -> Indices | None:
-        """The hierarchy graph that the detector found in a round (from 1): links to its candidates.
-
-        A living UAV that is no candidate is linked to the candidate that ``leader_estimate`` names. If the detector
-        gave no leaders, its attention decides: the UAV's leader is the other UAV with the largest weight. A UAV without
-        a leader, or with a leader that is no candidate, has no link.
+        """The links that the detector found in a round (from 1): of living UAVs to the candidates that they follow.
 
         Returns:
-            ``(L, 2)`` int64: index of the UAV and of its candidate, in ascending order of the UAVs; ``None`` if the
-            record has neither ``leader_estimate`` nor ``attention``.
+            ``(L, 2)`` int64: each UAV and its candidate, in ascending order; ``None`` without ``leader_estimate``.
         """
-        r = self._index(number)
-        candidates = self.candidates[r] & self.alive[r]
-        if self.leader_estimate is not None:
-            leader = self.leader_estimate[r]
-        elif self.attention is not None:
-            others = np.where(np.eye(self.uavs, dtype=bool), 0.0, self.attention[r])
-            leader = np.where(others.max(axis=1) > 0, others.argmax(axis=1), -1)
-        else:
+        if self.leader_estimate is None:
             return None
-        return _list_links(leader, self.alive[r] & ~candidates, candidates)
-
-    def topology_matrix(self, number: int, t: int, head: int | None = None, memory: int | None = None) -> Singles:
-        """The time series topology matrix X of equation (5) at velocity ``t`` of a round's window.
-
-        Three rows (x, y, z) for each UAV, in ascending order of the UAVs. The columns are the position p_{i,t-T_0+1}
-        and the T_0 velocities v_{i,t-T_0+1}, …, v_{i,t}. Unseen samples are 0, as in the window. The paper counts 3m_j
-        rows; here the head of the cluster has its three rows, too.
-
-        Args:
-            number: the round, from 1.
-            t: index of the newest velocity, from T_0 - 1 to T_ob - 1.
-            head: index of a living head: the rows of its cluster, that is the head and its m_j followers, in this
-                round. ``None``: the rows of all N UAVs.
-            memory: T_0; ``None``: the environment's, which ``config`` holds.
-
-        Returns:
-            ``(3(m_j + 1), T_0 + 1)`` float32, or ``(3N, T_0 + 1)`` without ``head``; metres in the first column, metres
-            per step in the others.
-
-        Raises:
-            ArgumentError: no such round, time or living head, or T_0 is not known.
-        """
-        r = self._index(number)
-        steps = self.velocity.shape[1]
-        past = whole_number("memory", self.config.get("memory") if memory is None else memory, 1, steps)
-        t = whole_number("t", t, past - 1, steps - 1)
-        members = np.arange(self.uavs)
-        if head is not None:
-            living = np.flatnonzero(self.head & self.alive[r])
-            if head not in living.tolist():
-                raise ArgumentError(f"head must be one of the living heads {quote(living)}, got {quote(head)}.")
-            members = np.flatnonzero(self.alive[r] & ((self.root[r] == head) | (members == head)))
-        first = t - past + 1
-        position = self.position[r, first, members][:, :, None]
-        velocity = np.moveaxis(self.velocity[r, first : t + 1][:, members], 0, -1)
-        return np.concatenate([position, velocity], axis=-1).reshape(3 * len(members), past + 1)
+        alive, candidates = self.alive[number - 1], self.candidates[number - 1]
+        return _list_links(self.leader_estimate[number - 1], alive & ~candidates, alive & candidates)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the record as one compressed ``.npz``, in place of an existing file; the file appears whole.
 
-        The file also holds ``communication_links`` ``(L, 3)`` int64 for readers without this class: round, follower
-        and head of every true link.
+        The file also holds ``communication_links`` ``(L, 3)`` int64: round, follower and head of every true link.
 
         Raises:
             ArgumentError: the place can't be written to.
         """
-        values = {item.name: getattr(self, item.name) for item in fields(self)}
-        arrays: dict[str, Any] = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
-        words = {name: values[name] for name in values if name not in arrays and values[name] is not None}
+        arrays: dict[str, Any] = {name: value for name, value in vars(self).items() if isinstance(value, np.ndarray)}
+        words = {name: value for name, value in vars(self).items() if name not in arrays and value is not None}
         links = [np.insert(self.communication_links(n), 0, n, axis=1) for n in range(1, self.rounds + 1)]
         text = json.dumps({**words, "format": _FORMAT, "version": FORMAT_VERSION})
         with atomic_write(path) as aside, aside.open("wb") as file:
@@ -307,10 +247,6 @@ class EpisodeRecord:
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> EpisodeRecord:
         """Read a file that :meth:`save` of this or an earlier version wrote; nothing in it is ever executed.
-
-        Returns:
-            The record; every array and text equals the saved one. Fields that an earlier version did not have are
-            ``None``.
 
         Raises:
             ArgumentError: the file can't be read, is of another kind or a newer version, or is damaged.

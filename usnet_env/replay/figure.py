@@ -16,14 +16,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _MOST_PANELS, _MOST_COLUMNS = 6, 3
-_ABOUT = (
-    "Seen from above. Every follower (dot) follows a head (star of its colour). The detector receives the paths of all "
-    "UAVs, but not the stars, colours and links, and names candidates for the heads."
-)
-_ABOUT_UNKNOWN = (
-    "Recorded tracks, seen from above. Stars are the leaders that were found in the window, and dots are the others, "
-    "in the colour of the leader that they follow."
-)
+_ABOUT = "Seen from above. The detector sees the paths, but not the stars, colours and links."
+_ABOUT_UNKNOWN = "Recorded tracks, seen from above, and what was found in each window."
 
 
 def describe_scene(record: EpisodeRecord, number: int) -> dict[str, Any]:

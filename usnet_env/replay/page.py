@@ -1,4 +1,4 @@
-"""A page of an episode that any browser opens without a network: animation, table of rounds, reasons."""
+"""A page of an episode that any browser opens without a network: an animation, and what happened in each round."""
 
 from __future__ import annotations
 
@@ -8,22 +8,18 @@ from html import escape
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import pandas as pd
-
+from usnet_env import drawing
 from usnet_env.config import format_count
 from usnet_env.files import atomic_write
-from usnet_env.objectives import f1
-from usnet_env.replay.animate import Painter, list_scenes
+from usnet_env.replay.animate import list_scenes, write_frames
 from usnet_env.replay.episode import EpisodeRecord
 from usnet_env.replay.story import describe_outcome, describe_round, list_marked, name_game, name_round, name_uav
 
-_FRAMES, _RATE, _DPI = 4, 1, 75  # frames of a growing window, frames per second, pixels per inch
-_MOST_ROUNDS = 12  # of the animation; the tables have all of them
+_FRAMES, _DPI = 3, 75  # frames of a growing window, pixels per inch
+_MOST_ROUNDS = 12  # of the animation; the text has all of them
 _STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 0 auto; padding: 1rem; }
-img { max-width: 100%; } .scroll { overflow-x: auto; } summary { cursor: pointer; }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
-th, td { text-align: left; padding: 0.3rem 0.9rem 0.3rem 0; border: 0; border-bottom: 1px solid #d5d9de; }
+img { max-width: 100%; } summary { cursor: pointer; }
 """
 #: Characters in place of the icons of matplotlib's page, whose font would be fetched from the network.
 _ICONS = {
@@ -36,35 +32,16 @@ def _animate(record: EpisodeRecord) -> str:
     """The animation of the first rounds with its controls, as matplotlib writes it."""
     from matplotlib.animation import HTMLWriter
 
-    painter = Painter(record, _DPI)
-    shown = [scene for scene in list_scenes(record, _FRAMES) if scene.round <= _MOST_ROUNDS]
-    writer = HTMLWriter(fps=_RATE, embed_frames=True, default_mode="once", embed_limit=200)
+    drawing.new_figure(1, 1)  # refuses without matplotlib
+
+    scenes = [scene for scene in list_scenes(record, _FRAMES) if scene.round <= _MOST_ROUNDS]
+    writer = HTMLWriter(fps=1, embed_frames=True, default_mode="once", embed_limit=200)
     with TemporaryDirectory() as folder:
         path = Path(folder, "animation.html")
-        with writer.saving(painter.figure, path, _DPI):
-            for scene in shown:
-                painter.draw(scene)
-                writer.grab_frame()  # type: ignore[no-untyped-call]
+        write_frames(record, scenes, writer, path, _DPI, rate=0)
         text = re.sub("<link[^>]*>", "", path.read_text(encoding="utf-8"))
     text = text.replace("<img id", '<img alt="animation of the episode" id')
     return re.sub(r'<i class="fa fa-([^"]*)"></i>', lambda icon: _ICONS[icon[1]], text)
-
-
-def _write_rounds(record: EpisodeRecord) -> str:
-    """The table of rounds; where the truth is unknown, there is none."""
-    if not record.labelled:
-        return ""
-    last = ("heads not named", "F1") if record.recorded else ("heads left", "J so far")
-    table = pd.DataFrame({
-        name_round(record).lower(): range(1, record.rounds + 1),
-        "candidates": record.candidates.sum(axis=1),
-        "heads hit": record.hits,
-        "redundant": record.redundant,
-        last[0]: record.heads_left,
-        last[1]: f1(record.head, record.candidates) if record.recorded else record.objective,
-        "seconds": record.seconds.round(2),
-    })  # fmt: skip
-    return f"<div class='scroll'>{table.to_html(index=False, border=0, float_format='{:.3g}'.format)}</div>"
 
 
 def write_page(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path:
@@ -85,7 +62,7 @@ def write_page(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path:
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
 <title>{escape(name_game(record))}</title><style>{_STYLE}</style></head><body>
 <h1>{escape(name_game(record))}</h1><p>{escape(describe_outcome(record))}{more * (record.rounds > _MOST_ROUNDS)}</p>
-{_animate(record)}{_write_rounds(record)}{"".join(rounds)}
+{_animate(record)}{"".join(rounds)}
 </body></html>
 """
     with atomic_write(path) as aside:

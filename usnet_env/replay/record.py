@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import os
 import time
-import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
@@ -26,26 +25,11 @@ from usnet_env.swarm import SwarmState
 from usnet_env.window import Window
 
 
-@dataclass(frozen=True)
-class Round:
-    """The report of one round: its number from 1, and what it had."""
-
-    number: int
-    candidates: int
-    hits: int  # candidates that are heads
-    redundant: int  # candidates that are not
-    heads_left: int  # after the round
-    objective: float  # J after the round
-    over_budget: bool  # more candidates than the shot budget: no UAV was destroyed
-    seconds: float  # wall time of ``detect``
-
-
 def record_episode(
     env: gym.Env[Any, Any],
     detector: DetectorLike,
     seed: int | None,
     detector_seed: int | None,
-    on_round: Callable[[Round], None] | None = None,
     *,
     label: str | None = None,
 ) -> EpisodeRecord:
@@ -59,7 +43,6 @@ def record_episode(
         detector: any object with ``reset(seed)`` and ``detect(window) -> Detection``.
         seed: seed of the environment; ``None`` continues with its generator.
         detector_seed: seed of the detector.
-        on_round: called with the report of every round.
         label: name of the detector in the record; by default its name in tables, see ``detector_label``.
 
     Raises:
@@ -80,19 +63,11 @@ def record_episode(
             raise ArgumentError(f"detector must answer a Detection for {window.uavs} UAVs, got {quote(detection)}.")
         return detection
 
-    rounds: list[PlayedRound[Detection]] = []
-    for played in play_rounds(env, answer, seed):
-        rounds.append(played)
-        if on_round is not None:
-            named, info = int(played.answer.candidates.sum()), played.info
-            result = int(info["hits"]), int(info["redundant"]), int(played.left.heads_left), float(info["J"])
-            on_round(Round(len(rounds), named, *result, bool(info["over_budget"]), seconds[-1]))
-    label = label or detector_label(detector)
-    return _make_record(env, rounds, seconds, seed, detector_seed, label)
+    rounds = list(play_rounds(env, answer, seed))
+    return _make_record(env, rounds, seconds, seed, detector_seed, label or detector_label(detector))
 
 
 def _check_environment(env: Any) -> None:
-    """Raise :class:`ArgumentError` if ``env`` is no environment of this project."""
     game: Any = env.unwrapped if isinstance(env, gym.Env) else None
     if not all(hasattr(game, name) for name in ("config", "rules", "problem")):
         raise ArgumentError(f"env must be a USNET environment, got {quote(env)}.")
@@ -117,15 +92,17 @@ def _read_extra(answer: Detection, name: str, fits: Callable[[tuple[int, ...]], 
 
 def _flatten_features(answer: Detection) -> Floats | None:
     """``(N, 2)``: ``extras["features"]``, ``(N, …)``, in the plane of their principal axes; ``None`` without them."""
+    from sklearn.decomposition import PCA
+
     values = _read_extra(answer, "features", lambda shape: len(shape) > 1 and shape[0] == len(answer.scores))
     if values is None:
         return None
     flat = values.reshape(len(values), -1)
-    known = np.any(flat, axis=1, keepdims=True)  # the features of destroyed UAVs are 0
-    centred = np.where(known, flat - flat.sum(axis=0) / max(int(known.sum()), 1), 0.0)
-    axes = np.linalg.svd(centred, full_matrices=False)[2][:2]
-    plane = centred @ (axes * np.sign(axes[:, np.abs(axes).argmax(axis=1)].diagonal())[:, None]).T
-    return np.pad(plane, ((0, 0), (0, 2 - plane.shape[1])))
+    known = flat.any(axis=1)  # the features of destroyed UAVs are 0
+    plane = np.zeros((len(flat), 2))
+    if min(known.sum(), flat.shape[1]) > 1:
+        plane[known] = PCA(2, svd_solver="full").fit_transform(flat[known])
+    return plane
 
 
 def _list_reasons(answers: Sequence[Detection]) -> list[dict[str, str]] | None:
@@ -215,8 +192,7 @@ class RecordReplay(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorA
 
     Args:
         env: an environment of this project; wrappers below must keep the form of observations and actions.
-        folder: where to; the files are ``episode-0.npz``, ``episode-1.npz``, … Files of these names are replaced, and a
-            warning says so.
+        folder: where to; the files are ``episode-0.npz``, ``episode-1.npz``, … and replace those of these names.
         trigger: whether to write an episode, given its number from 0; ``None``: every episode.
         label: name of the agent in the files.
 
@@ -236,15 +212,9 @@ class RecordReplay(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorA
         _check_environment(env)
         super().__init__(env)
         self.folder = as_path("folder", folder)
-        if any(self.folder.glob("episode-*.npz")):
-            warnings.warn(
-                f"folder {str(self.folder)!r} holds episode files, and those of the same number will be replaced.",
-                stacklevel=2,
-            )
         self._trigger, self._label = trigger, label
         self._episode = -1
         self._seed: int | None = None
-        self._wanted = False
         self._observation: Any = None
         self._noted: Detection | None = None
         self._rounds: list[PlayedRound[Detection]] = []
@@ -256,7 +226,6 @@ class RecordReplay(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorA
         self._write()
         self._observation, info = self.env.reset(seed=seed, options=options)
         self._episode, self._seed, self._noted = self._episode + 1, seed, None
-        self._wanted = self._trigger is None or bool(self._trigger(self._episode))
         self._began = time.perf_counter()
         return self._observation, info
 
@@ -266,17 +235,15 @@ class RecordReplay(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorA
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Play a round; write the episode if it is the last one."""
-        spent = time.perf_counter() - self._began
+        self._seconds.append(time.perf_counter() - self._began)
         game: Any = self.env.unwrapped
         truth: SwarmState = game.swarm
         following, reward, terminated, truncated, info = self.env.step(action)
-        if self._wanted:
-            candidates = np.asarray(action, bool).reshape(truth.alive.shape)
-            answer = replace(self._noted or Detection(candidates, candidates.astype(float)), candidates=candidates)
-            self._rounds.append(PlayedRound(self._observation, truth, answer, info, game.swarm))
-            self._seconds.append(spent)
-            if terminated or truncated:
-                self._write()
+        candidates = np.asarray(action, bool).reshape(truth.alive.shape)
+        answer = replace(self._noted or Detection(candidates, candidates.astype(float)), candidates=candidates)
+        self._rounds.append(PlayedRound(self._observation, truth, answer, info, game.swarm))
+        if terminated or truncated:
+            self._write()
         self._observation, self._noted = following, None
         self._began = time.perf_counter()
         return following, reward, bool(terminated), bool(truncated), info
@@ -287,8 +254,8 @@ class RecordReplay(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorA
         super().close()
 
     def _write(self) -> None:
-        """Write the rounds that were played since the last call, if there are any."""
-        if self._rounds:
+        """Write the rounds that were played since the last call, if there are any and the trigger wants them."""
+        if self._rounds and (self._trigger is None or self._trigger(self._episode)):
             record = _make_record(self.env, self._rounds, self._seconds, self._seed, None, self._label)
             record.save(self.folder / f"episode-{self._episode}.npz")
         self._rounds, self._seconds = [], []

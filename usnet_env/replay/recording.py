@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.arrays import Indices, Singles
+from usnet_env.arrays import Indices, Mask, Singles
 from usnet_env.drawing import CLUSTER_COLORS, NO_CLUSTER_COLOR, cluster_colors, last_seen_position
 from usnet_env.replay.episode import EpisodeRecord
 from usnet_env.replay.story import HIT, LEADER, MISSED, OTHER, REDUNDANT, mark_words, name_uav, tell_round
@@ -22,10 +22,8 @@ _SMALL, _LARGE, _RING = 6.0, 14.0, 30.0  # metres: radii of a follower, of a hea
 _USUAL_SPAN = 800.0  # metres: a swarm may be smaller or larger, and all sizes with it
 _MOST_LABELS = 16  # in a round with more marks, they have no labels
 _MARKS = {HIT: 0x1ED9A0FF, LEADER: 0x1ED9A0FF, REDUNDANT: 0xFF7A1AFF, MISSED: 0xF5F5F5FF, OTHER: 0x6A6A6AFF}
-CURVES = {"heads_left": "Heads left", "precision": "Precision", "recall": "Recall", "J": "J so far"}
 _NAMED, _GONE, _OBSERVER, _DECOY = 0x35A7FFFF, 0x8A8A8AFF, 0x7CC7FFFF, "#FFE45C"
 _SERIES = (0x56B4E9FF, 0xF0C04AFF)  # of the curves
-_CROSS = 11.0 * np.array([[[-1, -1, 0], [1, 1, 0]], [[-1, 1, 0], [1, -1, 0]]], np.float32)
 
 
 def list_steps(record: EpisodeRecord) -> Indices:
@@ -40,10 +38,15 @@ def list_steps(record: EpisodeRecord) -> Indices:
     return flown * np.arange(record.rounds)[:, None] + memory + every * np.arange(samples)[None]
 
 
-def lighten(colors: Sequence[str] | NDArray[np.str_], alpha: int = 255) -> NDArray[np.uint8]:
+def lighten(colors: Sequence[str] | NDArray[np.str_]) -> NDArray[np.uint8]:
     """Lighten colours ``"#RRGGBB"`` made for white paper for a dark view: ``(n, 4)`` uint8."""
     paper = np.array([[*bytes.fromhex(str(color)[1:])] for color in colors], np.float64).reshape(-1, 3)
-    return np.insert(90 + 0.65 * paper, 3, alpha, axis=1).astype(np.uint8)
+    return np.insert(90 + 0.65 * paper, 3, 255, axis=1).astype(np.uint8)
+
+
+def fade(colors: NDArray[np.uint8], alpha: float) -> NDArray[np.uint8]:
+    """Colours ``(n, 4)`` that are transparent by a factor."""
+    return (colors * np.array([1, 1, 1, alpha])).astype(np.uint8)
 
 
 def find_groups(record: EpisodeRecord, r: int) -> Indices:
@@ -58,18 +61,21 @@ def find_groups(record: EpisodeRecord, r: int) -> Indices:
     return np.where(values < 0, -1, number - int(labels[0] < 0))
 
 
-def attention_maps(record: EpisodeRecord, r: int) -> list[tuple[str, Singles]]:
-    """The weights of round ``r`` (from 0) with their titles: all of them, then those of each attention head.
+def attention_sheet(record: EpisodeRecord, r: int) -> NDArray[np.uint8]:
+    """The weights of round ``r`` (from 0), and beside them those of each attention head, as a grey image.
 
-    Rows and columns are the living UAVs, sorted by their found group, so that groups are blocks on the diagonal.
+    Rows and columns are the living UAVs, sorted by their found group, so that groups are blocks on the diagonal. The
+    largest weight of a row is white.
     """
     assert record.attention is not None
     groups = np.where(find_groups(record, r) < 0, record.uavs, find_groups(record, r))
     order = np.lexsort((~record.candidates[r], groups))
     order = order[record.alive[r][order]]
     heads = () if record.attention_heads is None else record.attention_heads[r]
-    maps = [("all weights", record.attention[r]), *((f"attention head {h + 1}", each) for h, each in enumerate(heads))]
-    return [(title, values[np.ix_(order, order)]) for title, values in maps]
+    maps = np.stack([record.attention[r], *heads])[:, order][..., order]
+    maps /= np.maximum(maps.max(axis=2, keepdims=True), 1e-12)
+    framed = np.pad(maps, ((0, 0), (1, 1), (1, 1)), constant_values=0.3)
+    return (255 * np.hstack(list(framed)).clip(0, 1)).astype(np.uint8)
 
 
 class EpisodeWriter:
@@ -86,7 +92,7 @@ class EpisodeWriter:
         self.steps = np.concatenate([steps := list_steps(record), steps[:, -1:] + beats], axis=1)
         self.last = np.stack([last_seen_position(*each) for each in zip(record.position, record.seen, strict=True)])
         self.names = [name_uav(record, i).removeprefix("UAV ") for i in range(record.uavs)]
-        self.colors = np.stack([lighten(cluster_colors(record.head, root)[0]) for root in record.root])
+        self.colors = np.stack([lighten(cluster_colors(record.head, root)) for root in record.root])
 
     def at(self, r: int, instant: int) -> None:
         """Set the time of what is logged next: the samples of round ``r`` (from 0) are followed by three beats."""
@@ -110,58 +116,46 @@ class EpisodeWriter:
             self.log("world", self.rr.Transform3D(translation=-self._middle(r)))  # a fixed camera shows all rounds
             for path in ("world/found", "world/verdict", "mind", "scores"):
                 self.log(path, self.rr.Clear(recursive=True))
-            self._write_window(r)
-            self._write_answer(r)
-            self._write_end(r)
             texts = tell_round(self.record, r + 1, self.names)
             for instant, text in zip((0, self.answer), texts, strict=True):
                 self.at(r, instant)
                 self.log("this_round", self.rr.TextDocument(text, media_type="text/markdown"))
-        self._write_curves()
+            self._write_window(r)
+            self._write_answer(r)
+            self._write_end(r)
 
     def _middle(self, r: int) -> Singles:
         known = self.record.position[r][self.record.seen[r]]
         return (known.min(axis=0) + known.max(axis=0)) / 2 if len(known) else np.zeros(3, np.float32)
 
     def _write_window(self, r: int) -> None:
-        record, stages = self.record, np.linspace(0, self.samples - 1, min(_STAGES, self.samples)).astype(int)
-        self._log_uavs(r, record.alive[r], self.colors[r], range(self.samples))
-        for instant in stages.tolist():
+        record, alive = self.record, self.record.alive[r]
+        for instant in range(self.samples):
+            self.at(r, instant)
+            self._log_uavs(r, record.position[r, instant], alive & record.seen[r, instant], self.colors[r])
+        for instant in np.linspace(0, self.samples - 1, min(_STAGES, self.samples)).astype(int).tolist():
             self.at(r, instant)
             kept = np.unique(np.linspace(0, instant, min(instant + 1, _POINTS)).astype(int))
-            seen, position = record.seen[r, kept] & record.alive[r], record.position[r, kept]
-            strips = [position[seen[:, i], i] for i in np.flatnonzero(record.alive[r])]
-            colors = self.colors[r][record.alive[r]] * np.array([1, 1, 1, 0.6])
-            look: dict[str, Any] = {"colors": colors.astype(np.uint8), "radii": 0.9 * self.scale}
+            seen, position = record.seen[r, kept], record.position[r, kept]
+            strips = [position[seen[:, i], i] for i in np.flatnonzero(alive)]
+            look: dict[str, Any] = {"colors": fade(self.colors[r][alive], 0.6), "radii": 0.9 * self.scale}
             self.log("world/swarm/tracks", self.rr.LineStrips3D(strips, **look))
             place = last_seen_position(record.position[r, : instant + 1], record.seen[r, : instant + 1])
-            self._log_links(place, np.where(record.alive[r], record.root[r], -1), self.colors[r])
+            self._log_links(place, np.where(alive, record.root[r], -1), self.colors[r])
 
-    def _log_uavs(self, r: int, shown: NDArray[np.bool_], colors: NDArray[np.uint8], instants: Sequence[int]) -> None:
-        """Log UAVs at the samples of a round, or at its beats, where they are as they were seen last."""
-        record = self.record
-        decoys = record.decoys[r]
-        kinds = {"heads": (record.head, _LARGE), "followers": (~record.head & ~decoys, _SMALL)}
-        if record.decoys.any():
-            kinds["decoys"] = (decoys, _LARGE)
-            colors = np.where(decoys[:, None], lighten([_DECOY]), colors)
-        for name, (kind, radius) in kinds.items():
-            for instant in instants:
-                seen = record.seen[r, instant] if instant < self.samples else np.isfinite(self.last[r, :, 0])
-                who = np.flatnonzero(kind & shown & seen)
-                place = record.position[r, instant] if instant < self.samples else self.last[r]
-                self.at(r, instant)
-                look: dict[str, Any] = {"colors": colors[who], "radii": radius * self.scale, "show_labels": False}
-                labels = [self.names[i] for i in who]
-                self.log(f"world/swarm/{name}", self.rr.Points3D(place[who], labels=labels, **look))
+    def _log_uavs(self, r: int, place: Singles, shown: Mask, colors: NDArray[np.uint8]) -> None:
+        decoys = self.record.decoys[r]
+        colors = np.where(decoys[:, None], lighten([_DECOY]), colors)[shown]
+        radii = np.where(self.record.head | decoys, _LARGE, _SMALL)[shown] * self.scale
+        look: dict[str, Any] = {"labels": [self.names[i] for i in np.flatnonzero(shown)], "show_labels": False}
+        self.log("world/swarm/uavs", self.rr.Points3D(place[shown], colors=colors, radii=radii, **look))
 
     def _log_links(self, place: Singles, root: Indices, colors: NDArray[np.uint8]) -> None:
-        linked = np.flatnonzero(
-            (root >= 0) & (root != np.arange(len(root))) & np.isfinite(place[:, 0] + place[root, 0])
-        )
-        faint = (colors[linked] * np.array([1, 1, 1, 0.3])).astype(np.uint8)
+        both = np.isfinite(place[:, 0] + place[root, 0])
+        linked = np.flatnonzero((root >= 0) & (root != np.arange(len(root))) & both)
         strips = place[np.stack([linked, root[linked]], axis=1)]
-        self.log("world/swarm/links", self.rr.LineStrips3D(strips, colors=faint, radii=0.5 * self.scale))
+        look: dict[str, Any] = {"colors": fade(colors[linked], 0.3), "radii": 0.5 * self.scale}
+        self.log("world/swarm/links", self.rr.LineStrips3D(strips, **look))
 
     def _write_answer(self, r: int) -> None:
         """Write what the detector found, what it thought, and the verdict."""
@@ -174,81 +168,64 @@ class EpisodeWriter:
         scores = np.maximum(record.scores[r], 0)
         sure = scores / max(float(scores.max()), 1e-300) if record.probability is None else record.probability[r]
         radii = _SMALL * self.scale * (0.9 + 1.8 * sure)
-        labels = np.array(
-            [f"{name}: score {score:.3g}" for name, score in zip(self.names, record.scores[r], strict=True)]
-        )
-        look: dict[str, Any] = {"radii": radii[living], "labels": labels[living].tolist(), "show_labels": False}
+        labels = [f"{name}: score {score:.3g}" for name, score in zip(self.names, record.scores[r], strict=True)]
+        look: dict[str, Any] = {"radii": radii[living], "labels": [labels[i] for i in living], "show_labels": False}
         self.log("world/found/uavs", rr.Points3D(place[living], colors=colors[living], **look))
         pairs = record.hierarchy(r + 1)
         if pairs is not None:
             pairs = pairs[seen[pairs].all(axis=1)]
-            faint = (colors[pairs[:, 0]] * np.array([1, 1, 1, 0.35])).astype(np.uint8)
-            self.log("world/found/links", rr.LineStrips3D(place[pairs], colors=faint, radii=0.6 * self.scale))
+            look = {"colors": fade(colors[pairs[:, 0]], 0.35), "radii": 0.6 * self.scale}
+            self.log("world/found/links", rr.LineStrips3D(place[pairs], **look))
         self._log_rings("world/found/candidates", r, record.candidates[r] & seen, _NAMED, labels)
         words = mark_words(record, r + 1)
-        marks = [word for word in _MARKS if (words == word).any()]
-        for word in marks:
-            texts = np.array([f"{word} {name}" for name in self.names])
+        for word in [word for word in _MARKS if (words == word).any()]:
             if word != OTHER:
+                texts = [f"{word} {name}" for name in self.names]
                 self._log_rings(f"world/verdict/{word}", r, (words == word) & seen, _MARKS[word], texts)
             who = np.flatnonzero((words == word) & record.alive[r])
             self.log(f"scores/{word}", rr.BarChart(record.scores[r, who], color=_MARKS[word], abscissa=who))
-        self._write_mind(r, colors)
+        if record.attention is not None:
+            self.log("mind/attention", rr.Image(attention_sheet(record, r)))
+        if record.features is not None:
+            size = 2 * max(float(np.abs(record.features[r]).max()), 1e-12)
+            look = {"labels": [self.names[i] for i in living], "show_labels": False, "colors": colors[living]}
+            look["radii"] = np.where(record.candidates[r], 0.022, 0.01)[living]
+            self.log("mind/features", rr.Points2D(record.features[r, living] / size, **look))
 
-    def _log_rings(self, path: str, r: int, who: NDArray[np.bool_], color: int, labels: NDArray[np.str_]) -> None:
-        half = np.full((int(who.sum()), 3), self.scale * _RING, np.float32)
+    def _log_rings(self, path: str, r: int, who: Mask, color: int, labels: Sequence[str]) -> None:
+        rings = np.flatnonzero(who).tolist()
+        half = np.full((len(rings), 3), self.scale * _RING, np.float32)
         kind, width = (self.rr.Boxes3D, "radii") if path.endswith(REDUNDANT) else (self.rr.Ellipsoids3D, "line_radii")
         frame = self.rr.components.FillMode.MajorWireframe
         look: dict[str, Any] = {"colors": color, width: 0.6 * self.scale, "fill_mode": frame}
-        look |= {"labels": labels[who].tolist(), "show_labels": bool(who.sum() <= _MOST_LABELS)}
+        look |= {"labels": [labels[i] for i in rings], "show_labels": len(rings) <= _MOST_LABELS}
         self.log(path, kind(centers=self.last[r][who], half_sizes=half * (0.8 if width == "radii" else 1.0), **look))
 
-    def _write_mind(self, r: int, colors: NDArray[np.uint8]) -> None:
-        """Write attention and features."""
-        record, rr, place = self.record, self.rr, self.last[r]
-        living = np.flatnonzero(record.alive[r])
-        if record.attention is not None:
-            maps = [
-                values / np.maximum(values.max(axis=1, keepdims=True), 1e-12) for _, values in attention_maps(record, r)
-            ]
-            sheet = np.hstack([np.pad(values, 1, constant_values=0.3) for values in maps])
-            self.log("mind/attention", rr.Image((255 * np.clip(sheet, 0, 1)).astype(np.uint8)))
-            usable = record.alive[r] & np.isfinite(place[:, 0])
-            weights = np.where(usable[:, None] & usable & ~np.eye(len(usable), dtype=bool), record.attention[r], 0.0)
-            most = np.argsort(-weights, axis=1, kind="stable")[:, :2]  # the two largest weights of each UAV
-            pairs = np.stack([np.repeat(np.arange(len(most)), most.shape[1]), most.ravel()], axis=1)
-            share = weights[pairs[:, 0], pairs[:, 1]] / max(float(weights.max()), 1e-12)
-            pairs, share = pairs[share > 0.05], share[share > 0.05]
-            white = np.column_stack([np.full((len(share), 3), 255), 20 + 90 * share]).astype(np.uint8)
-            width = (0.2 + 1.6 * share) * self.scale
-            self.log("world/found/attention", rr.LineStrips3D(place[pairs], colors=white, radii=width))
-        if record.features is not None:
-            size = 2 * max(float(np.abs(record.features[r]).max()), 1e-12)
-            radii = np.where(record.candidates[r], 0.022, 0.01)[living]
-            look: dict[str, Any] = {"labels": [self.names[i] for i in living], "show_labels": False}
-            points = rr.Points2D(record.features[r, living] / size, colors=colors[living], radii=radii, **look)
-            self.log("mind/features", points)
-
     def _write_end(self, r: int) -> None:
-        """Write the destruction, and the followers that join another head."""
-        record = self.record
-        left = record.alive[r] & ~record.destroyed[r]
-        grey = np.where(record.orphans[r][:, None], lighten([NO_CLUSTER_COLOR]), self.colors[r])
+        """Write the destruction, the followers that join another head, and the numbers after the round."""
+        record, rr = self.record, self.rr
+        left, orphans = record.alive[r] & ~record.destroyed[r], record.orphans[r]
+        grey = np.where(orphans[:, None], lighten([NO_CLUSTER_COLOR]), self.colors[r])
         following = min(r + 1, record.rounds - 1)
         for instant, root, colors in (
-            (self.destroy, np.where(record.orphans[r], -1, record.root[r]), grey),
+            (self.destroy, np.where(orphans, -1, record.root[r]), grey),
             (self.remerge, record.root[following], self.colors[following]),
         ):
-            self._log_uavs(r, left, colors, [instant])
-            kept = left & (root >= 0) & left[root]
-            self._log_links(self.last[r], np.where(kept, root, -1), colors)
-        gone = ~record.alive[r] | record.destroyed[r]
-        if gone.any():
-            self.at(r, self.destroy)
-            place = record.last_position(r + 1)[gone]
-            strips = (place[np.isfinite(place[:, 0]), None, None] + self.scale * _CROSS).reshape(-1, 2, 3)
-            look: dict[str, Any] = {"colors": _GONE, "radii": 1.4 * self.scale}
-            self.log("world/swarm/destroyed", self.rr.LineStrips3D(strips, **look))
+            self.at(r, instant)
+            self._log_uavs(r, self.last[r], left & np.isfinite(self.last[r, :, 0]), colors)
+            self._log_links(self.last[r], np.where(left & (root >= 0) & left[root], root, -1), colors)
+        self.at(r, self.destroy)
+        place = record.last_position(r + 1)[~left]
+        gone = rr.Points3D(place[np.isfinite(place[:, 0])], colors=_GONE, radii=_SMALL * self.scale)
+        self.log("world/swarm/destroyed", gone)
+        if not record.recorded:
+            for name, value in (("J", record.objective[r]), ("heads_left", record.heads_left[r])):
+                look: dict[str, Any] = {
+                    "colors": _SERIES[self.root == "b/"],
+                    "names": f"{name} {self.root}".rstrip(" /"),
+                }
+                self.log(f"game/{name}", rr.SeriesPoints(marker_sizes=5, **look), rr.SeriesLines(**look), static=True)
+                self.log(f"game/{name}", rr.Scalars(value))
 
     def _write_observers(self) -> None:
         """Write the places of the observers, with circles of their sensing ranges."""
@@ -261,23 +238,3 @@ class EpisodeWriter:
         look: dict[str, Any] = {"colors": _OBSERVER, "labels": names, "radii": 1.2 * self.scale}
         rings = self.rr.LineStrips3D((place + ranges[:, None, None] * circle).astype(np.float32), **look)
         self.log("world/observers", rings, static=True)
-
-    def _write_curves(self) -> None:
-        """Write numbers over the rounds: before the first round, and after each."""
-        record, rr = self.record, self.rr
-        heads, hits = max(int(record.head.sum()), 1), np.cumsum(record.hits)
-        shots = hits + np.cumsum(record.redundant)
-        curves = {
-            "heads_left": [heads, *record.heads_left],
-            "precision": [1.0, *np.where(shots, hits / np.maximum(shots, 1), 1.0)],
-            "recall": [0.0, *hits / heads],
-            "J": [0.0, *record.objective],
-        }
-        for name, values in ({} if record.recorded else curves).items():
-            color = _SERIES[self.root == "b/"]
-            look: dict[str, Any] = {"colors": color, "names": f"{CURVES[name]} {self.root}".rstrip(" /")}
-            line = rr.SeriesLines(widths=2, interpolation_mode="StepAfter", **look)
-            self.log(f"game/{name}", line, rr.SeriesPoints(marker_sizes=5, **look), static=True)
-            for r, value in enumerate(values):
-                self.at(max(r - 1, 0), self.destroy if r else 0)
-                self.log(f"game/{name}", rr.Scalars(value))

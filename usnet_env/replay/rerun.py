@@ -20,7 +20,8 @@ import numpy as np
 from usnet_env.config import ArgumentError, MissingExtraError, how_to_install
 from usnet_env.files import as_path, atomic_write
 from usnet_env.replay.episode import EpisodeRecord
-from usnet_env.replay.recording import CURVES, EpisodeWriter
+from usnet_env.replay.figure import find_least_side
+from usnet_env.replay.recording import EpisodeWriter
 from usnet_env.replay.story import explain_replay, name_round
 
 if TYPE_CHECKING:
@@ -34,13 +35,12 @@ def _space(writer: EpisodeWriter, name: str, truth: bool) -> rrb.Spatial3DView:
     import rerun.blueprint as rrb
 
     rr, root = writer.rr, f"/{writer.root}"
-    parts = ["swarm", "verdict", "observers"]
-    overrides: dict[Any, Any] = {}
+    parts, overrides = ["swarm", "verdict", "observers"], {}
     if not truth:
-        parts = ["swarm/heads", "swarm/followers", "swarm/tracks", "swarm/decoys", "found", "observers"]
+        parts = ["swarm/uavs", "swarm/tracks", "found", "observers"]
         alike = rr.Points3D.from_fields(colors=[_UNKNOWN], radii=[5.0 * writer.scale])
-        overrides = {f"{root}world/swarm/{kind}": alike for kind in ("heads", "followers", "decoys")}
-        overrides[f"{root}world/swarm/tracks"] = rr.LineStrips3D.from_fields(colors=[[*_UNKNOWN, 110]])
+        tracks = rr.LineStrips3D.from_fields(colors=[[*_UNKNOWN, 110]])
+        overrides = {f"{root}world/swarm/uavs": alike, f"{root}world/swarm/tracks": tracks}
     eye = rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital,
         position=writer.span * np.array([0.0, -0.8, 0.9]),
@@ -54,7 +54,7 @@ def _space(writer: EpisodeWriter, name: str, truth: bool) -> rrb.Spatial3DView:
         eye_controls=eye,
         background=_BACKGROUND,
         line_grid=False,
-        overrides=overrides,
+        overrides=overrides,  # type: ignore[arg-type]
     )
 
 
@@ -78,23 +78,33 @@ def _arrange(writers: Sequence[EpisodeWriter], labels: Sequence[str]) -> rrb.Blu
         if single and record.features is not None:
             charts.append(rrb.Spatial2DView(origin=f"{root}mind/features", name="Feature space"))
     curves = [
-        rrb.TimeSeriesView(origin="/", contents=[f"/{writer.root}game/{name}" for writer in writers], name=title)
-        for name, title in ({} if record.recorded else CURVES).items()
+        rrb.TimeSeriesView(
+            origin="/", contents=[f"/{writer.root}game/{name}" for writer in writers], name=name.replace("_", " ")
+        )
+        for name in ("J", "heads_left") * (not record.recorded)
     ]
     about = rrb.TextDocumentView(origin="/about", name="What you see")
     above = rrb.Horizontal(*columns, about, column_shares=[4] * (len(columns) - single) + [2] * (1 + single))
-    below = rrb.Horizontal(*charts, *([rrb.Grid(*curves)] if curves else []))
+    below = rrb.Horizontal(*charts, *curves)
     panel = rrb.TimePanel(state="collapsed", timeline="time", play_state="paused", loop_mode="off")
     return rrb.Blueprint(rrb.Vertical(above, below, row_shares=[3, 1.4]), panel, collapse_panels=True)
 
 
-def _write(records: Sequence[EpisodeRecord], labels: Sequence[str], path: str | os.PathLike[str]) -> Path:
-    """Write episodes into one recording; the file appears whole."""
+def _find_span(record: EpisodeRecord) -> float:
+    """The side of the largest box around the UAVs of a round, metres."""
+    known = [position[seen] for position, seen in zip(record.position, record.seen, strict=True) if seen.any()]
+    return max([float(np.ptp(each, axis=0).max()) for each in known] + [find_least_side(record)])
+
+
+def _write(records: Sequence[EpisodeRecord], path: str | os.PathLike[str]) -> Path:
+    """Write one episode, or two side by side."""
     try:
         import rerun as rr
     except ImportError:
         raise MissingExtraError(f"Replays need rerun-sdk; {how_to_install('replay')}.") from None
-    place = as_path("path", path)
+    place, labels = as_path("path", path), [record.detector or "A detector" for record in records]
+    if len(set(labels)) < len(labels):
+        labels = [f"{letter} {label}" for letter, label in zip("AB", labels, strict=True)]
     name = str(uuid4())  # recordings with the same application id share one camera and one layout in the viewer
     stream = rr.RecordingStream(f"usnet {name}", recording_id=name)
     stream.set_log_time_enabled(False)
@@ -115,25 +125,18 @@ def _write(records: Sequence[EpisodeRecord], labels: Sequence[str], path: str | 
     return place
 
 
-def _find_span(record: EpisodeRecord) -> float:
-    """The side of the largest box around the UAVs of a round, metres."""
-    least = 1e-6 if record.recorded else 1.0
-    known = [position[seen] for position, seen in zip(record.position, record.seen, strict=True) if seen.any()]
-    return max((float(np.ptp(each, axis=0).max()) for each in known), default=least) or least
-
-
 def write_recording(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path:
     """Write an episode as a Rerun recording that contains its layout; the file appears whole. ``rerun PATH`` opens it.
 
-    One view shows what the detector sees, and its answer when it is given: found groups, found leaders, attention.
-    Another one shows the truth and the verdict. The timelines are ``time``, seconds of the replay with a pause after
-    each answer, destruction and re-merge; ``step``, see :func:`usnet_env.replay.recording.list_steps`; and ``round``.
+    One view shows what the detector sees and answers, another one the truth and the verdict. The timelines are
+    ``time``, seconds of the replay with a pause after each answer, destruction and re-merge; ``step``, see
+    :func:`usnet_env.replay.recording.list_steps`; and ``round``.
 
     Raises:
         ArgumentError: the place can't be written to.
         MissingExtraError: rerun-sdk is not installed.
     """
-    return _write([record], [record.detector or "A detector"], path)
+    return _write([record], path)
 
 
 def write_comparison(first: EpisodeRecord, second: EpisodeRecord, path: str | os.PathLike[str]) -> Path:
@@ -143,13 +146,9 @@ def write_comparison(first: EpisodeRecord, second: EpisodeRecord, path: str | os
         ArgumentError: the first windows of the episodes differ, or the place can't be written to.
         MissingExtraError: rerun-sdk is not installed.
     """
-    same = np.array_equal(first.position[0], second.position[0]) and first.labelled == second.labelled
-    if not same or (first.labelled and not np.array_equal(first.head, second.head)):  # else they are those found
+    if not np.array_equal(first.position[0], second.position[0]):
         raise ArgumentError("second must begin with the same swarm as first, got an episode with another first window.")
-    labels = [record.detector or "A detector" for record in (first, second)]
-    if labels[0] == labels[1]:
-        labels = [f"{letter} {label}" for letter, label in zip("AB", labels, strict=True)]
-    return _write([first, second], labels, path)
+    return _write([first, second], path)
 
 
 def find_viewer() -> str:
