@@ -6,23 +6,21 @@ that they can be compared: one strategy's support and query swarm. On-line train
 
 from __future__ import annotations
 
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import torch
-from pydantic import Field
 from torch import Tensor
 
 from detectors.mc_gassl.gru import GruInputs, GruParameters
 from detectors.mc_gassl.triplet import Metric, batch_loss
-from usnet_env.config import Config
 
 
-class OnlineTraining(Config):
+class OnlineTraining(NamedTuple):
     """Settings of :func:`train_online`: gradient ``steps`` a round, beta' (``rate``), batches and loss (``metric``)."""
 
-    steps: Annotated[int, Field(ge=0, le=1_000_000)] = 1
-    rate: Annotated[float, Field(gt=0)] = 1.0
-    metric: Metric = Metric()
+    steps: int
+    rate: float
+    metric: Metric
 
 
 def descend(parameters: GruParameters, loss: Tensor, at: GruParameters, rate: float) -> GruParameters:

@@ -14,15 +14,7 @@ from usnet_env.config import Config
 
 
 class Metric(Config):
-    """What a batch of triplets and its loss are made of.
-
-    Args:
-        sampling: ``"hard"``, ``"semi-hard"`` or ``"random"``, see :func:`draw_triplets`.
-        margin: gamma.
-        times: random times t of the window in a batch.
-        anchors: B, triplets in a batch.
-        scale: metres by which positions are divided, axis by axis.
-    """
+    """What a batch of triplets and its loss are made of: sampling, gamma, random times, B, and metres of positions."""
 
     sampling: Literal["hard", "semi-hard", "random"] = "hard"
     margin: Annotated[float, Field(gt=0)] = 0.5

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from mixture_windows import swarm_window
+from synthetic_windows import swarm_window
 
 from detectors.follow_mixture.groups import _spectral_bands
 from detectors.follow_mixture.motion import fit_spectra, read_motion, smoothed_pasts

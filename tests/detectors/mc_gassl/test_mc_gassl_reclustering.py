@@ -3,18 +3,17 @@
 import numpy as np
 import pytest
 import torch
-from mc_gassl_inputs import swarm_window
+from synthetic_windows import swarm_window
 
 from detectors.gassl.ifsn import VARIANCE_FLOOR, draw_ifsn
 from detectors.gassl.topology_matrix import build_batch
-from detectors.gassl.training import prepare_inputs
 from detectors.mc_gassl.algorithm_2 import best_heads, recluster
 
 
 def inputs_of_swarm(seed=0, **config):
     config = {"uavs": 8, "clusters": 2, "observation_steps": 14, "follow": "f1"} | config
     window, _ = swarm_window(seed, **config)
-    return prepare_inputs(build_batch(window))
+    return build_batch(window, np.arange(window.uavs))
 
 
 def draw_gamma(inputs, hidden=8, seed=0):
