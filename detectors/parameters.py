@@ -46,7 +46,8 @@ class Parameters:
         Raises:
             ArgumentError: an argument has another type or is out of its limits.
         """
-        config = _make_config(type(self))
+        kind: Any = type(self)
+        config = _make_config(kind)
         return config(**{name: getattr(self, name) for name in config.model_fields})
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:

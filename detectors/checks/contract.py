@@ -40,7 +40,7 @@ def _require(holds: bool, sentence: str) -> None:
 
 
 def _validate(answer: Any, window: Window) -> Detection:
-    """Return the answer if it is a detection for all N UAVs and names no destroyed one."""
+    """The answer, if it is a detection for all N UAVs and names no destroyed one."""
     _require(isinstance(answer, Detection), f"detect must return a usnet_env.Detection, got {quote(answer)}.")
     named = len(answer.candidates)
     _require(named == window.uavs, f"detect must return candidates for all {window.uavs} UAVs, got {named}.")

@@ -17,7 +17,7 @@ The eigengap: U. von Luxburg, "A tutorial on spectral clustering", Stat. Comput.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +38,8 @@ def compute_max_count(uavs: int) -> int:
     return max(1, min(uavs // 2, int(np.ceil(1.5 * np.sqrt(uavs)))))
 
 
-class GapStatistic(NamedTuple):
+@dataclass(frozen=True)
+class GapStatistic:
     """M̂, ``count``, and what it was chosen by: Gap(k) and s_k for k = 1 to the last that the rule looked at."""
 
     count: int

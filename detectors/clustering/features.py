@@ -112,8 +112,7 @@ AFFINITIES: dict[str, Callable[[Floats, int], Floats]] = {
 def regularise_affinity(affinity: Floats) -> Floats:
     """Set the diagonal of an affinity to 0 and add the same small weight, 0.25 / n, to all entries, ``(n, n)``.
 
-    The added weight connects the graph and keeps a UAV that is similar to no other UAV from being a cluster of its own
-    (Amini, Chen, Bickel and Levina, Ann. Stat. 41, 2013).
+    It keeps a UAV that is like no other one from being a cluster (Amini, Chen, Bickel and Levina, Ann. Stat. 41, 2013).
     """
     weight = affinity + _REGULARISATION / len(affinity)
     np.fill_diagonal(weight, _REGULARISATION / len(affinity))
@@ -121,10 +120,7 @@ def regularise_affinity(affinity: Floats) -> Floats:
 
 
 def normalise_affinity(affinity: Floats) -> Floats:
-    """Compute D^-1/2 A D^-1/2, ``(n, n)``, of the regularised affinity A with its diagonal matrix of row sums D.
-
-    This is the identity minus the symmetric normalised graph Laplacian.
-    """
+    """Compute D^-1/2 A D^-1/2, ``(n, n)``, of the regularised affinity A with its diagonal matrix of row sums D."""
     weight = regularise_affinity(affinity)
     root = np.sqrt(weight.sum(axis=1))
     return np.asarray(weight / root / root[:, None])

@@ -45,23 +45,14 @@ _LEAST_SPREAD = 0.005  # least standard deviation of an innovation, in mean spee
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """What is to be explained: C groups, then some of them without one member, which is a candidate: G targets in all.
+    """G targets, to be explained: C groups, then some of them without one member, which is a candidate."""
 
-    Args:
-        label: ``(n,)`` the group of each UAV.
-        innovation: ``(G, a, R)`` e.
-        own: ``(G, z, R)`` orthonormal rows that span Z.
-        weight: ``(G, R)`` weight of each row, in units of which e and Z are.
-        rows: ``(G,)`` effective number of rows: R - z, less if a few rows hold most of |e|² or if e is not white.
-        least: the least share of |e|² that a leader explains.
-    """
-
-    label: Indices
-    innovation: Floats
-    own: Floats
-    weight: Floats
-    rows: Floats
-    least: float = 0.0
+    label: Indices  #: ``(n,)`` the group of each UAV
+    innovation: Floats  #: ``(G, a, R)`` e
+    own: Floats  #: ``(G, z, R)`` orthonormal rows that span Z
+    weight: Floats  #: ``(G, R)`` weight of each row, in units of which e and Z are
+    rows: Floats  #: ``(G,)`` effective number of rows: R - z, less if a few hold most of |e|² or if e is not white
+    least: float = 0.0  #: the least share of |e|² that a leader explains
 
     @cached_property
     def sizes(self) -> Indices:

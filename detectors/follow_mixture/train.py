@@ -138,16 +138,9 @@ def train_calibration(
 
     It writes these files to ``out``: ``calibration.json`` and ``rows.csv``, a row of :func:`fit_swarm` for each swarm.
 
-    Args:
-        out: the output folder; created if it is missing.
-        training: the settings; the defaults give the shipped calibration.
-        progress: function that is called with the number of finished swarms and of all swarms.
-        resume: whether to resume from the rows in ``out``, if there are any. Rows of other code are not recognised.
-        workers: number of processes that fit swarms; the result does not depend on it.
-        backend: where they run, see :func:`usnet_env.evaluation.run.map_tasks`.
-
-    Returns:
-        The path of the calibration file.
+    The defaults of ``training`` give the shipped calibration. ``progress`` is called with the number of finished
+    swarms and of all. It goes on from what is in ``out`` if ``resume``. The result does not depend on ``workers``, the
+    processes that draw swarms, and ``backend``, see :func:`usnet_env.evaluation.run.map_tasks`.
 
     Raises:
         ArgumentError: an argument is refused, ``out`` can't be written, or it holds rows of other settings.

@@ -63,9 +63,9 @@ class Learned(Detector):
         """Name the heads of one window.
 
         Returns:
-            Candidates; scores, the probabilities of being a head; ``leader``, the UAV that each UAV most probably
-            follows (its own index: it follows no UAV; -1: destroyed); ``clusters``, one per leader; attention, the
-            probability that UAV i follows UAV j; in ``extras`` ``probability`` ``(N,)``, equal to the scores.
+            Candidates; scores and ``extras["probability"]``, the probabilities of being a head; ``leader``, the UAV
+            that each UAV most probably follows (its own index: none; -1: destroyed); ``clusters``, one per leader;
+            attention, the probability that UAV i follows UAV j.
         """
         arguments = self.check_arguments()
         check_pairs(window.uavs)

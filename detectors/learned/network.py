@@ -16,17 +16,11 @@ _CONTEXT = 3  # values that describe the window: log n, log T_ob, share of missi
 
 
 class NetworkSizes(Config):
-    """Sizes of a :class:`HeadNetwork`.
+    """Sizes of a :class:`HeadNetwork`."""
 
-    Args:
-        width: length of the vector of a pair and of a UAV.
-        attn_heads: the number of attention heads; must divide ``width``.
-        blocks: the number of blocks, each of which updates UAVs and pairs.
-    """
-
-    width: Annotated[int, Field(ge=4, le=512)] = 32
-    attn_heads: Annotated[int, Field(ge=1, le=32)] = 4
-    blocks: Annotated[int, Field(ge=1, le=16)] = 3
+    width: Annotated[int, Field(ge=4, le=512)] = 32  #: length of the vector of a pair and of a UAV
+    attn_heads: Annotated[int, Field(ge=1, le=32)] = 4  #: must divide ``width``
+    blocks: Annotated[int, Field(ge=1, le=16)] = 3  #: each of them updates UAVs and pairs
 
 
 class Answer(NamedTuple):

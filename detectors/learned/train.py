@@ -119,17 +119,9 @@ def train_heads(
     It writes these files to ``out``: ``learned.safetensors`` and ``learned.json``, see :mod:`detectors.weights`;
     ``losses.csv``, the mean loss of each step; ``checkpoint.safetensors``.
 
-    Args:
-        out: the output folder; created if it is missing.
-        training: the settings; the defaults give the shipped weights.
-        progress: function that is called with the number of finished steps and of all steps.
-        resume: whether to resume from the checkpoint in ``out``, if there is one.
-        checkpoint_every: the number of steps between two checkpoints.
-        workers: number of processes that draw swarms; the weights do not depend on it.
-        backend: where they run, see :func:`usnet_env.evaluation.run.map_tasks`.
-
-    Returns:
-        The path of the weights file.
+    The defaults of ``training`` give the shipped weights. ``progress`` is called with the number of finished
+    steps and of all. It goes on from what is in ``out`` if ``resume``. The result does not depend on ``workers``, the
+    processes that draw swarms, and ``backend``, see :func:`usnet_env.evaluation.run.map_tasks`.
 
     Raises:
         ArgumentError: ``out`` can't be written, or it holds a checkpoint with other settings.

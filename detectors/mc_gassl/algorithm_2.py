@@ -34,13 +34,9 @@ def run_round(
     online: OnlineTraining,
     rng: np.random.Generator,
 ) -> tuple[Detection, GruParameters]:
-    """Lines 2 to 5 of the on-line executions. The environment destroys the candidates and ends the loop.
+    """Lines 2 to 5 of the on-line executions: the answer of a detector, and W_r for the next round.
 
-    The ``window`` has at least 3 living UAVs; the ``parameters`` are W_{r-1}, in round 1 the meta parameters. The
-    ``clusterer``'s features may come from them. ``gassl`` has the settings of Algorithm 1, such as T_0.
-
-    Returns:
-        The answer of :meth:`detectors.mc_gassl.McGassl.detect`, and W_r for the next round.
+    The ``parameters`` are W_{r-1}, in round 1 the meta parameters; ``gassl`` has the settings of Algorithm 1.
     """
     clustering = clusterer.cluster(window, rng)  # lines 2, 3
     heads, gamma = detect_heads(window, clustering, gassl, rng)  # line 4
@@ -88,11 +84,7 @@ def update_gru(
     online: OnlineTraining,
     rng: np.random.Generator,
 ) -> tuple[Floats, GruParameters, list[float]]:
-    """Line 5: the swarm is re-clustered by the trained IFSN, and the GRU network learns from the ``count`` clusters.
-
-    Returns:
-        c_{i'} ``(N,)``, W_r and the loss of each step.
-    """
+    """Line 5: re-clusters the swarm by the trained IFSN; c_{i'} ``(N,)``, W_r and the loss of each step."""
     living = np.flatnonzero(window.alive)
     chosen = best_heads(build_batch(window, living, gassl.memory), gamma)  # equation (37)
     score = np.bincount(chosen, minlength=len(chosen)).astype(np.float64)  # c_{i'}, equation (38)

@@ -15,8 +15,7 @@ from usnet_env.window import Window
 def inputs_of(window: Window, memory: int = 4) -> GruInputs:
     """What the GRU network reads of all N UAVs at all R = T_ob - T_0 + 1 times of a window, float32.
 
-    What was not seen is filled in (:func:`detectors.series.gaps.fill_gaps`). Destroyed UAVs are 0 and never seen. Of a
-    window shorter than ``memory``, T_0, all samples that there are make one time.
+    What was not seen is filled in. Destroyed UAVs are 0 and never seen. A window shorter than ``memory``, T_0, has one.
     """
     steps = window.observation_steps
     memory = min(memory, steps)

@@ -106,12 +106,6 @@ def _draw_start(training: MetaTraining) -> GruParameters:
     return draw_parameters(_generator(training, _START), training.width)
 
 
-def trained(training: MetaTraining) -> tuple[GruParameters, list[float]]:
-    """The parameters, and the query loss of every episode; nothing is written."""
-    tasks = [draw_task(training, number) for number in range(training.strategies)]
-    return _train(training, _draw_start(training), tasks, range(training.episodes))
-
-
 def _train(
     training: MetaTraining, parameters: GruParameters, tasks: list[Task], episodes: range
 ) -> tuple[GruParameters, list[float]]:
@@ -143,17 +137,10 @@ def train_meta(
     Files in ``out``, each appearing whole: ``meta.safetensors`` and ``meta.json`` (``joint.…`` with that method), see
     :mod:`detectors.weights`; ``losses.csv``, the query loss of every episode; ``checkpoint.safetensors``.
 
-    Args:
-        out: a folder; made if it is missing.
-        training: what to train; the defaults make the weights that the package ships.
-        progress: called with what is done (strategies drawn, then episodes) and all there is to do.
-        resume: go on from the checkpoint in ``out``, if there is one; otherwise start again.
-        checkpoint_every: episodes between two checkpoints.
-        workers: number of processes that draw swarms; the weights do not depend on it.
-        backend: where they run, see :func:`usnet_env.evaluation.run.map_tasks`.
-
-    Returns:
-        The weights file.
+    The defaults of ``training`` make the weights that the package ships. ``progress`` is called with the number of
+    strategies drawn and episodes done, and of all there are. It goes on from the checkpoint in ``out`` if ``resume``.
+    The result does not depend on ``workers``, the processes that draw swarms, and ``backend``, see
+    :func:`usnet_env.evaluation.run.map_tasks`.
 
     Raises:
         ArgumentError: ``out`` can't be written to, or its checkpoint is of another training or of more episodes.

@@ -37,12 +37,9 @@ def train_online(
     settings: OnlineTraining,
     generator: torch.Generator,
 ) -> tuple[GruParameters, list[float]]:
-    """Gradient descent from ``parameters`` on the triplet loss of one window of n UAVs whose clusters are known.
+    """Gradient descent on the triplet loss of one window of n UAVs; the loss before each step.
 
-    UAVs with -1 in ``labels`` ``(n,)`` int64 take no part.
-
-    Returns:
-        The trained parameters, and the loss before each step; unchanged and 0 where no triplet can be drawn.
+    UAVs with -1 in ``labels`` ``(n,)`` int64 take no part. Nothing changes where no triplet can be drawn.
     """
     losses: list[float] = []
     for _ in range(settings.steps):
@@ -78,10 +75,7 @@ def meta_step(
     """One episode, equations (35) and (36), first order; the rates are alpha and beta.
 
     The temporary parameters are Pi = W - alpha grad L_S(W); then W loses beta grad L_Q(Pi), the gradient with respect
-    to Pi. The paper writes one rate for both steps where its text names two; here they are two.
-
-    Returns:
-        The new W, and L_Q(Pi).
+    to Pi. The paper writes one rate for both steps where its text names two. The result is the new W, and L_Q(Pi).
     """
     at = parameters.trainable()
     support = batch_loss(at, *task.support, metric, generator)

@@ -42,11 +42,7 @@ def draw_triplets(
     FaceNet, 2015): a random positive, and of the other clusters the nearest *feature* that is farther away than the
     positive's; where there is none, the farthest. ``"random"``: both at random.
 
-    UAVs with -1 in ``labels`` ``(n,)`` int64 take no part.
-
-    Returns:
-        B triplets whose three UAVs were seen, or all that are possible, if these are fewer; none where there are no two
-        clusters, one of them with two UAVs.
+    UAVs with -1 in ``labels`` ``(n,)`` int64 take no part. Fewer than B triplets are drawn where fewer are possible.
     """
     there = inputs.seen & (labels >= 0)
     cluster = torch.from_numpy(np.unique(labels.numpy(), return_inverse=True)[1])

@@ -38,7 +38,7 @@ def count_votes(chosen: Indices) -> Floats:
     return np.asarray(np.bincount(others, minlength=uavs) / uavs)
 
 
-def select_top(scores: Floats, count: int | None, rng: np.random.Generator) -> NDArray[np.intp]:
+def select_top(scores: NDArray[Any], count: int | None, rng: np.random.Generator) -> NDArray[np.intp]:
     """Indices of the ``count`` highest scores (all for ``None``), ties broken at random: equations (21), (22)."""
     return np.lexsort((rng.random(len(scores)), -scores))[:count]
 

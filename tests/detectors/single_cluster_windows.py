@@ -38,13 +38,6 @@ def changed(window, **arrays):
     return usnet_env.Window(**{**parts, **arrays})
 
 
-def renumbered(windows, order):
-    """The windows with the UAVs in another order."""
-    return [
-        changed(w, position=w.position[:, order], velocity=w.velocity[:, order], seen=w.seen[:, order]) for w in windows
-    ]
-
-
 def without(window, gone):
     """The window after the UAVs ``gone`` were destroyed: zeros and masks, as the environments have it."""
     alive = window.alive.copy()

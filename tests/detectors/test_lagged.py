@@ -66,19 +66,3 @@ def test_regression_finds_all_heads_of_the_paper_in_the_first_round(follow, clus
             found += (candidates & head).sum()
             total += (candidates | head).sum()
     assert found >= 0.97 * total
-
-
-@pytest.mark.parametrize("follow", ["f3", "f5"])
-def test_regression_finds_the_heads_that_orphans_joined(follow):
-    with gym.make("USNET/MultiCluster-v0", follow=follow) as env:
-        for seed in range(5):
-            env.reset(seed=seed)
-            swarm = env.unwrapped.swarm
-            shot = np.zeros(82, np.int8)
-            shot[np.flatnonzero(swarm.head)[:3]] = 1
-            observation = env.step(shot)[0]
-            swarm = env.unwrapped.swarm
-            for clusters in (None, 5):
-                detection = answer(LaggedRegression(clusters=clusters), Window.from_observation(observation))
-                assert np.array_equal(detection.candidates, swarm.head & swarm.alive)
-                assert np.array_equal(detection.leader[swarm.alive], swarm.root[swarm.alive])

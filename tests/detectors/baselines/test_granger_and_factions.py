@@ -5,7 +5,6 @@ import pytest
 from synthetic_windows import swarm_window
 
 from detectors.baselines import Factions, Granger
-from detectors.baselines.factions import compute_pagerank
 from usnet_env import Window
 
 BOTH = [Granger, Factions]
@@ -29,15 +28,6 @@ def test_granger_sees_beyond_the_own_past():
     for seed in range(3):
         window, truth = swarm_window(seed, mobility="gauss_markov", head_jitter=True)
         assert np.array_equal(answer(Granger(), window).candidates, truth.head)
-
-
-def test_pagerank_is_a_distribution_that_favours_the_followed():
-    network = np.zeros((5, 5))
-    network[[1, 2, 3], 0] = 1.0
-    rank = compute_pagerank(network)
-    assert rank.sum() == pytest.approx(1.0)
-    assert rank.argmax() == 0
-    np.testing.assert_allclose(rank[1:], rank[1])
 
 
 def test_a_chain_has_one_leader():

@@ -14,7 +14,6 @@ from detectors.baselines import (
 )
 from detectors.baselines.transfer_entropy import estimate_transfer_entropy
 from detectors.baselines.warping import warp_pairs
-from detectors.series.votes import find_trees
 from usnet_env import ArgumentError, Window
 
 KINDS = [DirectionalDelays, LaggedNetwork, NetLagRegression, TransferEntropy]
@@ -93,13 +92,6 @@ def test_few_windows_without_a_leader_name_any(kind):
             velocity = velocity + 2 * lead_by([-1], [0], steps=100, seed=1000 + seed)
         named += answer(kind(), window_of(velocity)).candidates.any()
     assert named <= 7  # 0.05 of 40 are 2; P(more than 7) < 0.001
-
-
-def test_trees_have_no_cycles():
-    lead = np.array([[-np.inf, 2.0, -1], [1.0, -np.inf, 3.0], [2.5, -3.0, -np.inf]])
-    leader, root = find_trees(lead, lead, 0.0)
-    assert leader.tolist() == [-1, 2, 0]
-    assert root.tolist() == [0, 0, 0]
 
 
 def test_transfer_entropy_of_gaussian_series_is_the_known_one():

@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from synthetic_windows import swarm_window
 
 from detectors.checks.windows import draw_gaps, draw_window, hover
@@ -18,22 +16,6 @@ def answer(window, seed=0, **arguments):
     detector = Learned(**arguments)
     detector.reset(seed)
     return detector.detect(window)
-
-
-@settings(max_examples=10, deadline=None)
-@given(seed=st.integers(0, 1000), metres=st.floats(0.1, 10.0))
-def test_turning_moving_and_measuring_otherwise_changes_no_feature(seed, metres):
-    rng = np.random.default_rng(seed)
-    window = draw_window(Learned(), 9, 2, seed=seed, mobility="smooth_turn", head_jitter=True)
-    turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
-    moved = Window(
-        metres * (window.position @ turn + rng.normal(0, 100, 3)),
-        metres * (window.velocity @ turn),
-        window.seen,
-        window.alive,
-    )
-    uavs = np.arange(9)
-    np.testing.assert_allclose(pair_features(moved, uavs), pair_features(window, uavs), atol=0.002)
 
 
 def test_a_pair_of_head_and_follower_stands_out_in_its_row():

@@ -62,14 +62,6 @@ def test_best_heads_are_equation_37(seed, hidden, miss_rate):
     np.testing.assert_array_equal(inputs.value, kept[1])
 
 
-def test_no_uav_is_its_own_head_even_if_nothing_can_be_compared():
-    inputs = inputs_of_swarm(0)
-    broken = np.full_like(draw_gamma(inputs), np.nan)
-    for gamma in (draw_gamma(inputs), np.zeros_like(broken)):
-        assert (best_heads(inputs, gamma) != np.arange(8)).all()
-    assert best_heads(inputs, broken).shape == (8,)
-
-
 CHOSEN = np.array([4, 7, 4, 4, 7, 7, 1, 4, 1, 7, 7])  # scores: 2 of UAV 1, 4 of UAV 4, 5 of UAV 7
 
 

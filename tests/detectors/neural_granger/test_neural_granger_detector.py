@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from single_cluster_windows import changed, cluster, clusters, named, rate, renumbered, without
+from single_cluster_windows import changed, cluster, clusters, named, rate, without
 
 from detectors.neural_granger import NeuralGranger
 
@@ -38,16 +38,6 @@ def test_the_gate_names_no_uav_where_none_is_followed():
     for detection in gated:
         assert detection.extras["followed"] == detection.candidates.any()
     assert (named(detect_each(windows, steps=5)) >= 0).all()  # without the gate, the best guess
-
-
-def test_no_index_is_favoured():
-    windows, heads = clusters(4, followers=3)
-    order = np.array([2, 0, 3, 1])
-    after = detect_each(renumbered(windows, order), **SHORT)
-    np.testing.assert_array_equal(order[named(after)], heads)
-    guesses, _ = clusters(60, follow="none", followers=2)
-    counts = np.bincount(named(detect_each(guesses, steps=2)), minlength=3)
-    assert (np.abs(counts - 20) < 5 * np.sqrt(20 * 2 / 3)).all()
 
 
 def test_an_answer_is_made_of_the_attention():
