@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property, wraps
+from collections.abc import Sequence
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -11,21 +11,9 @@ from numpy.typing import NDArray
 
 from detectors.parameters import Parameters
 from usnet_env.arrays import Mask
-from usnet_env.config import ArgumentError, optional_seed
+from usnet_env.config import optional_seed
 from usnet_env.detection import Detection, Tags, fit_window
 from usnet_env.window import Window
-
-
-def _refuse_observations(detect: Callable[..., Detection]) -> Callable[..., Detection]:
-    @wraps(detect)
-    def checked(self: Any, window: Any, *others: Any, **named: Any) -> Detection:
-        if isinstance(window, Mapping):
-            raise ArgumentError(
-                "window must be a usnet_env.Window, got a mapping; Window.from_observation(observation) makes one."
-            )
-        return detect(self, window, *others, **named)
-
-    return checked
 
 
 class Detector(Parameters):
@@ -45,12 +33,6 @@ class Detector(Parameters):
     tags: ClassVar[Tags] = Tags()
     _made_by_reset: ClassVar[str | None] = None  # the name of a cached property whose draws are the first of an episode
 
-    def __init_subclass__(cls, **values: Any) -> None:
-        """Let ``detect`` of each subclass refuse an observation, which is a common slip, in one sentence."""
-        super().__init_subclass__(**values)
-        if "detect" in vars(cls):
-            cls.detect = _refuse_observations(cls.detect)  # type: ignore[method-assign]
-
     @cached_property
     def rng(self) -> np.random.Generator:
         """The generator of the episode; with a seed from the operating system if :meth:`reset` was not called."""
@@ -59,11 +41,8 @@ class Detector(Parameters):
     def reset(self, seed: int | None = None) -> None:
         """Start an episode: check the arguments, clear the state of the previous episode, and create :attr:`rng`.
 
-        Args:
-            seed: seed of ``self.rng``, never that of the environment; ``None`` takes one from the operating system.
-
-        Raises:
-            ArgumentError: an argument of the constructor is refused, or the seed is not a whole number from 0.
+        The ``seed`` of ``self.rng`` is never that of the environment; ``None`` takes one from the operating system. A
+        refused argument of the constructor, or a seed below 0, raises an ``ArgumentError``.
         """
         self.check_arguments()
         for name in list(vars(self)):

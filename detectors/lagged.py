@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.base import Detector
-from detectors.parameters import Count, Lags
+from detectors.parameters import Count, Lags, check_clusters
 from detectors.series.designs import check_pairs
 from detectors.series.evidence import Evidence, correlation_evidence, granger_evidence, regression_evidence
 from detectors.series.votes import detection_from_evidence, rank_uavs
 from usnet_env.arrays import Mask
-from usnet_env.config import ArgumentError
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
@@ -52,10 +51,7 @@ class EvidenceDetector(Detector):
         """
         self.check_arguments()
         check_pairs(window.uavs)
-        if self.clusters is not None and self.clusters > window.uavs:
-            raise ArgumentError(
-                f"clusters must be at most the number of UAVs in the window ({window.uavs}), got {self.clusters}."
-            )
+        check_clusters(window, self.clusters)
         living = np.flatnonzero(window.alive)
         evidence = self.evidence(window.velocity[:, living], window.velocity_seen[:, living])
         return detection_from_evidence(evidence, window.alive, self.clusters, window.round == 1, self.rng)

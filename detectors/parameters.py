@@ -29,7 +29,7 @@ class Parameters:
             clusters: Annotated[int, Field(ge=1)] = 5
 
     :meth:`check_arguments` checks the values against types and limits. A subclass may define ``__init__`` instead; then
-    nothing is checked. ``sklearn.base.clone`` works, and scikit-learn, which takes seconds to import, isn't needed.
+    nothing is checked. ``sklearn.base.clone`` works without importing scikit-learn, which takes seconds.
     """
 
     _declared: ClassVar[bool] = True  # whether the constructor follows from the fields
@@ -50,22 +50,13 @@ class Parameters:
         config = _make_config(kind)
         return config(**{name: getattr(self, name) for name in config.model_fields})
 
-    @classmethod
-    def _list_parameters(cls) -> dict[str, inspect.Parameter]:
-        """The constructor's parameters by name, in alphabetical order."""
-        return dict(sorted(inspect.signature(cls).parameters.items()))
-
     def get_params(self, deep: bool = True) -> dict[str, Any]:
         """Return the arguments by name; ``deep`` has no effect, since no argument has parameters."""
-        return {name: getattr(self, name) for name in self._list_parameters()}
+        return {name: getattr(self, name) for name in sorted(inspect.signature(type(self)).parameters)}
 
     def set_params(self, **params: Any) -> Self:
-        """Change arguments, given by name, and return this object.
-
-        Raises:
-            ValueError: a name is unknown.
-        """
-        known = self._list_parameters()
+        """Change arguments, given by name, and return this object; an unknown name is a ``ValueError``."""
+        known = self.get_params()
         for name, value in params.items():
             if name not in known:
                 raise ValueError(f"Invalid parameter {name!r} for {self}. Valid parameters are: {list(known)}.")
@@ -74,11 +65,8 @@ class Parameters:
 
     def __repr__(self) -> str:
         """The class with all arguments that differ from their defaults."""
-        changed = [
-            f"{name}={getattr(self, name)!r}"
-            for name, parameter in self._list_parameters().items()
-            if parameter.default is parameter.empty or repr(getattr(self, name)) != repr(parameter.default)
-        ]
+        declared = inspect.signature(type(self)).parameters
+        changed = [f"{k}={v!r}" for k, v in self.get_params().items() if repr(v) != repr(declared[k].default)]
         return f"{type(self).__name__}({', '.join(changed)})"
 
 
@@ -87,17 +75,19 @@ def _make_config(owner: Any) -> type[Config]:
     """The config that checks the arguments of a class."""
     if not owner._declared:
         return Config
-    try:
-        types = typing.get_type_hints(owner, include_extras=True)
-    except NameError:  # a name that is imported for type checkers only
-        types = {}
+    types = typing.get_type_hints(owner, include_extras=True)
     declared: dict[str, Any] = {
-        field.name: (types.get(field.name, Any), ... if field.default is MISSING else field.default)
-        for field in fields(owner)
+        field.name: (types[field.name], ... if field.default is MISSING else field.default) for field in fields(owner)
     }
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # an argument may have the name of a method of pydantic's
         return create_model(owner.__name__, __base__=Config, **declared)
+
+
+def check_clusters(window: Window, clusters: int | None) -> None:
+    """Refuse more clusters than the window has UAVs."""
+    if clusters is not None and clusters > window.uavs:
+        raise ArgumentError(f"clusters must be at most the number of UAVs, {window.uavs}, got {clusters}.")
 
 
 def count_lags(window: Window, max_lag: int, max_delay: float | None) -> int:

@@ -46,16 +46,8 @@ def choose(
 
     P1: there is one head; naming k > 1 UAVs costs ``redundancy_price`` (k - 1) and hits it with the sum of their p.
 
-    Args:
-        probability: ``(N,)``, the probability of being a head if the fit is right.
-        alive: ``(N,)`` bool.
-        policy: the objective and the rule.
-        tie: ``(N,)`` random numbers that order equal probabilities.
-        doubt: the probability that the fit is wrong, from 0 to 1.
-        most: the largest number of heads, if it is known; no more UAVs are named.
-
-    Returns:
-        ``(N,)`` bool, living UAVs only.
+    The result are living UAVs, ``(N,)``, at most ``most``. The numbers ``tie`` ``(N,)`` order UAVs with equal
+    ``probability`` ``(N,)``.
     """
     named = np.zeros(len(alive), bool)
     living = np.flatnonzero(alive)
@@ -67,10 +59,8 @@ def choose(
     p = (1.0 - doubt) * sure + doubt * even
     budget = min(limit for limit in (len(order), policy.shot_budget, most) if limit is not None)
     if policy.policy == "map":
-        count = int((p > 0.5).sum())
-        if policy.objective == "P1":
-            count = min(count, 1)
-        named[order[: min(count, budget)]] = True
+        count = min(int((p > 0.5).sum()), 1 if policy.objective == "P1" else budget, budget)
+        named[order[:count]] = True
         return named
     sizes = np.arange(1, budget + 1)
     if policy.objective == "P1":

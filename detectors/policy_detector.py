@@ -1,7 +1,4 @@
-"""Wraps a policy as a detector, so that agents of reinforcement learning can be evaluated beside detectors.
-
-:meth:`detectors.Detector.as_policy` does the opposite: it wraps a detector as a policy.
-"""
+"""Wraps a policy as a detector; :meth:`detectors.Detector.as_policy` does the opposite."""
 
 from __future__ import annotations
 
@@ -28,14 +25,13 @@ def observation_of(window: Window) -> Observation:
 
     The arrays are writable copies; recorded tracks also have ``step`` ``(1,)``, seconds.
     """
-    step = {} if window.step is None else {"step": np.array([window.step], np.float32)}
+    numbers = {"round": window.round} if window.step is None else {"round": window.round, "step": window.step}
     return {
         "position": window.position.copy(),
         "velocity": window.velocity.copy(),
         "seen": window.seen.astype(np.int8),
         "alive": window.alive.astype(np.int8),
-        "round": np.array([window.round], np.float32),
-        **step,
+        **{name: np.array([value], np.float32) for name, value in numbers.items()},
     }
 
 
@@ -45,28 +41,25 @@ class PolicyDetector(Detector):
     The attributes of the policy decide which of three interfaces is used:
 
     * ``predict(observation, state, episode_start, deterministic)`` (Stable-Baselines3, and ``as_policy``): a binary
-      action ``(N,)`` marks the candidates, an integer (``Discrete(N)``) is the index of the only one. Scores are the
-      probabilities of ``get_distribution``, if there is one, or the action. ``action_masks`` are passed if it takes
-      them, and the state that it returns is passed to the next call of the episode.
-    * ``in_keys`` and ``out_keys`` (TorchRL): the policy is called with a ``TensorDict`` of the observation. The entry
-      ``"action"`` is read as above; scores come from ``"logits"``, ``"probs"``, ``"probability"``, ``"loc"`` or
-      ``"scores"``.
+      action ``(N,)`` marks the candidates, an integer is the index of the only one. Scores are the probabilities of
+      ``get_distribution``, if there is one, or the action. ``action_masks`` are passed if it takes them.
+    * ``in_keys`` and ``out_keys`` (TorchRL): called with a ``TensorDict``; ``"action"`` is read as above, and scores
+      come from ``"logits"``, ``"probs"``, ``"probability"``, ``"loc"`` or ``"scores"``.
     * any other callable, such as a ``torch.nn.Module``: it is called with the observation as tensors with a leading
       axis of length 1 and returns N scores; UAVs with a score above ``threshold`` are candidates.
 
     The policy always acts deterministically. Destroyed UAVs are never candidates.
 
     Args:
-        policy: the policy. It must not hold an environment: give ``model.policy`` of a Stable-Baselines3 model, not the
-            model.
+        policy: the policy: ``model.policy`` of a Stable-Baselines3 model, not the model with its environment.
         observe: function that converts a window to the observation of the policy, for policies that were trained in a
             wrapped environment; ``None``: :func:`observation_of`, but without ``step`` if the policy has an
-            ``observation_space`` that lacks it. For a picklable detector, a function at the top level of a module.
+            ``observation_space`` that lacks it.
         threshold: threshold on the scores for the third interface: 0 for logits, 0.5 for probabilities.
 
     Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`: the policy has none of these interfaces, holds an
-            environment, or returns a number of values other than N.
+        ArgumentError: from :meth:`reset` and :meth:`detect`: the policy has none of these interfaces, or returns a
+            number of values other than N.
     """
 
     policy: Any
@@ -74,14 +67,9 @@ class PolicyDetector(Detector):
     threshold: float = 0.0
 
     @cached_property
-    def _state(self) -> Any:
-        """What the policy remembers within an episode; ``None`` at its start."""
-        return None
-
-    @cached_property
-    def _is_first(self) -> bool:
-        """Whether the next window is the first of an episode."""
-        return True
+    def _memory(self) -> tuple[Any, bool]:
+        """The state of the policy, ``None`` at the start of an episode; whether the next window is the first of it."""
+        return None, True
 
     def check_arguments(self) -> Any:
         """Check the policy and the other arguments."""
@@ -118,10 +106,10 @@ class PolicyDetector(Detector):
         predict, masks = self.policy.predict, {}
         if "action_masks" in inspect.signature(predict).parameters:
             masks = {"action_masks": np.stack([np.ones(window.uavs, bool), window.alive], axis=1).ravel()}
-        action, self._state = predict(
-            observation, state=self._state, episode_start=np.array([self._is_first]), deterministic=True, **masks
-        )
-        self._is_first = False
+        state, first = self._memory
+        given = {"state": state, "episode_start": np.array([first]), "deterministic": True, **masks}
+        action, state = predict(observation, **given)
+        self._memory = state, False
         candidates = _to_candidates(action, window.uavs)
         scores = self._read_probabilities(observation, window.uavs)
         return candidates, candidates.astype(np.float64) if scores is None else scores
@@ -152,33 +140,29 @@ class PolicyDetector(Detector):
 
     def _call_policy(self, given: Any) -> Any:
         """Call the policy without gradients and in evaluation mode; restore the training mode at the end."""
-        policy = self.policy
-        training = [module for module in policy.modules() if module.training] if hasattr(policy, "modules") else []
-        if training:
-            policy.eval()
+        modules = self.policy.modules() if hasattr(self.policy, "modules") else []
+        training = [module for module in modules if module.training]
+        for module in training:
+            module.training = False
         try:
             with import_module("torch").no_grad():
-                return policy(given)
+                return self.policy(given)
         finally:
             for module in training:
                 module.training = True
 
 
 def _to_tensors(observation: Any, policy: Any) -> Any:
-    """Convert an observation, a mapping of arrays or one array, to tensors with a leading axis of length 1.
-
-    They are on the device of the policy's parameters, or on the CPU if it has none.
-    """
+    """An observation, a mapping of arrays or one array, as tensors with a leading axis on the policy's device."""
     weight = next(iter(policy.parameters()), None) if hasattr(policy, "parameters") else None
-    device = "cpu" if weight is None else weight.device
-    convert = import_module("torch").as_tensor
     if isinstance(observation, dict):
-        return {name: convert(np.asarray(value), device=device)[None] for name, value in observation.items()}
-    return convert(np.asarray(observation), device=device)[None]
+        return {name: _to_tensors(value, policy) for name, value in observation.items()}
+    device = "cpu" if weight is None else weight.device
+    return import_module("torch").as_tensor(np.asarray(observation), device=device)[None]
 
 
 def _to_scores(value: Any, uavs: int) -> Floats:
-    """Convert N numbers, possibly with axes of length 1, to an array ``(N,)``."""
+    """N numbers, possibly with axes of length 1, as an array ``(N,)``."""
     values = np.asarray(value.detach().cpu() if hasattr(value, "detach") else value)
     if values.size != uavs or values.dtype.kind not in "biuf":
         raise ArgumentError(f"policy must give one number for each of {uavs} UAVs, got shape {values.shape}.")
@@ -186,7 +170,7 @@ def _to_scores(value: Any, uavs: int) -> Floats:
 
 
 def _to_candidates(action: Any, uavs: int) -> Mask:
-    """Convert an action to candidates ``(N,)``: N zeros and ones, or the index of one UAV."""
+    """An action, N zeros and ones or the index of one UAV, as candidates ``(N,)``."""
     values = np.asarray(action.detach().cpu() if hasattr(action, "detach") else action)
     if values.size == 1 and uavs > 1 and values.dtype.kind in "iu" and 0 <= values.item() < uavs:
         return np.arange(uavs) == values.item()

@@ -13,23 +13,19 @@ from usnet_env.swarm import SwarmConfig, SwarmState, advance, destroy, start
 from usnet_env.swarm.random_follow import RandomFollowStrategy, random_follow_strategy
 from usnet_env.window import Window
 
-#: In the orders in which they are drawn.
 _CALIBRATION = ("iid", "gauss_markov", "smooth_turn", "local_waypoint", "waypoint", "straight")
 _TRAINING = ("iid", "gauss_markov", "smooth_turn", "waypoint", "local_waypoint")
 _SMOOTH = _CALIBRATION[1:4]
 
 
 def _draw_log_uniform(rng: np.random.Generator, least: int, most: int) -> int:
-    """Draw a whole number whose logarithm is uniform between two limits."""
     return round(math.exp(rng.uniform(math.log(least), math.log(most))))
 
 
 def _draw_linear_strategy(rng: np.random.Generator) -> RandomFollowStrategy:
     """Draw a random strategy with linear terms only; these are rare in the grammar."""
-    while True:
-        drawn = random_follow_strategy(rng)
-        if all(term.kind == "linear" for term in drawn.terms):
-            return drawn
+    draws = iter(lambda: random_follow_strategy(rng), None)
+    return next(drawn for drawn in draws if all(term.kind == "linear" for term in drawn.terms))
 
 
 def draw_training_swarm(most_uavs: int, most_clusters: int, rng: np.random.Generator) -> SwarmConfig:
@@ -54,12 +50,7 @@ def draw_training_swarm(most_uavs: int, most_clusters: int, rng: np.random.Gener
 
 
 def draw_calibration_swarm(most_uavs: int, most_clusters: int, rng: np.random.Generator) -> SwarmConfig:
-    """Draw the configuration of a swarm and its observer.
-
-    The grammar of the follow strategies contains none of f1 to f7. But in half of the noisy swarms with followers the
-    strategy is linear and the identity replaces its rotation, so that its axes are alike. A strategy with the single
-    term v_t, which would be f1, is drawn again.
-    """
+    """Draw the configuration of a swarm and its observer; the follow strategy is none of f1 to f7."""
     uavs = _draw_log_uniform(rng, 20, most_uavs)
     decoys = int(rng.integers(1, 6)) if rng.random() < 0.3 else 0
     clusters = int(rng.integers(1, min(most_clusters, (uavs - decoys) // 3) + 1))
@@ -78,7 +69,7 @@ def draw_calibration_swarm(most_uavs: int, most_clusters: int, rng: np.random.Ge
         head_jitter=bool(rng.random() < 0.5),
     )
     if drawn.position_noise > 0 and kind >= 0.1 and rng.random() < 0.5:
-        # Strategies that are equal on all axes, with smooth heads, behind noise: rare otherwise.
+        # Linear strategies that are equal on all axes, with smooth heads, behind noise: rare otherwise.
         alike = _draw_linear_strategy(rng)
         while len(alike.terms) == 1 and alike.terms[0].lag == 0:  # that is f1
             alike = _draw_linear_strategy(rng)
@@ -107,11 +98,7 @@ def observe(
 
 
 def draw_calibration_window(config: SwarmConfig, rng: np.random.Generator) -> tuple[Window, Mask]:
-    """Draw a window of a swarm; in 20 % of the cases some UAVs were destroyed before.
-
-    Returns:
-        The window; ``(N,)`` bool, the living heads.
-    """
+    """Draw a window of a swarm and its living heads ``(N,)``; in 20 % of the cases some UAVs were destroyed before."""
 
     def lose(head: Mask) -> Mask:
         chance = np.where(head[0], rng.uniform(0.0, 1.0), rng.uniform(0.0, 0.1))  # earlier rounds hit heads

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -16,8 +15,8 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
 
-from usnet_env.config import ArgumentError, Config, quote
-from usnet_env.files import atomic_write
+from usnet_env.config import ArgumentError, quote
+from usnet_env.files import atomic_write, write_text
 
 
 def _write_arrays(path: Path, arrays: Mapping[str, Tensor]) -> None:
@@ -26,30 +25,21 @@ def _write_arrays(path: Path, arrays: Mapping[str, Tensor]) -> None:
 
 
 def write_weights(
-    path: str | os.PathLike[str], arrays: Mapping[str, Tensor], training: Mapping[str, Any], metrics: Mapping[str, Any]
+    path: Path, arrays: Mapping[str, Tensor], training: Mapping[str, Any], metrics: Mapping[str, Any]
 ) -> Path:
-    """Write arrays to ``path`` and their record beside it, under the suffix ``.json``; each appears whole.
+    """Write arrays to ``path``, a ``.safetensors`` file that is returned, and the record of the training beside it.
 
-    Args:
-        path: a file name with the suffix ``.safetensors``; it is returned.
-        arrays: the arrays by name.
-        training: the settings of the training, for JSON.
-        metrics: the measured quality, for JSON.
+    The record has the suffix ``.json``: the settings of the training with the versions that computed it, and the
+    measured quality, ``metrics``.
     """
-    final = Path(path)
-    _write_arrays(final, arrays)
-    with atomic_write(final.with_suffix(".json")) as aside:
-        record = {"training": dict(training), "metrics": dict(metrics)}
-        aside.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
-    return final
+    _write_arrays(path, arrays)
+    settings = {**training, "torch": torch.__version__, "numpy": np.__version__}
+    write_text(path.with_suffix(".json"), json.dumps({"training": settings, "metrics": metrics}, indent=2) + "\n")
+    return path
 
 
 def read_arrays(path: str | os.PathLike[str]) -> dict[str, Tensor]:
-    """Read the arrays of a safetensors file, such as :func:`write_weights` writes.
-
-    Raises:
-        ArgumentError: the file is missing or broken.
-    """
+    """Read the arrays of a safetensors file; a missing or broken one is an ``ArgumentError``."""
     try:
         return load(Path(path).read_bytes())
     except (OSError, SafetensorError) as error:
@@ -62,44 +52,30 @@ def packaged_arrays(package: str, name: str) -> dict[str, Tensor]:
     return load((files(package) / "data" / f"{name}.safetensors").read_bytes())
 
 
-@dataclass(frozen=True)
 class Checkpoint:
-    """The file ``checkpoint.safetensors`` of a training: arrays, the losses so far, and the settings.
+    """The file ``checkpoint.safetensors`` in the folder of a training: arrays, the losses so far, and the settings.
 
-    Args:
-        folder: of the file.
-        settings: which must be equal for a training to resume from it.
+    The ``settings`` must be equal for a training to resume from it.
     """
 
-    folder: Path
-    settings: Mapping[str, Any]
-
-    @property
-    def path(self) -> Path:
-        """Path of the file."""
-        return self.folder / "checkpoint.safetensors"
-
-    def _encode_settings(self) -> Tensor:
-        return torch.tensor(list(json.dumps(self.settings, sort_keys=True).encode()), dtype=torch.uint8)
+    def __init__(self, folder: Path, settings: Mapping[str, Any]) -> None:
+        self._path = folder / "checkpoint.safetensors"
+        self._settings = torch.tensor(list(json.dumps(settings, sort_keys=True).encode()), dtype=torch.uint8)
 
     def write(self, arrays: Mapping[str, Tensor], losses: Sequence[float]) -> None:
         """Write the file atomically."""
-        progress = {"losses": torch.tensor(losses, dtype=torch.float64), "training": self._encode_settings()}
-        _write_arrays(self.path, {**arrays, **progress})
+        progress = {"losses": torch.tensor(losses, dtype=torch.float64), "training": self._settings}
+        _write_arrays(self._path, {**arrays, **progress})
 
     def read(self) -> tuple[dict[str, Tensor], list[float]]:
-        """Read the arrays and the losses; none if there is no file.
-
-        Raises:
-            ArgumentError: the file is broken or belongs to another training.
-        """
-        if not self.path.exists():
+        """Read the arrays and the losses; none if there is no file. That of another training is refused."""
+        if not self._path.exists():
             return {}, []
-        arrays = read_arrays(self.path)
-        if "losses" not in arrays or not torch.equal(arrays.get("training", torch.empty(0)), self._encode_settings()):
+        arrays = read_arrays(self._path)
+        if not torch.equal(arrays.get("training", torch.empty(0)), self._settings):
             raise ArgumentError(
                 "out must hold no checkpoint of another training (use resume=False or another folder), got "
-                f"{quote(str(self.path))}."
+                f"{quote(str(self._path))}."
             )
         return arrays, arrays["losses"].tolist()
 
@@ -107,10 +83,4 @@ class Checkpoint:
 def write_losses(folder: Path, step: str, losses: Sequence[float]) -> None:
     """Write ``losses.csv`` atomically: the loss of each step, from 1; ``step`` is the heading of their numbers."""
     lines = [f"{step},loss", *(f"{number},{loss}" for number, loss in enumerate(losses, start=1))]
-    with atomic_write(folder / "losses.csv") as aside:
-        aside.write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def record_training(training: Config) -> dict[str, Any]:
-    """The settings of a training, and the versions that computed it."""
-    return {**training.model_dump(mode="json"), "torch": torch.__version__, "numpy": np.__version__}
+    write_text(folder / "losses.csv", "\n".join(lines) + "\n")

@@ -1,7 +1,5 @@
 """Baselines: the trivial policies, factions with their leaders, Granger causality, and networks of pairs."""
 
-from __future__ import annotations
-
 from detectors.baselines.correlations import DirectionalDelays, FrontMost, LaggedNetwork, NetLagRegression
 from detectors.baselines.factions import Factions
 from detectors.baselines.networks import NetworkDetector

@@ -103,16 +103,15 @@ class FrontMost(NetworkDetector):
         course = scale_to_unit(_directions(flight.velocity))
         behind = correlate_over_lags(course, course, lags)
         alike = np.maximum(np.maximum(behind, behind.T), correlate_at_lag(course, course, 0))
-        ahead = np.zeros_like(behind)
         by_uav = (values.swapaxes(0, 1).copy() for values in (flight.place, flight.velocity, flight.seen))
-        _compare_places(*by_uav, ahead)
-        return Pairs(alike, np.where(alike >= self.alike, ahead, 0.0))
+        return Pairs(alike, np.where(alike >= self.alike, _compare_places(*by_uav), 0.0))
 
 
 @compiled()
-def _compare_places(place, velocity, seen, ahead):  # type: ignore[no-untyped-def]  # Numba infers the types
-    """Set ``ahead`` ``(n, n)`` from place and velocity ``(n, T, d)`` and seen ``(n, T)``."""
+def _compare_places(place: Floats, velocity: Floats, seen: Mask) -> Floats:
+    """How far UAV j is ahead of UAV i, ``(n, n)``, from place and velocity ``(n, T, d)`` and seen ``(n, T)``."""
     uavs, steps, axes = place.shape
+    ahead = np.zeros((uavs, uavs))
     for i in range(uavs):
         for j in range(i + 1, uavs):
             cosines, count = 0.0, 0
@@ -131,3 +130,4 @@ def _compare_places(place, velocity, seen, ahead):  # type: ignore[no-untyped-de
             if count:
                 ahead[i, j] = cosines / count
                 ahead[j, i] = -ahead[i, j]
+    return ahead

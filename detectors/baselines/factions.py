@@ -29,9 +29,6 @@ class Factions(Detector):
     than that of j's velocity with i's past. These relations form a directed network. A leader is a node with incoming
     but no outgoing edges; its faction consists of all UAVs with a path to it. Leaders are ranked by PageRank.
 
-    mFLICA measures similarity by dynamic time warping of positions. The delays here are short and constant, so the
-    lagged correlation of velocities serves the same purpose.
-
     Args:
         max_lag: the largest lag in samples, at least 1.
         threshold: the smallest correlation that counts as following, from 0 to 1.
@@ -59,9 +56,8 @@ class Factions(Detector):
         leader, clusters = np.full((2, window.uavs), -1, np.int64)
         candidates = np.zeros(window.uavs, bool)
         if len(living):
-            network = build_following_network(
-                window.velocity[:, living], window.velocity_seen[:, living], arguments.max_lag, arguments.threshold
-            )
+            velocity, seen = window.velocity[:, living], window.velocity_seen[:, living]
+            network = build_following_network(velocity, seen, arguments.max_lag, arguments.threshold)
             scores[living] = compute_pagerank(network)
             follows = network > 0
             leads = np.flatnonzero(follows.any(axis=0) & ~follows.any(axis=1))
@@ -78,10 +74,7 @@ class Factions(Detector):
 
 
 def build_following_network(velocity: NDArray[np.floating], seen: Mask, max_lag: int, threshold: float) -> Floats:
-    """Build the network ``(n, n)``; entry (i, j) is the correlation with which i follows j, or 0.
-
-    ``velocity`` is ``(T, n, 3)``, ``seen`` is ``(T, n)``; the other arguments are those of :class:`Factions`.
-    """
+    """Build the network ``(n, n)`` of :class:`Factions`: the correlations with which i follows j, or 0."""
     flight = scale_to_unit(centre_columns(velocity.astype(np.float64), seen))
     best = correlate_over_lags(flight, flight, min(max_lag, len(velocity) - 2))
     return np.where((best >= threshold) & (best > best.T), best, 0.0)

@@ -1,9 +1,4 @@
-"""Detectors from scores of all ordered pairs of UAVs: the leader of each UAV, its delay, and the sources.
-
-A subclass of :class:`NetworkDetector` measures each pair. What follows is the same for all of them: the scores are
-compared with those of surrogates in which no UAV leads, each follower gets one direct leader, and the heads are the
-sources of the resulting trees.
-"""
+"""Detectors from scores of all ordered pairs of UAVs: the leader of each UAV, its delay, and the sources."""
 
 from __future__ import annotations
 
@@ -20,15 +15,13 @@ from pydantic import Field
 
 from detectors.base import Detector
 from detectors.parameters import Lags, Seconds, count_lags
-from detectors.series.designs import centre_columns, check_pairs, scale_to_unit
+from detectors.series.designs import centre_columns, check_pairs, check_steps, scale_to_unit
 from detectors.series.regressions import correlate_at_lag
 from detectors.series.votes import find_trees, spread
 from usnet_env.arrays import Floats, Indices, Mask
-from usnet_env.config import ArgumentError
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
-_LEAST_STEPS = 5
 _MOST_BLOCKS = 8
 _ROW_MAXIMA = 160  # of the surrogates together; each has one for each UAV
 _SURROGATES = (2, 20)  # fewest, most
@@ -36,35 +29,21 @@ _SURROGATES = (2, 20)  # fewest, most
 
 @dataclass(frozen=True, eq=False)
 class Flight:
-    """The movement of n living UAVs in T steps.
+    """The movement of n living UAVs in T steps."""
 
-    Args:
-        velocity: ``(T, n, 3)`` float64, metres per step; 0 if unseen.
-        place: ``(T, n, 3)`` float64, metres, the middle of each step; 0 if unseen.
-        seen: ``(T, n)`` bool.
-    """
-
-    velocity: Floats
-    place: Floats
-    seen: Mask
+    velocity: Floats  #: ``(T, n, 3)`` float64, metres per step; 0 if unseen
+    place: Floats  #: ``(T, n, 3)`` float64, metres, the middle of each step; 0 if unseen
+    seen: Mask  #: ``(T, n)``
 
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """Scores of all ordered pairs; entry (i, j) is about i following j.
+    """Scores ``(n, n)`` of all ordered pairs; entry (i, j) is about i following j."""
 
-    Args:
-        strength: ``(n, n)``, how closely i follows j; among those that lead i, the strongest is its direct leader.
-        lead: ``(n, n)``, by how much the evidence that i follows j exceeds that for the reverse; about 0 where neither
-            leads.
-        delay: ``(n, n)`` steps after which i follows j, or ``None`` if it isn't measured.
-        what: what followers do after this delay, in words.
-    """
-
-    strength: Floats
-    lead: Floats
-    delay: Indices | None = None
-    what: str = "who follow"
+    strength: Floats  #: how closely i follows j; among those that lead i, the strongest is its direct leader
+    lead: Floats  #: by how much the evidence that i follows j exceeds that for the reverse; about 0 if neither leads
+    delay: Indices | None = None  #: steps after which i follows j, if it is measured
+    what: str = "who follow"  #: what followers do after this delay, in words
 
 
 class NetworkDetector(Detector):
@@ -120,10 +99,8 @@ class NetworkDetector(Detector):
         """
         self.check_arguments()
         check_pairs(window.uavs)
-        steps = window.observation_steps
-        if steps < _LEAST_STEPS:
-            raise ArgumentError(f"window must hold at least {_LEAST_STEPS} velocities, got {steps}.")
-        lags = max(1, min(count_lags(window, self.max_lag, self.max_delay), steps // 4))
+        check_steps(window, 4)
+        lags = max(1, min(count_lags(window, self.max_lag, self.max_delay), window.observation_steps // 4))
         living = np.flatnonzero(window.alive & window.velocity_seen.any(axis=0))
         if len(living) < 2:
             return _describe(window, living, Pairs(*np.full((2, len(living), len(living)), -np.inf)), np.inf)
@@ -144,13 +121,10 @@ class NetworkDetector(Detector):
         return _describe(window, living, replace(pairs, lead=lead), threshold)
 
     def _relate(self, flight: Flight, pairs: Pairs, lags: int, count: int) -> Mask:
-        """Pairs ``(n, n)`` that are closer than in ``count`` / 2 surrogates with half of the UAVs shifted in time.
-
-        The half is every second UAV in the order of their changes of velocity, which does not depend on indices.
-        """
+        """Pairs ``(n, n)`` that are closer than in ``count`` / 2 surrogates with half of the UAVs shifted in time."""
         changes = (np.diff(flight.velocity, axis=0) ** 2).sum(axis=(0, 2))
         half = np.zeros(len(changes), bool)
-        half[np.argsort(changes, kind="stable")[::2]] = True
+        half[np.argsort(changes, kind="stable")[::2]] = True  # does not depend on indices
         apart, maxima = half[:, None] != half, list[Floats]()
         for late in len(flight.velocity) * np.arange(1, count // 2 + 1) // (count // 2 + 1):
             shifted = (
@@ -178,10 +152,7 @@ def _read_flight(window: Window, living: Indices) -> Flight:
 
 
 def reverse_blocks(flight: Flight, lags: int, count: int) -> Iterator[Flight]:
-    """Yield up to ``count`` surrogates in which time is reversed in half of an even number of blocks.
-
-    Without a lead, a flight and its reversal look alike; so the lead of a pair by chance is distributed as here.
-    """
+    """Yield up to ``count`` surrogates in which time is reversed in half of an even number of blocks."""
     steps = len(flight.velocity)
     blocks = 2 * max(1, min(_MOST_BLOCKS // 2, steps // (4 * (lags + 1))))
     parts = np.array_split(np.arange(steps), blocks)
@@ -249,9 +220,8 @@ def _describe(window: Window, living: Indices, pairs: Pairs, threshold: float) -
 
 def _explain(head: int, leader: Indices, root: Indices, delay: Indices, step: float | None, what: str) -> str:
     direct, led = leader == head, (root == head) & (leader >= 0)
-    text = f"Leads {int(direct.sum())} directly"
-    if (relayed := int((led & ~direct).sum())) > 0:
-        text += f" and {relayed} through others"
+    relayed = int((led & ~direct).sum())
+    text = f"Leads {int(direct.sum())} directly" + (f" and {relayed} through others" if relayed else "")
     if (known := delay[direct & (delay > 0)]).size:
         late = float(np.median(known))
         text += f", {what} after {late * step:g} s" if step is not None else f", {what} after {late:g} steps"

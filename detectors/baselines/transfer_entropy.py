@@ -40,13 +40,10 @@ class TransferEntropy(NetworkDetector):
 def estimate_transfer_entropy(
     velocity: Floats, seen: Mask, delay: Indices, neighbours: int, needed: Mask | None = None
 ) -> Floats:
-    """Estimate the transfer entropy of the ``needed`` pairs ``(n, n)``, by default of all.
+    """Estimate the transfer entropy ``(n, n)``, in nats, of the ``needed`` pairs; entry (i, j) is from j to i.
 
-    Of the velocities ``(T, n, 3)`` at more than 200 times, 200 are used. The ``delay`` ``(n, n)`` is at least 1 step.
-
-    Returns:
-        ``(n, n)`` nats; entry (i, j) is from j to i: 0 where it is not needed, a UAV never varies or too few times are
-        seen.
+    It is 0 where a UAV never varies or too few times are seen. Of the velocities ``(T, n, 3)`` at more than 200 times,
+    200 are used. The ``delay`` ``(n, n)`` is at least 1 step.
     """
     unit = scale_to_unit(centre_columns(velocity, seen)) * np.sqrt(np.maximum(seen.sum(axis=0), 1))[:, None]
     series = np.ascontiguousarray(unit.swapaxes(0, 1), np.float32)

@@ -1,8 +1,4 @@
-"""Trivial policies, which ignore the motion of the UAVs: a random choice, all UAVs, and no UAV.
-
-They are part of every published table: under the paper's J_m, destroying all UAVs beats every detector that needs two
-rounds (decision (l) in docs/game.md).
-"""
+"""Trivial policies, which ignore the motion of the UAVs: a random choice, all UAVs, and no UAV."""
 
 from __future__ import annotations
 
@@ -19,9 +15,6 @@ class RandomDetector(Detector):
 
     Args:
         count: the number of candidates per round, at least 1; all living UAVs if fewer are alive.
-
-    Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`, if ``count`` is not a whole number from 1.
     """
 
     tags = Tags(uses_positions=False)

@@ -73,22 +73,15 @@ class Flica(Mflica):
         return Detection(candidates, scores, np.where(led, 0, -1), leader, whole.attention)
 
 
+@compiled()
 def warp_pairs(values: Floats, seen: Mask, band: int) -> tuple[Floats, Floats, Indices]:
     """Warp each pair of the series ``values`` ``(n, T, d)`` onto each other, with times at most ``band`` steps apart.
 
     A time at which one of both is not ``seen`` ``(n, T)`` costs nothing. Returns ``(n, n)`` each: the mean sign of
     (time in i - time in j) along the path, the mean cost of its steps, and the median of that difference.
     """
-    uavs = len(values)
-    lead, cost = np.zeros((uavs, uavs)), np.zeros((uavs, uavs))
-    delay = np.zeros((uavs, uavs), np.int64)
-    _warp(values, seen, band, lead, cost, delay)
-    return lead, cost, delay
-
-
-@compiled()
-def _warp(values, seen, band, lead, cost, delay):  # type: ignore[no-untyped-def]  # Numba infers the types
     uavs, steps, axes = values.shape
+    lead, cost, delay = np.zeros((uavs, uavs)), np.zeros((uavs, uavs)), np.zeros((uavs, uavs), np.int64)
     width = 2 * band + 1
     total = np.empty((steps, width))
     came = np.empty((steps, width), np.int8)  # from: 0 both earlier, 1 i earlier, 2 j earlier
@@ -143,3 +136,4 @@ def _warp(values, seen, band, lead, cost, delay):  # type: ignore[no-untyped-def
                 passed += counts[c]
             delay[i, j] = band - c
             delay[j, i] = c - band
+    return lead, cost, delay

@@ -7,17 +7,12 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 from unittest import SkipTest
 
 from detectors.checks.contract import CHECKS, CheckError
 from usnet_env.config import ArgumentError, quote, unknown_name
 from usnet_env.plugins import make_detector
-
-if TYPE_CHECKING:
-    import pytest
-
-Status = Literal["passed", "failed", "expected failure", "skipped"]
 
 
 @dataclass(frozen=True)
@@ -25,7 +20,7 @@ class CheckResult:
     """The result of one check: its name, status, ``reason`` (empty if it passed), duration and the exception raised."""
 
     check: str
-    status: Status
+    status: Literal["passed", "failed", "expected failure", "skipped"]
     reason: str
     seconds: float
     error: BaseException | None = None
@@ -36,9 +31,8 @@ class DetectorChecksError(AssertionError):
 
     def __init__(self, detector: Any, results: Sequence[CheckResult]) -> None:
         self.results = list(results)
-        failed = [result for result in results if result.status == "failed"]
-        lines = "".join(f"\n  {result.check}: {result.reason}" for result in failed)
-        super().__init__(f"{type(detector).__name__} fails {len(failed)} of {len(results)} checks:{lines}")
+        failed = [f"\n  {result.check}: {result.reason}" for result in results if result.status == "failed"]
+        super().__init__(f"{type(detector).__name__} fails {len(failed)} of {len(results)} checks:{''.join(failed)}")
 
 
 def check_detector(
@@ -91,17 +85,17 @@ def _check_names(excuses: Mapping[str, str]) -> Mapping[str, str]:
 
 
 def _run_check(check: Callable[[Any], None], detector: Any, excuses: Mapping[str, str]) -> CheckResult:
-    status: Status = "passed"
-    begin, reason, error = time.perf_counter(), "", None
+    begin, name = time.perf_counter(), check.__name__
     try:
         check(detector)
     except SkipTest as skip:
-        status, reason = "skipped", str(skip)
+        return CheckResult(name, "skipped", str(skip), time.perf_counter() - begin)
     except (Exception, SystemExit) as failure:
-        status, reason, error = "failed", _describe(failure), failure
-        if check.__name__ in excuses:
-            status, reason = "expected failure", f"{excuses[check.__name__]} ({reason})"
-    return CheckResult(check.__name__, status, reason, time.perf_counter() - begin, error)
+        reason, seconds = _describe(failure), time.perf_counter() - begin
+        if name in excuses:
+            return CheckResult(name, "expected failure", f"{excuses[name]} ({reason})", seconds, failure)
+        return CheckResult(name, "failed", reason, seconds, failure)
+    return CheckResult(name, "passed", "", time.perf_counter() - begin)
 
 
 def _describe(failure: BaseException) -> str:
@@ -114,8 +108,8 @@ def _describe(failure: BaseException) -> str:
 
 
 def parametrize_with_checks(
-    detectors: Iterable[Any], *, expected_failed_checks: Callable[[Any], Mapping[str, str] | None] | None = None
-) -> pytest.MarkDecorator:
+    detectors: Iterable[Any], *, expected_failed_checks: Callable[[Any], Mapping[str, str] | None] = lambda _: None
+) -> Any:
     """Make a pytest decorator with one case per detector and check.
 
     The decorated function takes the arguments ``detector`` and ``check`` and calls ``check(detector)``.
@@ -129,7 +123,7 @@ def parametrize_with_checks(
 
     cases = []
     for detector in map(_find_detector, detectors):
-        excuses = _check_names((expected_failed_checks(detector) if expected_failed_checks else None) or {})
+        excuses = _check_names(expected_failed_checks(detector) or {})
         for check in CHECKS:
             name = check.__name__
             marks = [pytest.mark.xfail(reason=excuses[name], strict=False)] if name in excuses else []

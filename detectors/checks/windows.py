@@ -40,7 +40,7 @@ def draw_window(
 
 
 def draw_two_rounds(detector: Any) -> list[Window]:
-    """Simulate the windows of two rounds; each call makes new ones."""
+    """Simulate the windows of two rounds."""
     return [draw_window(detector), draw_window(detector, seed=1, destroyed=3, round=2)]
 
 

@@ -6,7 +6,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +14,7 @@ from pydantic import Field
 from sklearn.cluster import HDBSCAN, AgglomerativeClustering, spectral_clustering
 from sklearn.cluster import KMeans as SklearnKMeans
 
-from detectors.clustering.counts import MARGIN, compute_gap_statistic, estimate_count_by_eigengap
-from detectors.clustering.factorisation import factorise_affinity
+from detectors.clustering.counts import compute_gap_statistic, estimate_count_by_eigengap
 from detectors.clustering.features import (
     AFFINITIES,
     FEATURES,
@@ -25,15 +24,14 @@ from detectors.clustering.features import (
     regularise_affinity,
 )
 from detectors.parameters import Count, Lags, Parameters
-from detectors.series.evidence import regression_evidence
-from detectors.series.votes import detection_from_evidence, spread
+from detectors.series.votes import spread
 from usnet_env.arrays import Floats, Indices
-from usnet_env.config import ArgumentError, quote, unknown_name
+from usnet_env.config import ArgumentError, quote
 from usnet_env.parts import Registry, check_call
 from usnet_env.window import Window
 
-COUNTS = ("gap", "gap-one-se", "eigengap")  # the values of count= that estimate the number of clusters beforehand
-OWN = "own"  # the value of count= with which a clusterer finds the number of clusters itself
+_LEAST = 1e-12  # entry of a factor: the multiplicative update would keep an entry of 0 forever
+_TOLERANCE = 1e-5  # the factorisation stops when an update reduces the loss by at most this share
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,10 +97,8 @@ class Clusterer(Parameters):
     living UAVs is lowered to it. K-Means and SNMF may return fewer clusters than ``count``.
 
     Args:
-        count: the number of clusters, or how to estimate it: ``"gap"``
-            (:func:`detectors.clustering.compute_gap_statistic` of the features), ``"gap-one-se"`` (the same with
-            ``margin=math.inf``, the one-standard-error rule of Tibshirani et al.) or ``"eigengap"``
-            (:func:`detectors.clustering.estimate_count_by_eigengap` of the affinity).
+        count: the number of clusters, or how to estimate it: ``"gap"``, the gap statistic of the features, or
+            ``"eigengap"``, that of the affinity; see :mod:`detectors.clustering.counts`.
         features: ``"raw"``, ``"scaled"`` or ``"velocities"`` (see :mod:`detectors.clustering.features`), or a callable
             from a window to ``(N, d)`` or a time series ``(N, T, d)``.
         affinity: ``"lag"`` (time series only) or ``"rbf"`` (see :mod:`detectors.clustering.features`), or a callable
@@ -114,55 +110,42 @@ class Clusterer(Parameters):
         ArgumentError: raised by :meth:`cluster` for an invalid argument.
     """
 
-    counts: ClassVar[tuple[str, ...]] = COUNTS  #: the strings that ``count`` accepts
-
-    count: Count | str = "eigengap"
-    features: str | Features = "velocities"
-    affinity: str | Affinity | None = None
+    count: Count | Literal["gap", "eigengap"] = "eigengap"
+    features: Literal["raw", "scaled", "velocities"] | Features = "velocities"
+    affinity: Literal["lag", "rbf"] | Affinity | None = None
     max_lag: Annotated[int, Field(ge=0, le=1000)] = 4
     memory: Lags = 4
 
-    def check_arguments(self) -> Any:
-        """Check all arguments and return them."""
-        checked = super().check_arguments()
-        for name, known in (("count", self.counts), ("features", FEATURES), ("affinity", AFFINITIES)):
-            value = getattr(checked, name)
-            if isinstance(value, str) and value not in known:
-                raise unknown_name(name, value, known)
-        return checked
-
     def cluster(self, window: Window, rng: np.random.Generator) -> Clustering:
         """Cluster the living UAVs of the observer's window; ``rng`` is the generator of all random numbers."""
-        arguments = self.check_arguments()
-        living = Living(window, arguments)
+        living = Living(window, self.check_arguments())
         n = len(living.index)
         labels = np.full(window.uavs, -1, np.int64)
         if n < 2:
             labels[living.index] = 0
             return Clustering(labels, n, extras={"estimate": 1} if n else {})
         estimate = self._estimate_count(living, rng)
-        found = self.partition(living, None if estimate is None else min(estimate, n), rng)
+        found = self.partition(living, min(estimate or n, n), rng)
         used, labels[living.index] = np.unique(found, return_inverse=True)
         widen = partial(spread, members=living.index, uavs=window.uavs)
         affinity = widen(living.affinity, pairs=True) if "affinity" in vars(living) else None  # if it was computed
-        extras = {"estimate": len(used) if estimate is None else estimate}
-        return Clustering(labels, len(used), widen(living.features), affinity, extras)
+        return Clustering(labels, len(used), widen(living.features), affinity, {"estimate": estimate or len(used)})
 
     def _estimate_count(self, living: Living, rng: np.random.Generator) -> int | None:
         count = living.arguments.count
-        if count in ("gap", "gap-one-se"):
-            return compute_gap_statistic(living.flat, rng, margin=MARGIN if count == "gap" else np.inf).count
+        if count == "gap":
+            return compute_gap_statistic(living.flat, rng).count
         if count == "eigengap":
             return estimate_count_by_eigengap(living.affinity)
-        return None if count == OWN else count
+        return None if count == "own" else count
 
     @abstractmethod
-    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> NDArray[np.integer[Any]]:
+    def partition(self, living: Living, count: int, rng: np.random.Generator) -> NDArray[np.integer[Any]]:
         """Assign a label to each of the n ≥ 2 living UAVs, ``(n,)``; any whole numbers are valid labels.
 
         Args:
             living: features and affinity of the living UAVs.
-            count: the number of clusters, 1 to n; ``None`` if the clusterer finds it itself (``count="own"``).
+            count: the number of clusters, 1 to n; n if the clusterer finds it itself (``count="own"``).
             rng: generator of all random numbers.
         """
 
@@ -170,26 +153,26 @@ class Clusterer(Parameters):
 class KMeans(Clusterer):
     """K-Means on the features, the best of ten starts; a time series is flattened to one row per UAV."""
 
-    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
+    def partition(self, living: Living, count: int, rng: np.random.Generator) -> Indices:
         """Return labels ``(n,)`` by scikit-learn; no more clusters than distinct rows."""
-        count = min(count or 1, len(np.unique(living.flat, axis=0)))
+        count = min(count, len(np.unique(living.flat, axis=0)))
         return SklearnKMeans(count, n_init=10, random_state=int(rng.integers(2**31))).fit_predict(living.flat)
 
 
 class Spectral(Clusterer):
     """Spectral clustering of the regularised affinity."""
 
-    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
+    def partition(self, living: Living, count: int, rng: np.random.Generator) -> Indices:
         """Return labels ``(n,)``."""
-        if count is None or count in (1, len(living.index)):
-            return np.arange(len(living.index)) % (count or 1)
+        if count in (1, len(living.index)):
+            return np.arange(len(living.index)) % count
         # K-Means on the embedding sometimes makes a cluster of one head that is similar to no UAV; cluster_qr does not.
         affinity, state = regularise_affinity(living.affinity), int(rng.integers(2**31))
         return spectral_clustering(affinity, n_clusters=count, random_state=state, assign_labels="cluster_qr")
 
 
 class SymmetricNMF(Clusterer):
-    """Symmetric non-negative matrix factorisation of the normalised affinity, A ≈ H Hᵀ.
+    """Symmetric non-negative matrix factorisation of the normalised affinity, A ≈ H Hᵀ (Kuang, Ding, Park, SDM 2012).
 
     The label of a UAV is the column of the largest entry in its row of H. Of several random ``starts`` with at most
     ``steps`` updates each, the one with the lowest loss is used. The other arguments are those of :class:`Clusterer`.
@@ -198,11 +181,46 @@ class SymmetricNMF(Clusterer):
     starts: Annotated[int, Field(ge=1, le=1_000_000)] = 5
     steps: Annotated[int, Field(ge=1, le=1_000_000)] = 300
 
-    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
+    def partition(self, living: Living, count: int, rng: np.random.Generator) -> Indices:
         """Return labels ``(n,)``."""
         matrix = normalise_affinity(living.affinity)
-        fits = [factorise_affinity(matrix, count or 1, rng, self.steps) for _ in range(living.arguments.starts)]
-        return min(fits, key=lambda fit: float(fit[1][-1]))[0].argmax(axis=1).astype(np.int64)
+        fits = [factorise_affinity(matrix, count, rng, self.steps) for _ in range(self.starts)]
+        return min(fits, key=lambda fit: fit[1][-1])[0].argmax(axis=1).astype(np.int64)
+
+
+def factorise_affinity(affinity: Floats, rank: int, rng: np.random.Generator, steps: int) -> tuple[Floats, list[float]]:
+    """Find a local minimum of |A - H Hᵀ|² over H ≥ 0 from a random start.
+
+    The update is H ← H ∘ (A H / H Hᵀ H)^p. With p = 1/4 it minimises an upper bound of the loss that is equal to the
+    loss at H, so the loss never rises. With p = 1/2 it is faster near a minimum, but the loss may rise; such an update
+    is used only if the loss does not rise.
+
+    Returns:
+        H ``(n, rank)``, and the loss at the start and after every update, at most ``steps``.
+    """
+    size = float((affinity**2).sum())
+
+    def measure(factor: Floats) -> tuple[Floats, Floats, float]:
+        product, gram = affinity @ factor, factor.T @ factor
+        return product, gram, max(size - 2.0 * float((factor * product).sum()) + float((gram**2).sum()), 0.0)
+
+    factor = 2.0 * np.sqrt(affinity.mean() / rank) * rng.random((len(affinity), rank)) + _LEAST
+    product, gram, loss = measure(factor)
+    losses = [loss]
+    for _ in range(steps):
+        ratio = product / np.maximum(factor @ gram, _LEAST)
+        for power in (0.5, 0.25):
+            trial = np.maximum(factor * ratio**power, _LEAST)
+            product, gram, loss = measure(trial)
+            if loss <= losses[-1]:
+                break
+        else:  # converged: only rounding errors remain
+            break
+        factor = trial
+        losses.append(loss)
+        if losses[-2] - loss <= _TOLERANCE * losses[-2]:
+            break
+    return factor, losses
 
 
 class Agglomerative(Clusterer):
@@ -213,7 +231,7 @@ class Agglomerative(Clusterer):
 
     linkage: Literal["average", "complete", "single"] = "complete"
 
-    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
+    def partition(self, living: Living, count: int, rng: np.random.Generator) -> Indices:
         """Return labels ``(n,)``."""
         model = AgglomerativeClustering(count, metric="precomputed", linkage=self.linkage)
         return model.fit_predict(1.0 - living.affinity)
@@ -226,47 +244,21 @@ class Hdbscan(Clusterer):
     most similar to; if all are noise, they are one cluster. Other arguments are those of :class:`Clusterer`.
     """
 
-    counts: ClassVar[tuple[str, ...]] = (OWN,)
-
-    count: Literal["own"] = "own"
+    count: Literal["own"] = "own"  # type: ignore[assignment]
     least: Annotated[int, Field(ge=2, le=100_000)] = 3
 
-    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
+    def partition(self, living: Living, count: int, rng: np.random.Generator) -> Indices:
         """Return labels ``(n,)``."""
-        n, least = len(living.index), living.arguments.least
-        if n < least:
-            return np.zeros(n, np.int64)
-        model = HDBSCAN(min_cluster_size=least, min_samples=1, metric="precomputed", copy=True)
-        found: Indices = model.fit_predict(1.0 - living.affinity).astype(np.int64)
+        n = len(living.index)
+        found: Indices = np.full(n, -1)
+        if n >= self.least:
+            model = HDBSCAN(min_cluster_size=self.least, min_samples=1, metric="precomputed", copy=True)
+            found = model.fit_predict(1.0 - living.affinity).astype(np.int64)
         clustered = found >= 0
         if not clustered.any():
             return np.zeros(n, np.int64)
         found[~clustered] = found[clustered][living.affinity[~clustered][:, clustered].argmax(axis=1)]
         return found
-
-
-class LeadVotes(Clusterer):
-    """Clusters of the UAVs that vote for the same leader, with the votes of :class:`detectors.lagged.LaggedRegression`.
-
-    The UAVs with the most votes are the leaders, and each UAV joins the leader with the highest R². ``count="own"``
-    takes as many leaders as are needed to cover the significant votes. The votes always use the velocities of the
-    window; ``features`` and ``affinity`` only serve ``"gap"`` and ``"eigengap"``.
-    """
-
-    counts: ClassVar[tuple[str, ...]] = (*COUNTS, OWN)
-
-    count: Count | str = OWN
-    lags: Lags = 4
-    squares: bool = True
-    ridge: Annotated[float, Field(ge=0)] = 1e-3
-
-    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
-        """Return labels ``(n,)``; ``rng`` breaks ties between leaders."""
-        window, index, given = living.window, living.index, living.arguments
-        velocity, seen = window.velocity[:, index], window.velocity_seen[:, index]
-        evidence = regression_evidence(velocity, seen, given.lags, given.squares, given.ridge)
-        found = detection_from_evidence(evidence, np.ones(len(index), bool), count, first_round=True, rng=rng)
-        return np.asarray(found.clusters)
 
 
 Factory = Callable[..., Clusterer]
@@ -284,7 +276,6 @@ _BUILT_IN: dict[str, Factory] = {
     "snmf": SymmetricNMF,
     "agglomerative": Agglomerative,
     "hdbscan": Hdbscan,
-    "lead-votes": LeadVotes,
 }
 
 #: All clusterers by name.
@@ -301,11 +292,3 @@ def make_clusterer(name: str, /, **arguments: Any) -> Clusterer:
     factory = CLUSTERERS.find(name)
     check_call(f"clusterer {name!r}", factory, arguments)
     return factory(**arguments)
-
-
-def check_clusterer(clusterer: Any) -> None:
-    """Refuse what is neither the name of a clusterer nor an object with ``cluster(window, rng)``."""
-    if isinstance(clusterer, str):
-        CLUSTERERS.find(clusterer)
-    elif not callable(getattr(clusterer, "cluster", None)):
-        raise ArgumentError(f"clusterer must be a name or have cluster(window, rng), got {quote(clusterer)}.")

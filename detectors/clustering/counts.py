@@ -4,11 +4,9 @@ The gap statistic: R. Tibshirani, G. Walther and T. Hastie, "Estimating the numb
 gap statistic", J. R. Stat. Soc. B 63(2), pp. 411-423, 2001. In their notation, for n rows x_i that K-Means puts into
 the clusters C_1, ..., C_k of n_1, ..., n_k rows:
 
-    W_k     = Σ_r D_r / (2 n_r),  D_r = Σ_{i, i' ∈ C_r} |x_i - x_i'|²
-            = Σ_r Σ_{i ∈ C_r} |x_i - mean of C_r|²,  the within-cluster dispersion
+    W_k     = Σ_r Σ_{i ∈ C_r} |x_i - mean of C_r|²,  the within-cluster dispersion
     Gap(k)  = (1/B) Σ_b log W*_kb - log W_k,  where W*_kb is W_k of the b-th of B reference sets
-    sd_k    = sqrt((1/B) Σ_b (log W*_kb - (1/B) Σ_b log W*_kb)²)
-    s_k     = sd_k sqrt(1 + 1/B)
+    s_k     = sqrt(1 + 1/B) times the standard deviation of the B values log W*_kb
     M̂       = the smallest k with Gap(k) ≥ Gap(k + 1) - s_{k+1},  the one-standard-error rule
 
 A reference set has n rows that are uniform in the box around the data along its principal axes (their choice b).
@@ -28,10 +26,8 @@ from detectors.clustering.features import normalise_affinity
 from usnet_env.arrays import Floats, Singles
 
 REFERENCES = 15  # B
-# Margin, in s, by which a later gap must be higher. Measured: at least 40 on blobs, at most 8 on uniform clouds.
-MARGIN = 10.0
 _LEAST_DISPERSION = 1e-6  # W_k counts as at least this share of W_1: the logarithm of rounding errors means nothing
-CHAINS = 3  # independent sequences of K-Means for each data set; the lowest W_k of them is used
+_CHAINS = 3  # independent sequences of K-Means for each data set; the lowest W_k of them is used
 _TRIALS = 2  # points that are tried as an additional centre
 _MAX_STEPS = 100  # of K-Means with one number of clusters
 _TOLERANCE = 3e-4  # K-Means has converged when no W_k falls by more than this share in a step: far below s_k
@@ -42,84 +38,44 @@ def compute_max_count(uavs: int) -> int:
     return max(1, min(uavs // 2, int(np.ceil(1.5 * np.sqrt(uavs)))))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class GapStatistic:
-    """The estimated number of clusters and the values that it was chosen by.
-
-    ``count`` is M̂; ``gap`` and ``deviation`` ``(K,)`` are Gap(k) and s_k for k = 1 to the last that the rule looked at.
-    """
+    """M̂, ``count``, and what it was chosen by: Gap(k) and s_k for k = 1 to the last that the rule looked at."""
 
     count: int
-    gap: Floats
-    deviation: Floats
+    gap: list[float]
+    deviation: list[float]
 
 
-def compute_gap_statistic(
-    features: Floats,
-    rng: np.random.Generator,
-    max_count: int | None = None,
-    references: int = REFERENCES,
-    margin: float = MARGIN,
-) -> GapStatistic:
-    """Estimate the number of clusters by the gap statistic.
+def compute_gap_statistic(features: Floats, rng: np.random.Generator) -> GapStatistic:
+    """Estimate the number of clusters of ``features`` ``(n, d)`` by the gap statistic.
 
-    The formulas are in the docstring of this module. The one-standard-error rule stops too early on data with many
-    clusters, where the first splits reduce W_k no more than they do on a uniform cloud. So there is one addition: a k
-    that satisfies the rule is skipped if Gap(j) - ``margin`` s_j > Gap(k) for a j from k + 2 to 2k + 8.
-    ``margin=math.inf`` is the rule of the paper by Tibshirani et al., without the addition.
-
-    Args:
-        features: ``(n, d)``, n of at least 1.
-        rng: generator of the reference sets and of the starts of K-Means.
-        max_count: K_max, the largest M̂; ``None``: :func:`compute_max_count`.
-        references: B, the number of reference sets.
-        margin: how much higher a later gap must be, in units of its s.
-
-    Returns:
-        M̂, K_max if no k satisfies the rule, and 1 if all rows are equal; Gap(k) and s_k.
+    The formulas are in the docstring of this module; ``rng`` draws the reference sets and the starts of K-Means. M̂ is
+    K_max (:func:`compute_max_count`) if no k satisfies the rule, and at most the number of different rows.
     """
     distinct = len(np.unique(features, axis=0))
-    max_count = min(compute_max_count(len(features)) if max_count is None else max_count, distinct)
+    max_count = min(compute_max_count(len(features)), distinct)
     data = _rotate_to_principal_axes(features)
     low, high = data.min(axis=0), data.max(axis=0)
-    drawn = low + (high - low) * rng.random((references, *data.shape))  # B sets, uniform in the box around the data
-    sets = np.concatenate([data[None], drawn])
-    total = float((data**2).sum())
+    sets = np.concatenate([data[None], low + (high - low) * rng.random((REFERENCES, *data.shape))])
+    least = _LEAST_DISPERSION * float((data**2).sum())
     gaps: list[float] = []
     deviations: list[float] = []
-    chosen: int | None = None
-    for k, dispersion in enumerate(compute_dispersions(sets, rng), start=1):
-        if k >= distinct:
-            if distinct <= max_count:  # W_k is 0: its logarithm is not finite
-                return GapStatistic(k, np.array([*gaps, np.inf]), np.array([*deviations, 0.0]))
+    for k, dispersion in enumerate(_compute_dispersions(sets, rng), start=1):
+        if k == distinct:  # W_k is 0: its logarithm is not finite
             break
-        log_w = np.log(np.maximum(dispersion, _LEAST_DISPERSION * total))
+        log_w = np.log(np.maximum(dispersion, least))
         gaps.append(float(log_w[1:].mean() - log_w[0]))
-        deviations.append(float(log_w[1:].std() * np.sqrt(1.0 + 1.0 / references)))
-        chosen = _choose_count(gaps, deviations, margin)
-        if k > max_count or (chosen is not None and k >= _last_compared(chosen, margin)):
+        deviations.append(float(log_w[1:].std() * np.sqrt(1.0 + 1.0 / REFERENCES)))
+        if k > 1 and gaps[-2] >= gaps[-1] - deviations[-1]:
+            return GapStatistic(k - 1, gaps, deviations)
+        if k > max_count:
             break
-    return GapStatistic(min(chosen or max_count, max_count), np.array(gaps), np.array(deviations))
-
-
-def _last_compared(k: int, margin: float) -> int:
-    """The number of gaps that must be known before k can be chosen."""
-    return k + 1 if np.isinf(margin) else 2 * k + 8
-
-
-def _choose_count(gaps: list[float], deviations: list[float], margin: float) -> int | None:
-    """Return the smallest k that satisfies the rule, or ``None``, by Gap(1), ... and s_1, ... that are known."""
-    for k in range(1, len(gaps)):
-        later = range(k + 1, min(_last_compared(k, margin), len(gaps)))  # index j is Gap(j + 1)
-        if gaps[k - 1] >= gaps[k] - deviations[k] and not any(
-            gaps[j] - margin * deviations[j] > gaps[k - 1] for j in later
-        ):
-            return k
-    return None
+    return GapStatistic(max_count, gaps, deviations)
 
 
 def _rotate_to_principal_axes(features: Floats) -> Floats:
-    """Return the centred rows ``(n, min(n, d))`` in the coordinates of their principal axes."""
+    """The centred rows ``(n, min(n, d))`` in the coordinates of their principal axes."""
     centred = features - features.mean(axis=0)
     if centred.shape[1] > centred.shape[0]:
         values, vectors = np.linalg.eigh(centred @ centred.T)
@@ -127,16 +83,15 @@ def _rotate_to_principal_axes(features: Floats) -> Floats:
     return np.asarray(centred @ np.linalg.eigh(centred.T @ centred)[1])
 
 
-def compute_dispersions(sets: Floats, rng: np.random.Generator) -> Iterator[Floats]:
-    """Yield the within-cluster dispersions W_k ``(S,)`` of S data sets for k = 1, ..., n clusters.
+def _compute_dispersions(sets: Floats, rng: np.random.Generator) -> Iterator[Floats]:
+    """Yield the within-cluster dispersions W_k ``(S,)`` of data ``sets`` ``(S, n, d)`` for k = 1, ..., n clusters.
 
     K-Means with k + 1 clusters starts from the centres that it found with k and one new centre (Likas, Vlassis and
     Verbeek, Pattern Recognit. 36, 2003): the best of a few points that are drawn in proportion to their squared
-    distance to the nearest centre. Each data set ``(n, d)`` of the ``sets`` ``(S, n, d)`` has ``CHAINS`` such
-    sequences. All sets are clustered at once, which scikit-learn can't do.
+    distance to the nearest centre. All sets are clustered at once, which scikit-learn can't do.
     """
     yield ((sets - sets.mean(axis=1, keepdims=True)) ** 2).sum(axis=(1, 2))
-    chains: Singles = np.repeat(sets.astype(np.float32), CHAINS, axis=0)  # log W_k needs no more digits
+    chains: Singles = np.repeat(sets.astype(np.float32), _CHAINS, axis=0)  # log W_k needs no more digits
     squared_norm: Singles = (chains**2).sum(axis=2)
     centres: Singles = chains[np.arange(len(chains)), rng.integers(sets.shape[1], size=len(chains))][:, None]
     distance, nearest = _find_nearest_centre(chains, squared_norm, centres)
@@ -151,11 +106,11 @@ def compute_dispersions(sets: Floats, rng: np.random.Generator) -> Iterator[Floa
             distance, nearest = _find_nearest_centre(chains, squared_norm, centres)
             if (distance.sum(axis=1) >= (1.0 - _TOLERANCE) * before).all():
                 break
-        yield distance.sum(axis=1, dtype=np.float64).reshape(-1, CHAINS).min(axis=1)
+        yield distance.sum(axis=1, dtype=np.float64).reshape(-1, _CHAINS).min(axis=1)
 
 
 def _find_nearest_centre(sets: Singles, squared_norm: Singles, centres: Singles) -> tuple[Singles, NDArray[np.intp]]:
-    """Return the squared distance to the nearest centre and the index of that centre, each ``(S, n)``."""
+    """The squared distance to the nearest centre and the index of that centre, each ``(S, n)``."""
     squared = (centres**2).sum(axis=2)[:, None] - 2.0 * sets @ centres.swapaxes(1, 2)
     nearest = squared.argmin(axis=2)
     least = np.take_along_axis(squared, nearest[:, :, None], axis=2)[:, :, 0] + squared_norm
@@ -163,7 +118,7 @@ def _find_nearest_centre(sets: Singles, squared_norm: Singles, centres: Singles)
 
 
 def _draw_centre(sets: Singles, squared_norm: Singles, distance: Singles, rng: np.random.Generator) -> Singles:
-    """Return the drawn point of each set, ``(S, 1, d)``, that reduces the sum of ``distance`` ``(S, n)`` most."""
+    """The drawn point of each set, ``(S, 1, d)``, that reduces the sum of ``distance`` ``(S, n)`` most."""
     share = np.cumsum(distance, axis=1, dtype=np.float64)
     drawn = rng.random((len(sets), _TRIALS)) * share[:, -1:]
     index = np.stack([np.searchsorted(row, at) for row, at in zip(share, drawn, strict=True)])
@@ -173,14 +128,13 @@ def _draw_centre(sets: Singles, squared_norm: Singles, distance: Singles, rng: n
     return np.take_along_axis(trials, best[:, None, None], axis=1)
 
 
-def estimate_count_by_eigengap(affinity: Floats, max_count: int | None = None) -> int:
+def estimate_count_by_eigengap(affinity: Floats) -> int:
     """Estimate the number of clusters by the largest gap between neighbouring eigenvalues.
 
     Let λ_1 ≥ λ_2 ≥ ... be the eigenvalues of the ``affinity`` ``(n, n)`` after
     :func:`detectors.clustering.features.normalise_affinity`, with negative ones replaced by 0. Then M̂ is the smallest k
-    of 1 to K_max with the largest λ_k - λ_{k+1}. These are the gaps between the lowest eigenvalues 1 - λ_k of the
-    normalised graph Laplacian.
+    of 1 to K_max with the largest λ_k - λ_{k+1}.
     """
     values = np.maximum(np.linalg.eigvalsh(normalise_affinity(affinity))[::-1], 0.0)
     gaps = values - np.append(values[1:], 0.0)
-    return int(gaps[: compute_max_count(len(affinity)) if max_count is None else max_count].argmax()) + 1
+    return int(gaps[: compute_max_count(len(affinity))].argmax()) + 1

@@ -10,10 +10,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from detectors.series.designs import centre_columns, scale_to_unit
+from detectors.series.designs import centre_columns, compute_chance, scale_to_unit, shift_in_time
 from detectors.series.gaps import fill_gaps
 from detectors.series.regressions import correlate_at_lag, correlate_over_lags
-from detectors.series.surrogates import compute_chance, shift_in_time
 from usnet_env.arrays import Floats
 from usnet_env.config import ArgumentError
 from usnet_env.window import Window
@@ -38,26 +37,19 @@ def compute_raw_features(window: Window, memory: int) -> Floats:
 
 
 def compute_scaled_features(window: Window, memory: int) -> Floats:
-    """Return :func:`compute_raw_features` with each of the six coordinates standardised, ``(N, 6 T_0)``.
-
-    The mean and the standard deviation of a coordinate are over all living UAVs and all T_0 samples.
-    """
+    """Return :func:`compute_raw_features` with each of the six coordinates standardised over living UAVs and times."""
     samples = compute_raw_features(window, memory).reshape(window.uavs, -1, 6)
     living = samples[window.alive].reshape(-1, 6)
     spread = living.std(axis=0)
     return ((samples - living.mean(axis=0)) / np.where(spread > 1e-12, spread, 1.0)).reshape(window.uavs, -1)
 
 
-def collect_velocity_series(window: Window, memory: int) -> Floats:
-    """Return the velocities of the whole window, ``(N, T_ob, 3)`` in metres per step; ``memory`` is not used."""
-    return fill_gaps(window).velocity.swapaxes(0, 1).astype(np.float64)
-
-
-#: The built-in features by name: functions of a window and T_0.
+#: The built-in features by name: functions of a window and T_0. ``"velocities"`` are those of the whole window,
+#: ``(N, T_ob, 3)`` in metres per step.
 FEATURES: dict[str, Callable[[Window, int], Floats]] = {
     "raw": compute_raw_features,
     "scaled": compute_scaled_features,
-    "velocities": collect_velocity_series,
+    "velocities": lambda window, _: fill_gaps(window).velocity.swapaxes(0, 1).astype(np.float64),
 }
 
 
@@ -120,8 +112,7 @@ AFFINITIES: dict[str, Callable[[Floats, int], Floats]] = {
 def regularise_affinity(affinity: Floats) -> Floats:
     """Set the diagonal of an affinity to 0 and add the same small weight, 0.25 / n, to all entries, ``(n, n)``.
 
-    The added weight connects the graph and keeps a UAV that is similar to no other UAV from being a cluster of its own
-    (Amini, Chen, Bickel and Levina, Ann. Stat. 41, 2013).
+    It keeps a UAV that is like no other one from being a cluster (Amini, Chen, Bickel and Levina, Ann. Stat. 41, 2013).
     """
     weight = affinity + _REGULARISATION / len(affinity)
     np.fill_diagonal(weight, _REGULARISATION / len(affinity))
@@ -129,10 +120,7 @@ def regularise_affinity(affinity: Floats) -> Floats:
 
 
 def normalise_affinity(affinity: Floats) -> Floats:
-    """Compute D^-1/2 A D^-1/2, ``(n, n)``, of the regularised affinity A with its diagonal matrix of row sums D.
-
-    This is the identity minus the symmetric normalised graph Laplacian.
-    """
+    """Compute D^-1/2 A D^-1/2, ``(n, n)``, of the regularised affinity A with its diagonal matrix of row sums D."""
     weight = regularise_affinity(affinity)
     root = np.sqrt(weight.sum(axis=1))
     return np.asarray(weight / root / root[:, None])

@@ -15,12 +15,7 @@ _LITTLE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Assignment:
-    """A set of heads, and the head of each group.
-
-    Args:
-        head: ``(C,)`` index of the head of each group, -1 for none.
-        value: the gain of all groups, less the prices.
-    """
+    """The head ``(C,)`` of each group, -1 for none; the gain of all groups, less the prices."""
 
     head: Indices
     value: float
@@ -44,9 +39,6 @@ def assign_groups(gain: Floats, candidates: Indices, itself: Indices, sizes: Ind
         itself: ``(c,)`` the group that is the candidate alone, -1 if it is in a group with others.
         sizes: ``(C,)`` number of UAVs of each group.
         most: the largest number of heads, or ``None``.
-
-    Returns:
-        The best set found.
     """
     if not len(candidates):
         return Assignment(np.full(len(gain), -1), 0.0)

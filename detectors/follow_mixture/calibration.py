@@ -23,12 +23,9 @@ MOST_ODDS = 14.0  # log-odds are clipped at this value
 
 
 class Calibration(Config):
-    """The increasing map sigmoid(slope * log-odds + offset), for a fit that is right, and the doubt that it is.
+    """The map sigmoid(slope * log-odds + offset), for a fit that is right, and the ``doubt`` that it is.
 
-    Args:
-        slope: the slope, positive.
-        offset: added to the log-odds.
-        doubt: the probability that a fit is wrong as a whole. Then all UAVs are equally likely heads.
+    If a fit is wrong as a whole, all UAVs are equally likely heads.
     """
 
     slope: Annotated[float, Field(gt=0, allow_inf_nan=False)]

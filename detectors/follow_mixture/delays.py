@@ -24,20 +24,12 @@ ASKED = 200  # most single UAVs that are asked; bounds time and memory
 
 @dataclass(frozen=True, eq=False)
 class Hierarchy:
-    """The direct leader and the root of each of n UAVs.
+    """The direct leader and the root of each of n UAVs."""
 
-    Args:
-        leader: ``(n,)`` the UAV that each follows directly, -1 for none.
-        root: ``(n,)`` the UAV at the end of its leaders, its own index if it follows none.
-        gain: ``(n,)`` evidence that it follows its leader, in nats.
-        relays: ``(2, n)`` log-odds that a UAV that leads follows another one, and that such a UAV follows it; -inf: not
-            asked.
-    """
-
-    leader: Indices
-    root: Indices
-    gain: Floats
-    relays: Floats
+    leader: Indices  #: ``(n,)`` the UAV that each follows directly, -1 for none
+    root: Indices  #: ``(n,)`` the UAV at the end of its leaders, its own index if it follows none
+    gain: Floats  #: ``(n,)`` evidence that it follows its leader, in nats
+    relays: Floats  #: ``(2, n)`` log-odds: a leading UAV follows another, such a UAV follows it; -inf: not asked
 
 
 def compare_delays(velocity: Floats, past: Floats, longest: int) -> tuple[Floats, Floats]:
@@ -47,10 +39,8 @@ def compare_delays(velocity: Floats, past: Floats, longest: int) -> tuple[Floats
     chance predict each other alike. So the evidence counts only as far as it exceeds that of the reverse, and that of a
     leader that explains little.
 
-    Args:
-        velocity: ``(k, T, a)``.
-        past: ``(k, L, a, T - L)``.
-        longest: the longest delay in samples; a quarter of the steps at most.
+    ``velocity`` is ``(k, T, a)``, ``past`` ``(k, L, a, T - L)``; ``longest`` is the longest delay in samples, a quarter
+    of the steps at most.
 
     Returns:
         ``(k, k)`` log-odds that i follows j, -inf on the diagonal; ``(k, k)`` the evidence.
@@ -85,13 +75,8 @@ def ask_delays(
 ) -> tuple[Pairs, Floats]:
     """Pairs of a group and a UAV that it follows with a delay of its own, and the log-odds of each.
 
-    Args:
-        targets: the groups.
-        velocity: ``(n, T, a)``.
-        past: ``(n, L, a, R)``.
-        leads: the UAVs that lead; of the others, only single ones can be followed.
-        gain: ``(C,)`` what each group gains already; the log-odds are higher.
-        longest: see :func:`compare_delays`.
+    ``leads`` are the UAVs that lead; of the others, only single ones can be followed. ``gain`` ``(C,)`` is what each
+    group gains already; the log-odds are higher. See also :func:`compare_delays`.
     """
     groups = len(targets.sizes)
     asked = np.isin(targets.label, np.append(sample_single_uavs(targets), np.flatnonzero(targets.sizes > 1)))
@@ -113,16 +98,10 @@ def ask_delays(
 def find_hierarchy(
     targets: Targets, velocity: Floats, past: Floats, leads: Indices, head: Indices, gained: Floats, longest: int
 ) -> Hierarchy:
-    """Find the direct leaders of UAVs that lead, and of single UAVs.
+    """Find the direct leaders of the UAVs that lead, ``leads``, and of single UAVs.
 
-    Args:
-        targets: the groups.
-        velocity: ``(n, T, a)``.
-        past: ``(n, L, a, R)``.
-        leads: the UAVs that lead.
-        head: ``(C,)`` the UAV that each group was assigned to, -1 for none.
-        gained: ``(C,)`` the evidence for this.
-        longest: see :func:`compare_delays`.
+    ``head`` ``(C,)`` is the UAV that each group was assigned to, -1 for none, and ``gained`` ``(C,)`` the evidence for
+    this. See also :func:`compare_delays`.
     """
     single = np.flatnonzero(np.isin(targets.label, sample_single_uavs(targets)))
     leader, gain = head[targets.label], gained[targets.label]

@@ -12,10 +12,9 @@ from detectors.base import Detector
 from detectors.follow_mixture.calibration import shipped_calibration
 from detectors.follow_mixture.fit import Fit, fit_motion
 from detectors.follow_mixture.motion import read_motion
-from detectors.parameters import Count, Lags, Seconds, count_lags
+from detectors.parameters import Count, Lags, Seconds, check_clusters, count_lags
 from detectors.policy import choose
 from detectors.series.direction import lead_probabilities
-from usnet_env.config import ArgumentError
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
@@ -80,10 +79,7 @@ class FollowMixture(Detector):
                 doesn't know the step that ``max_delay`` needs.
         """
         arguments = self.check_arguments()
-        if arguments.clusters is not None and arguments.clusters > window.uavs:
-            raise ArgumentError(
-                f"clusters must be at most the number of UAVs in the window ({window.uavs}), got {arguments.clusters}."
-            )
+        check_clusters(window, arguments.clusters)
         rng = self.rng
         living = np.flatnonzero(window.alive)
         most = 1 if arguments.objective == "P1" else arguments.clusters

@@ -45,23 +45,14 @@ _LEAST_SPREAD = 0.005  # least standard deviation of an innovation, in mean spee
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """What is to be explained: C groups, then some of them without one member, which is a candidate: G targets in all.
+    """G targets, to be explained: C groups, then some of them without one member, which is a candidate."""
 
-    Args:
-        label: ``(n,)`` the group of each UAV.
-        innovation: ``(G, a, R)`` e.
-        own: ``(G, z, R)`` orthonormal rows that span Z.
-        weight: ``(G, R)`` weight of each row, in units of which e and Z are.
-        rows: ``(G,)`` effective number of rows: R - z, less if a few rows hold most of |e|² or if e is not white.
-        least: the least share of |e|² that a leader explains.
-    """
-
-    label: Indices
-    innovation: Floats
-    own: Floats
-    weight: Floats
-    rows: Floats
-    least: float = 0.0
+    label: Indices  #: ``(n,)`` the group of each UAV
+    innovation: Floats  #: ``(G, a, R)`` e
+    own: Floats  #: ``(G, z, R)`` orthonormal rows that span Z
+    weight: Floats  #: ``(G, R)`` weight of each row, in units of which e and Z are
+    rows: Floats  #: ``(G,)`` effective number of rows: R - z, less if a few hold most of |e|² or if e is not white
+    least: float = 0.0  #: the least share of |e|² that a leader explains
 
     @cached_property
     def sizes(self) -> Indices:
@@ -86,17 +77,11 @@ class Targets:
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """P pairs of a group and a candidate.
-
-    Args:
-        group: ``(P,)``.
-        uav: ``(P,)`` the candidate.
-        target: ``(P,)`` row of :class:`Targets`: the group, without the candidate if that is a member.
-    """
+    """P pairs of a group and a candidate."""
 
     group: Indices
-    uav: Indices
-    target: Indices
+    uav: Indices  #: the candidate
+    target: Indices  #: row of :class:`Targets`: the group, without the candidate if that is a member
 
     def join(self, others: Pairs) -> Pairs:
         """These pairs, and others."""
@@ -105,17 +90,11 @@ class Pairs:
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
-    """Cross products of one feature class, for P pairs.
-
-    Args:
-        name: of the class.
-        moment: ``(P, p, a)`` features times innovations.
-        gram: ``(P, p, p)`` features times features, less what the own past explains of them.
-    """
+    """Cross products of one feature class, for P pairs."""
 
     name: str
-    moment: Floats
-    gram: Floats
+    moment: Floats  #: ``(P, p, a)`` features times innovations
+    gram: Floats  #: ``(P, p, p)`` features times features, less what the own past explains of them
 
     @property
     def width(self) -> int:
@@ -133,13 +112,9 @@ class Statistics:
 
 
 def make_targets(velocity: Floats, label: Indices, lags: int, least: float = 0.0) -> Targets:
-    """Compute the innovations of the groups.
+    """Compute the innovations of the groups ``label`` ``(n,)`` of UAVs with the velocities ``(n, T, a)``.
 
-    Args:
-        velocity: ``(n, T, a)``.
-        label: ``(n,)`` the group of each UAV.
-        lags: L; the rows are the steps from L on.
-        least: the least share of the innovations that a leader explains.
+    The rows are the steps from L, ``lags``, on. A leader explains the share ``least`` of the innovations.
     """
     sizes = np.bincount(label)
     return Targets(label, *_innovate(sum_groups(velocity, label) / sizes[:, None, None], lags), least)
@@ -215,12 +190,9 @@ def screen(
     Classes of three features are compared in single precision; for larger ones the screening ignores the weights of the
     rows and what a candidate's features share with the group's own past.
 
-    Args:
-        targets: the groups.
-        past: ``(n, L, a, R)`` pasts of the candidates.
-        names: the feature classes; those that others contain are left out.
-        groups: ``(c,)`` the groups that are screened.
-        only: ``(n,)`` the single group of which each UAV is a candidate, -1 or ``None``: of all. Others: no evidence.
+    ``past`` ``(n, L, a, R)`` are those of the candidates, and ``names`` the feature classes; those that others contain
+    are left out. ``groups`` ``(c,)`` are screened. ``only`` ``(n,)`` is the single group of which each UAV is a
+    candidate; -1 or ``None``: of all.
     """
     weight = targets.weight[groups][:, None]
     rows = targets.rows[groups, None]

@@ -40,58 +40,33 @@ _ITERATIONS = 8
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """The result for n UAVs.
+    """The result for n UAVs."""
 
-    Args:
-        group: ``(n,)`` the group of each UAV.
-        heads: ``(M,)`` ascending.
-        leader: ``(n,)`` the UAV that each UAV follows, a head or a relay; -1 for none and for heads.
-        root: ``(n,)`` the head of each UAV, at the end of its leaders; its own index for heads, -1 for none.
-        log_odds: ``(n,)`` of leading, before calibration; -inf for UAVs without any evidence.
-        relays: ``(2, n)``, see :class:`detectors.follow_mixture.delays.Hierarchy`.
-        leads: ``(M,)`` log-likelihood ratio of each head, that it leads against a common cause of its followers and it.
-        gain: ``(n,)`` log-likelihood that the UAV's group gains by its head, in nats.
-        features: the class of features that the law uses.
-        law: ``(p, a)`` weights of the shared law, or ``None`` if each group has a law of its own.
-        value: gain of all groups less the prices, in nats.
-        noise: variance of the position noise, in squared steps of mean speed.
-        lag: ``(M,)`` the most probable lag of each head's groups, in samples; 0 if no lag explains them alone.
-    """
-
-    group: Indices
-    heads: Indices
-    leader: Indices
-    root: Indices
-    log_odds: Floats
-    relays: Floats
-    leads: Floats
-    gain: Floats
-    features: str
-    law: Floats | None
-    value: float
-    noise: float
-    lag: Indices
+    group: Indices  #: ``(n,)`` the group of each UAV
+    heads: Indices  #: ``(M,)`` ascending
+    leader: Indices  #: ``(n,)`` the UAV that each UAV follows, a head or a relay; -1 for none and for heads
+    root: Indices  #: ``(n,)`` the head of each UAV, at the end of its leaders; its own index for heads, -1 for none
+    log_odds: Floats  #: ``(n,)`` of leading, before calibration; -inf for UAVs without any evidence
+    relays: Floats  #: ``(2, n)``, see :class:`detectors.follow_mixture.delays.Hierarchy`
+    leads: Floats  #: ``(M,)`` log-likelihood ratio of each head: that it leads, against a common cause
+    gain: Floats  #: ``(n,)`` log-likelihood that the UAV's group gains by its head, in nats
+    features: str  #: the class of features that the law uses
+    law: Floats | None  #: ``(p, a)`` weights of the shared law, or ``None`` if each group has a law of its own
+    value: float  #: gain of all groups less the prices, in nats
+    noise: float  #: variance of the position noise, in squared steps of mean speed
+    lag: Indices  #: ``(M,)`` the most probable lag of each head's groups, in samples; 0 if no lag explains them alone
 
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """What all states of the search share.
-
-    Args:
-        targets: the groups.
-        past: ``(n, L, a, R)`` pasts of the candidates.
-        pairs: the pairs with evidence.
-        classes: the statistics of the pairs, of K classes.
-        own: ``(K, P)`` evidence of laws of each pair's own.
-        most: the largest number of heads.
-    """
+    """What all states of the search share."""
 
     targets: Targets
-    past: Floats
-    pairs: Pairs
-    classes: list[Statistics]
-    own: Floats
-    most: int | None
+    past: Floats  #: ``(n, L, a, R)`` of the candidates
+    pairs: Pairs  #: those with evidence
+    classes: list[Statistics]  #: of the pairs, of K classes
+    own: Floats  #: ``(K, P)`` evidence of laws of each pair's own
+    most: int | None  #: the largest number of heads
 
     @classmethod
     def measure(cls, targets: Targets, past: Floats, pairs: Pairs, names: Sequence[str], most: int | None) -> _Search:
@@ -161,17 +136,11 @@ class _Answer:
 
 
 def fit_motion(motion: Motion, lags: int, longest: int, most: int | None, rng: np.random.Generator) -> Fit | None:
-    """Fit one window.
+    """Fit one window; ``None`` if no UAV moves with or after another one.
 
-    Args:
-        motion: the velocities of n UAVs.
-        lags: the number of past velocities of a head that a law may use; fewer in short windows.
-        longest: the longest delay of a follower by itself, in samples; a quarter of the window at most.
-        most: the largest number of heads, or ``None``.
-        rng: draws the UAVs that are grouped together in a large swarm.
-
-    Returns:
-        ``None`` if no UAV moves with or after another one.
+    A law may use ``lags`` past velocities of a head, fewer in short windows; ``longest`` is the longest delay of a
+    follower by itself, in samples, a quarter of the window at most; ``most`` the largest number of heads. ``rng`` draws
+    the UAVs that are grouped together in a large swarm.
     """
     velocity = motion.velocity
     lags = min(lags, velocity.shape[1] // 2)

@@ -33,17 +33,11 @@ _DRAWN = 2  # members of each group that are compared with the other groups of a
 
 @dataclass(frozen=True, eq=False)
 class _Bands:
-    """Spectra in bands of frequency, for one share of jitter.
+    """Spectra in F bands of frequency, for one share of jitter."""
 
-    Args:
-        noise: ``(F,)`` power of jitter and observation noise in each band.
-        ratio: ``(F,)`` P, the power of the shared signal relative to it.
-        count: ``(F,)`` number of real coordinates in each band, over all axes.
-    """
-
-    noise: Floats
-    ratio: Floats
-    count: Floats
+    noise: Floats  #: ``(F,)`` power of jitter and observation noise in each band
+    ratio: Floats  #: ``(F,)`` P, the power of the shared signal relative to it
+    count: Floats  #: ``(F,)`` number of real coordinates in each band, over all axes
 
     def worth(self, energy: Floats, size: Floats) -> Floats:
         """Log-likelihood of groups with energies |S|² ``(F, ...)`` and ``(...)`` members, over independent UAVs."""
@@ -59,13 +53,7 @@ def find_groups(velocity: Floats, spectra: FlightSpectra, rng: np.random.Generat
     Swarms of more than 300 UAVs are grouped in turns: random UAVs that are not compared yet form groups, and every
     other UAV that is not compared yet joins the group that gains most by it, if one gains.
 
-    Args:
-        velocity: ``(n, T, a)`` in units of the mean speed, without missing values.
-        spectra: the spectra of these velocities.
-        rng: draws the UAVs of a turn.
-
-    Returns:
-        ``(n,)`` labels from 0, in the order of the groups' first members.
+    The result for ``velocity`` ``(n, T, a)`` are ``(n,)`` labels from 0, in the order of the groups' first members.
     """
     power = float(np.median(spectra.power))
     still = np.zeros(len(velocity), bool)
@@ -146,14 +134,9 @@ def _merge_best(gram: Floats, models: list[_Bands], price: float) -> tuple[Indic
 
 @compiled()
 def _merge(gram: Floats, ratio: Floats, noise: Floats, count: Floats, least: float) -> tuple[Indices, Floats, Indices]:
-    """Merge the best pair of groups until no merger gains.
+    """Merge the best pair of groups until no merger gains at ``least`` so much.
 
-    Args:
-        gram: ``(F, n, n)`` products of the coordinates of all pairs of UAVs, by band; overwritten.
-        ratio: ``(F,)`` as in :class:`_Bands`.
-        noise: ``(F,)`` as in :class:`_Bands`.
-        count: ``(F,)`` as in :class:`_Bands`.
-        least: what a merger must gain.
+    ``gram`` ``(F, n, n)`` are products of the coordinates of all pairs of UAVs, by band; it is overwritten.
 
     Returns:
         For each of S mergers: the two groups ``(S, 2)``, named by a member; the energies ``(F, 3, S)`` and the sizes

@@ -32,30 +32,18 @@ _NOTHING = 1e-12  # least scale, in squared mean speeds: straight motion without
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """The velocities of n UAVs at T steps, along the a axes along which any of them moves.
+    """The velocities of n UAVs at T steps, along the a axes along which any of them moves."""
 
-    Args:
-        velocity: ``(n, T, a)`` in units of the mean speed, without the drift; gaps are filled.
-        speed: mean speed without the drift, in metres per step.
-        unit: every UAV flies at the same constant speed; then positions are seen without noise.
-        drift: ``(3,)`` metres per step, the velocity of the whole swarm that was taken off.
-    """
-
-    velocity: Floats
-    speed: float
-    unit: bool
-    drift: Floats
+    velocity: Floats  #: ``(n, T, a)`` in units of the mean speed, without the drift; gaps are filled
+    speed: float  #: mean speed without the drift, in metres per step
+    unit: bool  #: every UAV flies at the same constant speed; then positions are seen without noise
+    drift: Floats  #: ``(3,)`` metres per step, the velocity of the whole swarm that was taken off
 
 
 def read_motion(window: Window, living: Indices) -> Motion | None:
-    """Read the motion of the living UAVs.
+    """Read the motion of the ``living`` UAVs ``(n,)``.
 
-    Args:
-        window: the window.
-        living: ``(n,)`` indices of the living UAVs.
-
-    Returns:
-        ``None`` for fewer than 2 UAVs, fewer than :data:`LEAST_STEPS` velocities, or if no UAV is seen to move.
+    ``None`` for fewer than 2 UAVs, fewer than :data:`LEAST_STEPS` velocities, or if no UAV is seen to move.
     """
     if len(living) < 2 or window.observation_steps < LEAST_STEPS:
         return None
@@ -81,15 +69,10 @@ def read_motion(window: Window, living: Indices) -> Motion | None:
 
 
 def common_drift(velocity: Floats, speeds: Floats) -> tuple[Floats, bool]:
-    """The drift of a swarm, and whether all its UAVs fly at one speed relative to it.
+    """The drift ``(3,)`` of a swarm, and whether all its UAVs fly at one speed relative to it.
 
-    Args:
-        velocity: ``(k, 3)`` seen velocities.
-        speeds: ``(k,)`` their lengths.
-
-    Returns:
-        ``(3,)``, 0 if the swarm flies at one speed or does not drift fast as a whole. A drift is the centre of the
-        sphere of velocities of one speed, or else the mean velocity.
+    It is 0 if the swarm flies at one speed or does not drift fast as a whole; else the centre of the sphere of
+    velocities ``(k, 3)`` of one speed, or the mean velocity. ``speeds`` ``(k,)`` are the lengths of velocities.
     """
     none, mean = np.zeros(3), np.full(len(velocity), 1.0 / len(velocity)) @ velocity
     about = velocity - mean
@@ -114,17 +97,11 @@ def lagged(velocity: Floats, lags: int) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class FlightSpectra:
-    """AR(1) models of the velocities, one per UAV, with one common position noise; per axis, in units of mean speed.
+    """AR(1) models of the velocities, one per UAV, with one common position noise; per axis, in units of mean speed."""
 
-    Args:
-        power: ``(n,)`` variance of each UAV's velocity about its mean.
-        memory: ``(n,)`` its lag-1 autocorrelation.
-        noise: variance of a position.
-    """
-
-    power: Floats
-    memory: Floats
-    noise: float
+    power: Floats  #: ``(n,)`` variance of each UAV's velocity about its mean
+    memory: Floats  #: ``(n,)`` its lag-1 autocorrelation
+    noise: float  #: variance of a position
 
     def typical(self, omega: Floats) -> Floats:
         """Spectrum ``(K,)`` at angular frequencies, for the median power and autocorrelation."""
@@ -134,12 +111,7 @@ class FlightSpectra:
 
 
 def fit_spectra(velocity: Floats, noiseless: bool) -> FlightSpectra:
-    """Fit the spectra by Whittle's likelihood of the periodograms; power and memory of each UAV, one noise for all.
-
-    Args:
-        velocity: ``(n, T, a)``.
-        noiseless: whether positions are known to be seen without noise.
-    """
+    """Fit the spectra of velocities ``(n, T, a)`` by Whittle's likelihood of the periodograms."""
     uavs, steps = velocity.shape[:2]
     flight = velocity - velocity.mean(axis=1, keepdims=True)
     transformed = np.fft.rfft(flight.transpose(0, 2, 1))[:, :, 1:]
@@ -167,15 +139,7 @@ def smoothed_pasts(velocity: Floats, spectra: FlightSpectra, lags: int) -> Float
     """Expectation of each UAV's past velocities, given its observations before the row's time; these, if without noise.
 
     Only earlier observations are used: with noise, a fellow follower smoothed with its future would predict a follower
-    better than their head does.
-
-    Args:
-        velocity: ``(n, T, a)`` observed.
-        spectra: the spectra of these velocities.
-        lags: L, the number of past velocities.
-
-    Returns:
-        ``(n, L, a, T - L)``, newest first, in place of :func:`lagged`.
+    better than their head does. The result ``(n, L, a, T - L)``, newest first, takes the place of :func:`lagged`.
     """
     if not spectra.noise > 0:
         return lagged(velocity, lags)
@@ -191,16 +155,7 @@ def smoothed_pasts(velocity: Floats, spectra: FlightSpectra, lags: int) -> Float
 
 
 def filter_tracks(velocity: Floats, spectra: FlightSpectra, uavs: Indices) -> tuple[Floats, Floats]:
-    """Expectation of some UAVs' velocities, given what is seen until each step, and from each step on.
-
-    Args:
-        velocity: ``(n, T, a)`` observed.
-        spectra: the spectra of these velocities.
-        uavs: ``(M,)`` indices.
-
-    Returns:
-        ``(M, T, a)`` twice.
-    """
+    """Expectation ``(M, T, a)`` of some UAVs' velocities, given what is seen until each step; and from each step on."""
     tracks = velocity[uavs]
     if not spectra.noise > 0:
         return tracks, tracks

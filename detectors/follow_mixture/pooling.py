@@ -42,21 +42,13 @@ _NUMBERS = 4_000_000  # of one array; bounds the memory
 
 @dataclass(frozen=True, eq=False)
 class MorePairs:
-    """Pairs that the first level leaves out: of single UAVs, and of groups that follow with a delay of their own.
+    """Pairs that the first level leaves out: of single UAVs, and of groups that follow with a delay of their own."""
 
-    Args:
-        single: P pairs of single UAVs and candidates.
-        late: D pairs of a group, or a single UAV, and a UAV that it follows with a delay.
-        odds: ``(D,)`` log-odds of these.
-        new: whether a candidate was found beside the heads that are known.
-        head: ``(C,)`` the heads of the groups, whose laws their single followers share; -1 for none.
-    """
-
-    single: Pairs
-    late: Pairs
-    odds: Floats
-    new: bool
-    head: Indices
+    single: Pairs  #: of single UAVs and candidates
+    late: Pairs  #: D pairs of a group, or a single UAV, and a UAV that it follows with a delay
+    odds: Floats  #: ``(D,)`` log-odds of these
+    new: bool  #: whether a candidate was found beside the heads that are known
+    head: Indices  #: ``(C,)`` the heads of the groups, whose laws their single followers share; -1 for none
 
     def list_pairs(self, targets: Targets, pairs: Pairs) -> Pairs:
         """Those that are not among the ``pairs`` of groups; those of single UAVs are the last ones."""
@@ -95,13 +87,8 @@ def ask_single_uavs(
 ) -> MorePairs:
     """The candidates that single UAVs may follow.
 
-    Args:
-        targets: the groups.
-        past: ``(n, L, a, R)`` pasts of the candidates.
-        names: the feature classes of laws that followers share.
-        head: ``(C,)`` the heads of the groups of several; -1 for none.
-        late: D pairs of a group and a UAV that it follows with a delay of its own.
-        odds: ``(D,)`` log-odds of these.
+    ``names`` are the feature classes of laws that followers share; ``head`` ``(C,)`` the heads of groups of several, or
+    -1; ``late`` D pairs of a group and a UAV that it follows with a delay of its own, and ``odds`` their log-odds.
     """
     single = sample_single_uavs(targets)
     new = _nominate(targets, past, names, single)
@@ -157,21 +144,13 @@ def _nominate(targets: Targets, past: Floats, names: Sequence[str], single: Indi
 
 @dataclass(frozen=True, eq=False)
 class _Screening:
-    """Products ``(k, c, a p)`` of candidates' features, which are made orthonormal, and innovations of single UAVs.
+    """Products ``(k, c, a p)`` of candidates' features, which are made orthonormal, and innovations of single UAVs."""
 
-    Args:
-        name: of the feature class.
-        uav: ``(k,)`` the candidates.
-        moment: the products.
-        targets: the groups.
-        single: ``(c,)`` those of one UAV that are asked.
-    """
-
-    name: str
-    uav: Indices
-    moment: Floats
+    name: str  #: of the feature class
+    uav: Indices  #: ``(k,)`` the candidates
+    moment: Floats  #: the products
     targets: Targets
-    single: Indices
+    single: Indices  #: ``(c,)`` the groups of one UAV that are asked
 
     def weigh(self, gained: Floats) -> tuple[Floats, Floats]:
         """What the followers of each candidate gain, less their description length ``(k,)``; the gains ``(k, c)``.

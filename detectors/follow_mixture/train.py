@@ -6,11 +6,10 @@ resumed gives exactly the result of an uninterrupted one, and a larger one begin
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 import os
+from collections import defaultdict
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -35,8 +34,6 @@ _BIN = 0.25  # width of a bin of log-odds
 _BINS = int(2 * MOST_ODDS / _BIN) + 1
 _ODDS = np.linspace(-MOST_ODDS, MOST_ODDS, _BINS)
 _DEFAULTS = 4, 12  # memory and max_lag of the detector
-_SCORES = ((0, "brier"), (1, "log loss"))
-_COLUMNS = ("seed", "most_uavs", "most_clusters", "swarm", "follows", "living", "heads", "exact", "log_odds")
 #: Prior of a calibration: mean and standard deviation of the log slope, the offset and the log-odds of the doubt.
 _PRIOR = np.array([[0.0, 1.0], [0.0, 3.0], [-2.0, 2.0]])
 
@@ -47,8 +44,7 @@ class CalibrationTraining(Config):
     Args:
         swarms: the number of swarms.
         seed: seed of all random draws.
-        most_uavs: N is drawn between 20 and this.
-        most_clusters: M is drawn between 1 and this.
+        most_uavs, most_clusters: N is drawn between 20 and the one, M between 1 and the other.
     """
 
     swarms: Annotated[int, Field(ge=1, le=1_000_000)] = 600
@@ -78,21 +74,17 @@ def fit_swarm(training: CalibrationTraining, swarm: int) -> dict[str, Any]:
         counts = " ".join(f"{k}:{uavs[k]}:{led[k]}" for k in np.flatnonzero(uavs).tolist())
         exact = np.array_equal(found.heads, np.flatnonzero(head))
     numbers = {"swarm": swarm, "follows": int(config.follow != "none"), "living": len(living)}
-    return {**_settings(training), **numbers, "heads": int(head.sum()), "exact": int(exact), "log_odds": counts}
-
-
-def _settings(training: CalibrationTraining) -> dict[str, int]:
-    return {name: getattr(training, name) for name in _COLUMNS[:3]}
+    drawn = training.model_dump(exclude={"swarms"})
+    return {**drawn, **numbers, "heads": int(head.sum()), "exact": int(exact), "log_odds": counts}
 
 
 def _count(rows: pd.DataFrame) -> tuple[Floats, Floats]:
     """UAVs and heads ``(S, bins)`` of all rows."""
-    uavs, heads = np.zeros((2, len(rows), _BINS))
+    counts = np.zeros((len(rows), _BINS, 2))
     for number, entries in enumerate(rows["log_odds"]):
-        for entry in entries.split():
-            place, count, leading = map(int, entry.split(":"))
-            uavs[number, place], heads[number, place] = count, leading
-    return uavs, heads
+        for place, *count in (map(int, entry.split(":")) for entry in entries.split()):
+            counts[number, place] = count
+    return counts[..., 0], counts[..., 1]
 
 
 def fit_calibration(rows: pd.DataFrame) -> Calibration:
@@ -120,17 +112,17 @@ def fit_calibration(rows: pd.DataFrame) -> Calibration:
 
 def _score(rows: pd.DataFrame) -> dict[str, float]:
     """Brier score and log loss of the probabilities by two-fold cross-validation, before and after calibration."""
-    totals: dict[str, Floats] = {name: np.zeros(3) for name in ("", ", before calibration")}
+    totals: dict[str, float] = defaultdict(float)
+    count = 0.0
     for half in (0, 1):
         fitted = fit_calibration(rows[rows["swarm"] % 2 != half])
         uavs, heads = _count(rows[rows["swarm"] % 2 == half])
-        for name, curve in zip(totals, (fitted, Calibration(slope=1.0, offset=0.0)), strict=True):
+        count += uavs.sum()
+        for name, curve in (("", fitted), (", before calibration", Calibration(slope=1.0, offset=0.0))):
             share = np.clip(curve(_ODDS), 1e-9, 1.0 - 1e-9)
-            brier = (heads @ (1.0 - share) ** 2 + (uavs - heads) @ share**2).sum()
-            loss = -(heads @ np.log(share) + (uavs - heads) @ np.log1p(-share)).sum()
-            totals[name] += brier, loss, uavs.sum()
-    both = [(f"{kind}{name}", total[k] / max(total[2], 1.0)) for name, total in totals.items() for k, kind in _SCORES]
-    return {name: round(float(value), 6) for name, value in both}
+            totals[f"brier{name}"] += (heads @ (1.0 - share) ** 2 + (uavs - heads) @ share**2).sum()
+            totals[f"log loss{name}"] -= (heads @ np.log(share) + (uavs - heads) @ np.log1p(-share)).sum()
+    return {name: round(float(total) / max(count, 1.0), 6) for name, total in totals.items()}
 
 
 def train_calibration(
@@ -146,34 +138,22 @@ def train_calibration(
 
     It writes these files to ``out``: ``calibration.json`` and ``rows.csv``, a row of :func:`fit_swarm` for each swarm.
 
-    Args:
-        out: the output folder; created if it is missing.
-        training: the settings; the defaults give the shipped calibration.
-        progress: function that is called with the number of finished swarms and of all swarms.
-        resume: whether to resume from the rows in ``out``, if there are any. Rows of other code are not recognised.
-        workers: number of processes that fit swarms; the result does not depend on it.
-        backend: where they run, see :func:`usnet_env.evaluation.run.map_tasks`.
-
-    Returns:
-        The path of the calibration file.
+    The defaults of ``training`` give the shipped calibration. ``progress`` is called with the number of finished
+    swarms and of all. It goes on from what is in ``out`` if ``resume``. The result does not depend on ``workers``, the
+    processes that draw swarms, and ``backend``, see :func:`usnet_env.evaluation.run.map_tasks`.
 
     Raises:
         ArgumentError: an argument is refused, ``out`` can't be written, or it holds rows of other settings.
     """
-    training, folder = CalibrationTraining() if training is None else training, Path(out)
-    reserve_folder(folder)
+    training = CalibrationTraining() if training is None else training
+    folder = reserve_folder(Path(out))
     path = folder / "rows.csv"
     rows = _read_rows(path, training) if resume and path.exists() else []
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, _COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-        left = range(len(rows), training.swarms)
-        for row in map_tasks(partial(fit_swarm, training), left, workers=workers, backend=backend):
-            rows.append(row)
-            writer.writerow(row)
-            file.flush()
-            progress(len(rows), training.swarms)
+    left = range(len(rows), training.swarms)
+    for row in map_tasks(partial(fit_swarm, training), left, workers=workers, backend=backend):
+        rows.append(row)
+        write_text(path, pd.DataFrame(rows).to_csv(index=False))
+        progress(len(rows), training.swarms)
     table = pd.DataFrame(rows[: training.swarms])
     record = {
         "calibration": fit_calibration(table).model_dump(mode="json"),
@@ -191,9 +171,8 @@ def train_calibration(
 
 
 def _read_rows(path: Path, training: CalibrationTraining) -> list[dict[str, Any]]:
-    """The rows of a file, without a line that a killed run left unfinished."""
-    whole = path.read_text(encoding="utf-8").rpartition("\n")[0]
-    table = pd.read_csv(io.StringIO(whole), keep_default_na=False)
-    if (table[list(_COLUMNS[:3])] != _settings(training)).any(axis=None):
+    table = pd.read_csv(path, keep_default_na=False)
+    drawn = training.model_dump(exclude={"swarms"})
+    if (table[list(drawn)] != drawn).any(axis=None):
         raise ArgumentError(f"out must hold no rows of other settings, got {quote(str(path))}.")
     return table.to_dict("records")

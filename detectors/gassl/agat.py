@@ -32,11 +32,7 @@ Width = Annotated[int, Field(ge=1, le=4096)]
 
 
 class AgatSizes(Config):
-    """Widths of the AGAT, on which the paper is silent (decision (u)).
-
-    Args:
-        memory, query_hidden, query, key, similarity_hidden, gain: as in :class:`detectors.gassl.Gassl`.
-    """
+    """Widths of the AGAT, on which the paper is silent (decision (u)), as in :class:`detectors.gassl.Gassl`."""
 
     memory: Annotated[int, Field(ge=1, le=1000)] = 4
     query_hidden: Width = 16

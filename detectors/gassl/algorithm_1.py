@@ -14,7 +14,8 @@ from torch import Tensor
 
 from detectors.gassl.agat import SLOPE, AgatSizes
 from detectors.gassl.ifsn import VARIANCE_FLOOR, list_ifsn_shapes
-from detectors.gassl.training import Fit, Inputs
+from detectors.gassl.topology_matrix import Inputs
+from detectors.gassl.training import Fit
 
 Parameters = Mapping[str, Tensor]
 
@@ -24,24 +25,14 @@ def algorithm_1(
 ) -> Fit:
     """Algorithm 1, lines 1 to 7; the votes of lines 6 and 8 are in :mod:`detectors.series.votes`.
 
-    Args:
-        inputs: line 2, the batch of R time series topology matrices, as
-            :func:`detectors.gassl.training.prepare_inputs` makes it.
-        phi: ``(n, parameters)`` initial Φ_1, ..., Φ_n.
-        gamma: ``(parameters,)`` initial Γ.
-        agat: widths of the AGAT.
-        ifsn: width of the IFSN.
-        steps: Ω.
-        learning_rate: β.
-
-    Returns:
-        The same as :func:`detectors.gassl.training.train`.
+    The ``inputs`` are line 2, the batch of topology matrices; ``phi`` ``(n, parameters)`` and ``gamma``
+    ``(parameters,)`` the initial Φ and Γ; ``agat`` and ``ifsn`` widths of the networks; ``steps`` is Ω and
+    ``learning_rate`` β. The result is that of :func:`detectors.gassl.training.train`.
     """
     uavs = inputs.uavs
     gamma = gamma.detach().clone()
     attn_heads = torch.zeros(uavs, agat.attn_heads, uavs)
-    losses = torch.zeros(uavs, steps)
-    explained = torch.zeros(uavs)
+    losses, explained = torch.zeros(uavs, steps), torch.zeros(uavs)
     for i in range(uavs):  # line 1
         phi_i = phi[i].detach().clone()
         for step in range(steps):  # line 3

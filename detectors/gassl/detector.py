@@ -15,9 +15,9 @@ from detectors.gassl.agat import AgatSizes, Width, draw_agat
 from detectors.gassl.algorithm_1 import algorithm_1
 from detectors.gassl.ifsn import draw_ifsn
 from detectors.gassl.topology_matrix import build_batch
-from detectors.gassl.training import Fit, prepare_inputs, train
+from detectors.gassl.training import Fit, train
 from detectors.parameters import Count
-from detectors.series.designs import check_window
+from detectors.series.designs import check_pairs, check_steps
 from detectors.series.votes import choose_heads, count_votes, name_at_random, select_top, shows_evidence, spread
 from usnet_env.arrays import Singles
 from usnet_env.detection import Detection, Tags
@@ -81,7 +81,8 @@ class Gassl(Detector):
             at random and all scores are 0.
         """
         self.check_arguments()
-        check_window(window, self.memory)
+        check_pairs(window.uavs)
+        check_steps(window, self.memory)
         members = np.flatnonzero(window.alive)
         if not shows_evidence(window, members):  # decision (x)
             candidates = name_at_random(members, self.top_k, window.uavs, self.rng)
@@ -97,16 +98,13 @@ class Gassl(Detector):
     def fit_cluster(
         self, window: Window, members: NDArray[np.intp], gamma: Singles | None, rng: np.random.Generator
     ) -> Fit:
-        """Lines 1 to 7 of Algorithm 1 for the ``members`` ``(n,)`` of a cluster; the other UAVs are taken as absent.
+        """Lines 1 to 7 of Algorithm 1 for the ``members`` ``(n,)`` of a cluster, at least 3.
 
-        There are at least 3 members. ``gamma`` is the Γ to begin with, such as the one that another cluster left; it is
-        drawn for ``None``.
+        ``gamma`` is the Γ to begin with, such as the one that another cluster left; it is drawn for ``None``.
         """
         agat, plain = self.check_arguments()
-        inputs = prepare_inputs(build_batch(window, members, self.memory))
-        phi = draw_agat(agat, len(members), rng)
-        if gamma is None:
-            gamma = self.draw_gamma(rng)
+        inputs, phi = build_batch(window, members, self.memory), draw_agat(agat, len(members), rng)
+        gamma = self.draw_gamma(rng) if gamma is None else gamma
         if self.implementation == "compiled":
             return train(inputs, phi, gamma, agat, plain.steps, plain.learning_rate)
         initial = torch.from_numpy(phi), torch.from_numpy(gamma)

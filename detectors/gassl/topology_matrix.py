@@ -1,4 +1,4 @@
-"""The batch of all time series topology matrices X, equation (5), that a window holds."""
+"""The batch of all time series topology matrices X, equation (5), that a window holds, as the networks read it."""
 
 from __future__ import annotations
 
@@ -14,47 +14,60 @@ from usnet_env.window import Window
 
 
 @dataclass(frozen=True, eq=False)
-class Batch:
+class Inputs:
     """The matrices X_t of n UAVs at all R = T_ob - T_0 times t that have a next velocity to predict.
 
-    X_t has three rows for each UAV, and the head is a UAV of its cluster (decision (e)).
+    X_t has the columns p_{i,t-T_0+1}, v_{i,t-T_0+1}, ..., v_{i,t}, three rows for each UAV; the head is a UAV of its
+    cluster (decision (e)). Raw metres would saturate L and the softmax; so all velocities are standardised by one
+    scale, and positions by one an axis (decision (s)). What was not seen is filled in
+    (:func:`detectors.series.gaps.fill_gaps`, decision (y)), but a target is 0 then.
 
     Args:
-        position: ``(R, n, 3)`` metres, p_{i,t-T_0+1}, the first column of X_t.
-        velocity: ``(R, n, T_0, 3)`` metres per step, v_{i,t-T_0+1}, ..., v_{i,t}, the other columns, oldest first.
-        own: ``(R, n, T_0 + 1, 3)`` metres, p_{i,t-T_0+1}, ..., p_{i,t+1}: P_{i,t+1} of equation (1), decision (r).
-        target: ``(R, n, 3)`` metres per step, v_{i,t+1}.
-        weight: ``(R, n)``, 1 where the target was seen, else 0.
-
-    What was not seen is filled in (:func:`detectors.series.gaps.fill_gaps`, decision (y)), but a target is 0 then.
+        history: ``(n, R, 3 (T_0 + 1))`` each UAV's standardised v_{i,t}, ..., v_{i,t-T_0+1} and p_{i,t-T_0+1}.
+        value: ``(T_0 + 1, 3, n, R)`` the same of all UAVs, by attention head.
+        own: ``(n, R, 3 (T_0 + 1))`` metres, p_{i,t-T_0+1}, ..., p_{i,t+1}, which is P_{i,t+1} of equation (1), decision
+            (r), less its mean over the times.
+        target: ``(n, R, 3)`` metres per step, v_{i,t+1}.
+        weight: ``(n, R)``, 1 where the target was seen, else 0.
     """
 
-    position: Singles
-    velocity: Singles
+    history: Singles
+    value: Singles
     own: Singles
     target: Singles
     weight: Singles
 
-    times = AxisLength("position", 0)  #: R
-    uavs = AxisLength("position", 1)  #: n
-    memory = AxisLength("velocity", 2)  #: T_0
+    uavs = AxisLength("history", 0)  #: n
+
+    def of(self, uav: int) -> tuple[Singles, Singles, Singles, Singles, Singles]:
+        """All arrays in this order for one UAV; ``value`` is that of all."""
+        return self.history[uav], self.value, self.own[uav], self.target[uav], self.weight[uav]
+
+    @property
+    def entries(self) -> int:
+        """Entries of the IFSN's input, 6 (T_0 + 1)."""
+        return self.own.shape[2] + 3 * len(self.value)
 
 
-def build_batch(window: Window, members: NDArray[np.intp] | None = None, memory: int = 4) -> Batch:
-    """The batch of Algorithm 1, line 2, of the ``members`` ``(n,)`` of a cluster, by default all living UAVs.
-
-    The window holds more than T_0 velocities, see :func:`detectors.series.designs.check_window`.
-    """
-    index = np.flatnonzero(window.alive) if members is None else np.asarray(members)
+def build_batch(window: Window, members: NDArray[np.intp], memory: int = 4) -> Inputs:
+    """The batch of Algorithm 1, line 2, of the ``members`` ``(n,)`` of a cluster, T_0 being the ``memory``."""
     whole = fill_gaps(window)
-    position, velocity, seen = whole.position[:, index], whole.velocity[:, index], window.velocity_seen[memory:, index]
-    return Batch(
-        position=position[: -memory - 1],
-        velocity=_stack_columns(velocity, memory),
-        own=_stack_columns(position, memory + 1),
-        target=np.where(seen[..., None], velocity[memory:], np.float32(0)),
-        weight=seen.astype(np.float32),
+    places, steps, seen = whole.position[:, members], whole.velocity[:, members], window.velocity_seen[memory:, members]
+    velocity = _stack_columns(steps, memory).astype(np.float64)
+    velocity = (velocity - velocity.mean()) / max(velocity.std(), 1e-6)
+    position = places[: -memory - 1].astype(np.float64)
+    position = (position - position.mean((0, 1))) / np.maximum(position.std((0, 1)), 1e-6)
+    by_head = [*(velocity[:, :, lag] for lag in range(memory - 1, -1, -1)), position]  # (R, n, 3), newest first
+    own = _stack_columns(places, memory + 1).astype(np.float64)
+    own = (own - own.mean(axis=(0, 2), keepdims=True)).reshape(*position.shape[:2], -1)
+    arrays = (
+        np.concatenate(by_head, axis=2).swapaxes(0, 1),
+        np.stack(by_head).transpose(0, 3, 2, 1),
+        own.swapaxes(0, 1),
+        np.where(seen[..., None], steps[memory:], np.float32(0)).swapaxes(0, 1),
+        seen.T,
     )
+    return Inputs(*(np.ascontiguousarray(array, np.float32) for array in arrays))
 
 
 def _stack_columns(values: Singles, columns: int) -> Singles:

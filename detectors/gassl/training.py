@@ -8,8 +8,8 @@ import numpy as np
 
 from detectors.gassl.agat import AgatSizes, attend, attend_backward
 from detectors.gassl.ifsn import predict, predict_backward, standardise
-from detectors.gassl.topology_matrix import Batch
-from usnet_env.arrays import AxisLength, Singles
+from detectors.gassl.topology_matrix import Inputs
+from usnet_env.arrays import Singles
 from usnet_env.compiling import compiled
 
 _ZERO = np.float32(0.0)
@@ -17,69 +17,13 @@ _TWO = np.float32(2.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Inputs:
-    """A batch as the networks read it; raw metres would saturate L and the softmax (decision (s)).
-
-    Args:
-        history: ``(n, R, 3 (T_0 + 1))`` each UAV's standardised v_{i,t}, ..., v_{i,t-T_0+1} and p_{i,t-T_0+1}.
-        value: ``(T_0 + 1, 3, n, R)`` the same of all UAVs, by attention head.
-        own: ``(n, R, 3 (T_0 + 1))`` metres, P_{i,t+1} less its mean over the times.
-        target: ``(n, R, 3)`` metres per step, v_{i,t+1}.
-        weight: ``(n, R)``.
-    """
-
-    history: Singles
-    value: Singles
-    own: Singles
-    target: Singles
-    weight: Singles
-
-    uavs = AxisLength("history", 0)  #: n
-
-    def of(self, uav: int) -> tuple[Singles, Singles, Singles, Singles, Singles]:
-        """All arrays in this order for one UAV; ``value`` is that of all."""
-        return self.history[uav], self.value, self.own[uav], self.target[uav], self.weight[uav]
-
-    @property
-    def entries(self) -> int:
-        """Entries of the IFSN's input, 6 (T_0 + 1)."""
-        return self.own.shape[2] + 3 * len(self.value)
-
-
-def prepare_inputs(batch: Batch) -> Inputs:
-    """Standardise a batch: one scale for all velocities, one an axis for the positions."""
-    velocity = batch.velocity.astype(np.float64)
-    position = batch.position.astype(np.float64)
-    velocity = (velocity - velocity.mean()) / max(velocity.std(), 1e-6)
-    position = (position - position.mean((0, 1))) / np.maximum(position.std((0, 1)), 1e-6)
-    by_head = [*(velocity[:, :, lag] for lag in range(batch.memory - 1, -1, -1)), position]  # (R, n, 3), newest first
-    own = batch.own.astype(np.float64)
-    own = (own - own.mean(axis=(0, 2), keepdims=True)).reshape(batch.times, batch.uavs, -1)
-    arrays = (
-        np.concatenate(by_head, axis=2).swapaxes(0, 1),
-        np.stack(by_head).transpose(0, 3, 2, 1),
-        own.swapaxes(0, 1),
-        batch.target.swapaxes(0, 1),
-        batch.weight.swapaxes(0, 1),
-    )
-    return Inputs(*(np.ascontiguousarray(array, np.float32) for array in arrays))
-
-
-@dataclass(frozen=True, eq=False)
 class Fit:
-    """What Algorithm 1 leaves.
+    """What Algorithm 1 leaves."""
 
-    Args:
-        attn_heads: ``(n, T_0 + 1, n)`` alpha_{i,i',l}, mean over all times (decision (t)).
-        gamma: ``(parameters,)`` the trained Γ.
-        loss: ``(n, Ω)`` L_B(Θ_i) of equation (23) before each step.
-        explained: ``(n,)`` share of the squared velocity that UAV i's last prediction explains, on the training times.
-    """
-
-    attn_heads: Singles
-    gamma: Singles
-    loss: Singles
-    explained: Singles
+    attn_heads: Singles  #: ``(n, T_0 + 1, n)`` alpha_{i,i',l}, mean over all times (decision (t))
+    gamma: Singles  #: ``(parameters,)`` the trained Γ
+    loss: Singles  #: ``(n, Ω)`` L_B(Θ_i) of equation (23) before each step
+    explained: Singles  #: ``(n,)`` share of the squared velocity that UAV i's last prediction explains
 
     @property
     def attention(self) -> Singles:

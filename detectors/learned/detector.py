@@ -16,7 +16,6 @@ from detectors.policy import Policy, choose
 from detectors.series.designs import check_pairs
 from detectors.weights import packaged_arrays, read_arrays
 from usnet_env.arrays import Floats, Mask
-from usnet_env.config import ArgumentError
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
@@ -36,23 +35,16 @@ class Learned(Detector):
     Time and memory grow with N²: 0.2 s at N = 82, 15 s and more than a gigabyte at N = 1,000.
 
     Args:
-        policy: how candidates are chosen. ``"cost"`` and ``"map"`` mean the same as in
-            :class:`detectors.follow_mixture.FollowMixture`.
-
-            * ``"cost"`` (default) minimises the expected J_m of P2 (:func:`detectors.policy.choose`). A redundant
-              candidate costs 1/N of a round, a missed head ``round_price`` rounds; so it also names doubtful UAVs. It
-              names at least one UAV.
-            * ``"map"`` minimises the expected number of wrong decisions: it names the UAVs with a probability above
-              1/2. It may name no UAV.
-            * ``"threshold"`` names the UAVs with a probability above ``threshold``, or the most probable UAV if there
-              are none.
+        policy: how candidates are chosen. ``"cost"`` (default) minimises the expected J_m of P2
+            (:func:`detectors.policy.choose`) and names at least one UAV; ``"map"`` names the UAVs with a probability
+            above 1/2, possibly none; ``"threshold"`` those above ``threshold``, or the most probable UAV.
         threshold: from 0 to 1; used by ``"threshold"`` only.
         round_price: the expected cost of one more round, in rounds, above 0; used by ``"cost"`` only.
         weights: ``"shipped"``, or the path of a weights file of :func:`detectors.learned.train.train_heads`.
 
     Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is refused, the weights file is missing,
-            broken, or not what the JSON beside it says, or more than 1,500 UAVs are alive.
+        ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is refused, the weights file is missing or
+            broken, or more than 1,500 UAVs are alive.
     """
 
     tags = Tags(needs=("torch",), most_uavs=1500)
@@ -71,17 +63,14 @@ class Learned(Detector):
         """Name the heads of one window.
 
         Returns:
-            Candidates; scores, the probabilities of being a head; ``leader``, the UAV that each UAV most probably
-            follows (its own index: it follows no UAV; -1: destroyed); ``clusters``, one per leader; attention, the
-            probability that UAV i follows UAV j; in ``extras`` ``probability`` ``(N,)``, equal to the scores.
+            Candidates; scores and ``extras["probability"]``, the probabilities of being a head; ``leader``, the UAV
+            that each UAV most probably follows (its own index: none; -1: destroyed); ``clusters``, one per leader;
+            attention, the probability that UAV i follows UAV j.
         """
         arguments = self.check_arguments()
         check_pairs(window.uavs)
         living = np.flatnonzero(window.alive)
-        if len(living) > MOST_UAVS:
-            raise ArgumentError(
-                f"window must hold at most {MOST_UAVS} living UAVs for this detector, got {len(living)}."
-            )
+        check_pairs(len(living), MOST_UAVS)
         probability, attention = np.zeros(window.uavs), np.zeros((window.uavs, window.uavs))
         leader, clusters = np.full((2, window.uavs), -1, np.int64)
         if len(living):
@@ -99,11 +88,7 @@ class Learned(Detector):
 
 
 def load_network(weights: str = "shipped") -> HeadNetwork:
-    """Load the network with the shipped weights or those of a file, in evaluation mode.
-
-    Raises:
-        ArgumentError: the file is missing, broken, or not what the JSON beside it says.
-    """
+    """Load the network with the shipped weights or those of a file, in evaluation mode."""
     if weights == "shipped":
         return build_network("learned.safetensors", packaged_arrays("detectors.learned", "learned"))
     return build_network(weights, read_arrays(weights))

@@ -15,10 +15,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from detectors.series.designs import centre_columns, count_lags, scale_to_unit, stack_past
+from detectors.series.designs import centre_columns, count_lags, scale_to_unit, shift_in_time, stack_past
 from detectors.series.null_models import compute_innovations
 from detectors.series.regressions import correlate_at_lag, explain_pairs
-from detectors.series.surrogates import shift_in_time
 from usnet_env.arrays import Mask, Singles
 from usnet_env.window import Window
 
@@ -61,10 +60,6 @@ def pair_features(window: Window, living: NDArray[np.intp]) -> Singles:
     Then follow the shares of v_i and of e_i that a ridge on up to four lags of v_j (linear and quadratic) explains, the
     same shares with UAV i shifted by half a window (their values by chance), and the cosine between i's mean velocity
     and the direction to j. Missing samples are left out.
-
-    Args:
-        window: a window of N UAVs with T_ob velocities.
-        living: ``(n,)`` indices of the UAVs to use.
 
     Returns:
         ``(n, n, PAIR_FEATURES)`` float32. The diagonal is 0, and so is a statistic for which the window is too short.

@@ -16,29 +16,18 @@ _CONTEXT = 3  # values that describe the window: log n, log T_ob, share of missi
 
 
 class NetworkSizes(Config):
-    """Sizes of a :class:`HeadNetwork`.
+    """Sizes of a :class:`HeadNetwork`."""
 
-    Args:
-        width: length of the vector of a pair and of a UAV.
-        attn_heads: the number of attention heads; must divide ``width``.
-        blocks: the number of blocks, each of which updates UAVs and pairs.
-    """
-
-    width: Annotated[int, Field(ge=4, le=512)] = 32
-    attn_heads: Annotated[int, Field(ge=1, le=32)] = 4
-    blocks: Annotated[int, Field(ge=1, le=16)] = 3
+    width: Annotated[int, Field(ge=4, le=512)] = 32  #: length of the vector of a pair and of a UAV
+    attn_heads: Annotated[int, Field(ge=1, le=32)] = 4  #: must divide ``width``
+    blocks: Annotated[int, Field(ge=1, le=16)] = 3  #: each of them updates UAVs and pairs
 
 
 class Answer(NamedTuple):
-    """Output of the network for n UAVs.
+    """Output of the network for n UAVs."""
 
-    Args:
-        head: ``(n,)`` logits of being a head.
-        leader: ``(n, n)`` logits; entry (i, j): UAV i follows UAV j; entry (i, i): it follows no UAV.
-    """
-
-    head: Tensor
-    leader: Tensor
+    head: Tensor  #: ``(n,)`` logits of being a head
+    leader: Tensor  #: ``(n, n)`` logits; entry (i, j): UAV i follows UAV j; entry (i, i): it follows no UAV
 
 
 class _Block(nn.Module):
@@ -123,20 +112,12 @@ def draw_network(sizes: NetworkSizes, seed: int) -> HeadNetwork:
 
 
 def build_network(path: str, arrays: Mapping[str, Tensor]) -> HeadNetwork:
-    """Build the network with these weights; its sizes follow from their shapes.
-
-    Raises:
-        ArgumentError: the arrays are not those of a network, or not finite; the message names ``path``.
-    """
+    """Build the network with these weights, if they are those of one; its sizes follow from their shapes."""
     try:
         width, attn_heads = len(arrays["itself"]), len(arrays["blocks.0.attention.weight"])
         blocks = sum(name.endswith(".attention.weight") for name in arrays)
         network = draw_network(NetworkSizes(width=width, attn_heads=attn_heads, blocks=blocks), 0)
         network.load_state_dict(dict(arrays))
-    except (KeyError, TypeError, RuntimeError, ArgumentError):
-        raise ArgumentError(
-            f"path must hold the arrays of a head network, got {quote(path)} with {quote(sorted(arrays))}."
-        ) from None
-    if any(not bool(value.isfinite().all()) for value in arrays.values()):
-        raise ArgumentError(f"path must hold finite arrays, got NaN or infinity in {quote(path)}.")
+    except (KeyError, TypeError, RuntimeError, ArgumentError) as error:
+        raise ArgumentError(f"path must hold the arrays of a head network, got {quote(path)}: {error}.") from None
     return network.eval()

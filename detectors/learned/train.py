@@ -22,9 +22,9 @@ from torch import Tensor
 from detectors.learned.features import make_inputs
 from detectors.learned.network import Answer, HeadNetwork, NetworkSizes, draw_network
 from detectors.random_swarms import draw_training_swarm, observe
-from detectors.weights import Checkpoint, record_training, write_losses, write_weights
+from detectors.weights import Checkpoint, write_losses, write_weights
 from usnet_env.arrays import Mask
-from usnet_env.config import Config, whole_number
+from usnet_env.config import Config
 from usnet_env.evaluation.run import map_tasks
 from usnet_env.files import reserve_folder
 
@@ -43,12 +43,9 @@ class HeadTraining(Config):
         swarms: the number of swarms per step, each with its own follow strategy.
         seed: seed of all random draws.
         width, attn_heads, blocks: see :class:`detectors.learned.network.NetworkSizes`.
-        rate: the largest learning rate of AdamW; it rises over ``warm`` steps and falls along a cosine.
-        warm: the number of warm-up steps.
-        decay: weight decay.
+        rate, warm, decay: of AdamW: the largest learning rate, which falls along a cosine; warm-up steps; weight decay.
         leader_weight: weight of the loss of the leaders, relative to the loss of the heads.
-        most_uavs: N is drawn between 10 and this.
-        most_clusters: M is drawn between 1 and this.
+        most_uavs, most_clusters: N is drawn between 10 and the one, M between 1 and the other.
     """
 
     steps: Count = 4000
@@ -66,12 +63,10 @@ class HeadTraining(Config):
 
 
 class Example(NamedTuple):
-    """A labelled window of n living UAVs.
+    """A labelled window of n living UAVs: inputs of :func:`detectors.learned.features.make_inputs`, and the truth.
 
-    Args:
-        features, context: the inputs of the network, see :func:`detectors.learned.features.make_inputs`.
-        head: ``(n,)`` float32, 1 for a head with at least one follower.
-        leader: ``(n,)`` int64, the UAV that each UAV follows; its own index for heads and decoys.
+    ``head`` ``(n,)`` float32 is 1 for a head with at least one follower, and ``leader`` ``(n,)`` int64 the UAV that
+    each UAV follows; its own index for heads and decoys.
     """
 
     features: Tensor
@@ -80,8 +75,8 @@ class Example(NamedTuple):
     leader: Tensor
 
 
-def _make_rng(training: HeadTraining, purpose: int, *numbers: int) -> np.random.Generator:
-    return np.random.default_rng([training.seed, purpose, *numbers])
+def _make_rng(training: HeadTraining, *purpose: int) -> np.random.Generator:
+    return np.random.default_rng([training.seed, *purpose])
 
 
 def draw_example(training: HeadTraining, rng: np.random.Generator) -> Example:
@@ -121,28 +116,19 @@ def train_heads(
 ) -> Path:
     """Train the network and write its weights.
 
-    It writes these files to ``out``, each atomically: ``learned.safetensors`` and ``learned.json``, see
-    :mod:`detectors.weights`; ``losses.csv``, the mean loss of each step; ``checkpoint.safetensors``.
+    It writes these files to ``out``: ``learned.safetensors`` and ``learned.json``, see :mod:`detectors.weights`;
+    ``losses.csv``, the mean loss of each step; ``checkpoint.safetensors``.
 
-    Args:
-        out: the output folder; created if it is missing.
-        training: the settings; the defaults give the shipped weights.
-        progress: function that is called with the number of finished steps and of all steps.
-        resume: whether to resume from the checkpoint in ``out``, if there is one.
-        checkpoint_every: the number of steps between two checkpoints.
-        workers: number of processes that draw swarms; the weights do not depend on it.
-        backend: where they run, see :func:`usnet_env.evaluation.run.map_tasks`.
-
-    Returns:
-        The path of the weights file.
+    The defaults of ``training`` give the shipped weights. ``progress`` is called with the number of finished
+    steps and of all. It goes on from what is in ``out`` if ``resume``. The result does not depend on ``workers``, the
+    processes that draw swarms, and ``backend``, see :func:`usnet_env.evaluation.run.map_tasks`.
 
     Raises:
-        ArgumentError: an argument is refused, ``out`` can't be written, or it holds a checkpoint with other settings.
+        ArgumentError: ``out`` can't be written, or it holds a checkpoint with other settings.
     """
     training = HeadTraining() if training is None else training
-    whole_number("checkpoint_every", checkpoint_every, 1)
-    reserve_folder(Path(out))
-    checkpoint = Checkpoint(Path(out), training.model_dump(mode="json"))
+    folder = reserve_folder(Path(out))
+    checkpoint = Checkpoint(folder, training.model_dump(mode="json"))
     network = draw_network(training.part(NetworkSizes), int(_make_rng(training, _START).integers(2**63)))
     optimiser = torch.optim.AdamW(network.parameters(), lr=training.rate, weight_decay=training.decay)
     losses = _read_checkpoint(checkpoint, network, optimiser) if resume else []
@@ -155,14 +141,14 @@ def train_heads(
         progress(len(losses), training.steps)
         if len(losses) % checkpoint_every == 0 or len(losses) == training.steps:
             _write_checkpoint(checkpoint, network, optimiser, losses)
-    write_losses(checkpoint.folder, "step", [round(loss, 6) for loss in losses])
+    write_losses(folder, "step", [round(loss, 6) for loss in losses])
     metrics = _evaluate_network(training, network, losses)
-    path = checkpoint.folder / "learned.safetensors"
-    return write_weights(path, network.state_dict(), record_training(training), metrics)
+    return write_weights(
+        folder / "learned.safetensors", network.state_dict(), training.model_dump(mode="json"), metrics
+    )
 
 
 def _draw_step(training: HeadTraining, step: int) -> list[tuple[NDArray[Any], ...]]:
-    """Draw the examples of one step, as arrays."""
     drawn = [draw_example(training, _make_rng(training, _STEP, step, number)) for number in range(training.swarms)]
     return [tuple(tensor.numpy() for tensor in example) for example in drawn]
 
@@ -170,7 +156,6 @@ def _draw_step(training: HeadTraining, step: int) -> list[tuple[NDArray[Any], ..
 def _run_step(
     training: HeadTraining, step: int, examples: list[Example], network: HeadNetwork, optimiser: torch.optim.Optimizer
 ) -> float:
-    """Run one step of the optimiser and return the mean loss of the examples."""
     rise = min(1.0, (step + 1) / training.warm)
     for group in optimiser.param_groups:
         group["lr"] = training.rate * rise * 0.5 * (1.0 + math.cos(math.pi * step / training.steps))
@@ -187,27 +172,25 @@ def _run_step(
 
 
 def _evaluate_network(training: HeadTraining, network: HeadNetwork, losses: list[float]) -> dict[str, Any]:
-    """Compute the loss at the start and the end of training, and the accuracy on held-out swarms."""
+    """The loss at the start and the end of training, and the accuracy on held-out swarms."""
     few, swarms = max(1, min(100, len(losses) // 2)), min(_HELD_OUT_SWARMS, training.steps)
-    held_out, exact, right, of = [], 0, 0, 0
+    held_out, exact, right = [], [], []
     network.eval()
     for number in range(swarms):
         example = draw_example(training, _make_rng(training, _HELD_OUT, number))
         with torch.no_grad():
             answer = network(example.features, example.context)
         held_out.append(float(compute_loss(answer, example, training.leader_weight)))
-        named = answer.head > 0
-        exact += int(torch.equal(named, example.head > 0))
-        right += int((answer.leader.argmax(dim=1) == example.leader).sum())
-        of += len(named)
+        exact.append(torch.equal(answer.head > 0, example.head > 0))
+        right += (answer.leader.argmax(dim=1) == example.leader).tolist()
     return {
         "steps_averaged": few,
         "first_loss": float(np.mean(losses[:few])),
         "last_loss": float(np.mean(losses[-few:])),
         "held_out_swarms": swarms,
         "held_out_loss": float(np.mean(held_out)),
-        "held_out_share_exact": exact / swarms,
-        "held_out_share_of_leaders_right": right / of,
+        "held_out_share_exact": float(np.mean(exact)),
+        "held_out_share_of_leaders_right": float(np.mean(right)),
     }
 
 
@@ -225,9 +208,7 @@ def _read_checkpoint(checkpoint: Checkpoint, network: HeadNetwork, optimiser: to
     arrays, losses = checkpoint.read()
     if losses:
         network.load_state_dict({name: arrays[f"network.{name}"] for name in network.state_dict()})
-        state = {
-            number: {name: arrays[f"optimiser.{number}.{name}"] for name in ("step", "exp_avg", "exp_avg_sq")}
-            for number, _ in enumerate(network.parameters())
-        }
+        names, count = ("step", "exp_avg", "exp_avg_sq"), len(list(network.parameters()))
+        state = {k: {name: arrays[f"optimiser.{k}.{name}"] for name in names} for k in range(count)}
         optimiser.load_state_dict({**optimiser.state_dict(), "state": state})
     return losses

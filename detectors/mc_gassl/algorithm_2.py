@@ -16,8 +16,7 @@ from detectors.clustering import Clustering
 from detectors.gassl import Gassl
 from detectors.gassl.detector import answer
 from detectors.gassl.ifsn import pair_losses, standardise
-from detectors.gassl.topology_matrix import build_batch
-from detectors.gassl.training import Inputs, prepare_inputs
+from detectors.gassl.topology_matrix import Inputs, build_batch
 from detectors.mc_gassl.features import inputs_of
 from detectors.mc_gassl.gru import GruParameters
 from detectors.mc_gassl.training_steps import OnlineTraining, train_online
@@ -35,13 +34,9 @@ def run_round(
     online: OnlineTraining,
     rng: np.random.Generator,
 ) -> tuple[Detection, GruParameters]:
-    """Lines 2 to 5 of the on-line executions. The environment destroys the candidates and ends the loop.
+    """Lines 2 to 5 of the on-line executions: the answer of a detector, and W_r for the next round.
 
-    The ``window`` has at least 3 living UAVs; the ``parameters`` are W_{r-1}, in round 1 the meta parameters. The
-    ``clusterer``'s features may come from them. ``gassl`` has the settings of Algorithm 1, such as T_0.
-
-    Returns:
-        The answer of :meth:`detectors.mc_gassl.McGassl.detect`, and W_r for the next round.
+    The ``parameters`` are W_{r-1}, in round 1 the meta parameters; ``gassl`` has the settings of Algorithm 1.
     """
     clustering = clusterer.cluster(window, rng)  # lines 2, 3
     heads, gamma = detect_heads(window, clustering, gassl, rng)  # line 4
@@ -71,9 +66,7 @@ def detect_heads(
             continue
         fit = gassl.fit_cluster(window, members, gamma, rng)
         gamma = fit.gamma
-        found = answer(window, members, fit, gassl.rule, gassl.top_k, rng)
-        assert found.leader is not None
-        assert found.attention is not None
+        found: Any = answer(window, members, fit, gassl.rule, gassl.top_k, rng)
         candidates |= found.candidates
         scores += found.scores
         leader[members] = found.leader[members]
@@ -91,36 +84,25 @@ def update_gru(
     online: OnlineTraining,
     rng: np.random.Generator,
 ) -> tuple[Floats, GruParameters, list[float]]:
-    """Line 5: the swarm is re-clustered by the trained IFSN, and the GRU network learns from the ``count`` clusters.
-
-    Returns:
-        c_{i'} ``(N,)``, W_r and the loss of each step.
-    """
+    """Line 5: re-clusters the swarm by the trained IFSN; c_{i'} ``(N,)``, W_r and the loss of each step."""
     living = np.flatnonzero(window.alive)
-    inputs = prepare_inputs(build_batch(window, living, gassl.memory))
-    chosen = best_heads(inputs, gamma)  # equation (37)
-    followed = spread(count_scores(chosen), living, window.uavs)  # equation (38)
+    chosen = best_heads(build_batch(window, living, gassl.memory), gamma)  # equation (37)
+    score = np.bincount(chosen, minlength=len(chosen)).astype(np.float64)  # c_{i'}, equation (38)
+    followed = spread(score, living, window.uavs)
     labels = spread(recluster(chosen, count, rng), living, window.uavs, fill=-1)
     generator = torch.Generator().manual_seed(int(rng.integers(2**63)))
     dataset = inputs_of(window, gassl.memory), torch.from_numpy(labels)
-    updated, loss = train_online(parameters, *dataset, online, generator)  # equation (39)
-    return followed, updated, loss
+    return followed, *train_online(parameters, *dataset, online, generator)  # equation (39)
 
 
 def best_heads(inputs: Inputs, gamma: Singles) -> Indices:
     """i_H of every UAV, ``(n,)``: the other UAV from which the trained IFSN, Γ, predicts it best, equation (37)."""
     own, source = inputs.own.copy(), inputs.history.copy()
-    for i in range(inputs.uavs):
-        standardise(own[i])
-        standardise(source[i])
+    for values in (*own, *source):
+        standardise(values)
     loss = pair_losses(gamma, own, source, inputs.target, inputs.weight)
     np.fill_diagonal(loss, np.inf)
     return np.asarray(np.nan_to_num(loss, nan=np.inf).argmin(axis=1).astype(np.int64))
-
-
-def count_scores(chosen: Indices) -> Floats:
-    """c_{i'} of every UAV, ``(n,)``: how many UAVs have i' as their i_H, equation (38)."""
-    return np.bincount(chosen, minlength=len(chosen)).astype(np.float64)
 
 
 def recluster(chosen: Indices, count: int, rng: np.random.Generator) -> Indices:
@@ -128,8 +110,7 @@ def recluster(chosen: Indices, count: int, rng: np.random.Generator) -> Indices:
 
     ``chosen`` is i_H, ``count`` M̂, and ``rng`` breaks ties. Labels begin at 0; UAVs of no cluster have -1.
     """
-    score = count_scores(chosen)
-    heads = select_top(score, count, rng)
+    heads = select_top(np.bincount(chosen, minlength=len(chosen)), count, rng)
     labels = np.full(len(chosen), -1, np.int64)
     for label, head in enumerate(heads):
         labels[chosen == head] = label

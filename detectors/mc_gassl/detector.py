@@ -11,7 +11,7 @@ import torch
 from pydantic import Field
 
 from detectors.base import Detector
-from detectors.clustering import check_clusterer, make_clusterer
+from detectors.clustering import CLUSTERERS, make_clusterer
 from detectors.gassl import Gassl
 from detectors.mc_gassl.algorithm_2 import run_round
 from detectors.mc_gassl.features import gru_features
@@ -19,13 +19,10 @@ from detectors.mc_gassl.gru import GruParameters, draw_parameters, load_meta_wei
 from detectors.mc_gassl.training_steps import OnlineTraining
 from detectors.mc_gassl.triplet import Metric
 from detectors.parameters import Count, Lags
-from detectors.series.designs import check_window
-from detectors.series.votes import LEAST_UAVS, name_at_random, shows_evidence
-from usnet_env.config import ArgumentError, quote
+from detectors.series.designs import check_pairs, check_steps
+from detectors.series.votes import name_at_random, shows_evidence
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
-
-GRU = "gru"  # features= that belong to this detector and not to detectors.clustering
 
 
 class McGassl(Detector):
@@ -43,7 +40,6 @@ class McGassl(Detector):
     Args:
         clusterer: a name of :func:`detectors.clustering.clusterers`, or an object with ``cluster(window, rng)``.
         features: ``"gru"``, or what :class:`detectors.clustering.Clusterer` takes.
-        gru_mode: ``"single"``, ``"mean"`` or ``"series"``, see :func:`detectors.mc_gassl.features.gru_features`.
         count: M̂: a whole number, or a rule's name, see :class:`detectors.clustering.Clusterer`.
         gassl: arguments of :class:`detectors.gassl.Gassl` that differ from its defaults.
         online_steps, online_rate: gradient steps a round, and β' of equation (39); no steps: W stays as it is.
@@ -61,9 +57,8 @@ class McGassl(Detector):
     _made_by_reset = "_parameters"
 
     clusterer: Any = "kmeans"
-    features: Any = GRU
-    gru_mode: Literal["single", "mean", "series"] = "single"
-    count: Count | str = "gap-one-se"
+    features: Any = "gru"
+    count: Count | str = "gap"
     gassl: Mapping[str, Any] | None = None
     online_steps: Annotated[int, Field(ge=0, le=1_000_000)] = 1
     online_rate: Annotated[float, Field(gt=0)] = 1.0
@@ -74,23 +69,18 @@ class McGassl(Detector):
     def check_arguments(self) -> tuple[Gassl, OnlineTraining]:
         """Check every argument; return the settings of GASSL and of on-line training."""
         plain = super().check_arguments()
-        check_clusterer(plain.clusterer)
-        metric = Metric(sampling=plain.sampling)
-        online = OnlineTraining(steps=plain.online_steps, rate=plain.online_rate, metric=metric)
-        given = dict(plain.gassl or {})
-        for name in set(given) - (set(Gassl().get_params()) - {"memory"}):
-            raise ArgumentError(f"gassl must hold arguments of Gassl other than memory, got {quote(name)}.")
-        gassl = Gassl(memory=plain.memory, **given)
+        if isinstance(plain.clusterer, str):
+            CLUSTERERS.find(plain.clusterer)
+        gassl = Gassl(memory=plain.memory, **(plain.gassl or {}))
         gassl.check_arguments()
-        return gassl, online
+        return gassl, OnlineTraining(plain.online_steps, plain.online_rate, Metric(sampling=plain.sampling))
 
     @cached_property
     def _parameters(self) -> GruParameters:
         """The parameters of the GRU network in this episode; off-line ones before round 1."""
         if self.start == "meta":
             return load_meta_weights()
-        generator = torch.Generator().manual_seed(int(self.rng.integers(2**63)))
-        return draw_parameters(generator)
+        return draw_parameters(torch.Generator().manual_seed(int(self.rng.integers(2**63))))
 
     def detect(self, window: Window) -> Detection:
         """One round of Algorithm 2.
@@ -104,22 +94,20 @@ class McGassl(Detector):
         """
         gassl, online = self.check_arguments()
         living = np.flatnonzero(window.alive)
-        if len(living) >= LEAST_UAVS:
-            check_window(window, self.memory)
+        check_pairs(window.uavs)
+        check_steps(window, self.memory)
         if not shows_evidence(window, living):  # decision (x)
             candidates = name_at_random(living, 1, window.uavs, self.rng)
             none = {"count": min(1, len(living)), "followed": np.zeros(window.uavs), "online_loss": []}
             return Detection(candidates, np.zeros(window.uavs), np.where(window.alive, 0, -1), extras=none)
-        detection, self._parameters = run_round(
-            window, self._parameters, self._make_clusterer(), gassl, online, self.rng
-        )
-        return detection
+        found, self._parameters = run_round(window, self._parameters, self._make_clusterer(), gassl, online, self.rng)
+        return found
 
     def _make_clusterer(self) -> Any:
         """The clusterer of lines 2 and 3 of Algorithm 2, with the GRU network as it is in this round."""
         if not isinstance(self.clusterer, str):
             return self.clusterer
         features: Any = self.features
-        if isinstance(features, str) and features == GRU:
-            features = partial(gru_features, parameters=self._parameters, mode=self.gru_mode, memory=self.memory)
+        if isinstance(features, str) and features == "gru":
+            features = partial(gru_features, parameters=self._parameters, memory=self.memory)
         return make_clusterer(self.clusterer, features=features, count=self.count, memory=self.memory)

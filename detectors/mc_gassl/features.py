@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 import torch
 from numpy.lib.stride_tricks import sliding_window_view
@@ -13,15 +11,11 @@ from detectors.series.gaps import fill_gaps
 from usnet_env.arrays import Floats
 from usnet_env.window import Window
 
-#: features of the newest T_0 samples (the paper's), their mean over all times, or one for every time
-Mode = Literal["single", "mean", "series"]
-
 
 def inputs_of(window: Window, memory: int = 4) -> GruInputs:
     """What the GRU network reads of all N UAVs at all R = T_ob - T_0 + 1 times of a window, float32.
 
-    What was not seen is filled in (:func:`detectors.series.gaps.fill_gaps`). Destroyed UAVs are 0 and never seen. Of a
-    window shorter than ``memory``, T_0, all samples that there are make one time.
+    What was not seen is filled in. Destroyed UAVs are 0 and never seen. A window shorter than ``memory``, T_0, has one.
     """
     steps = window.observation_steps
     memory = min(memory, steps)
@@ -32,32 +26,14 @@ def inputs_of(window: Window, memory: int = 4) -> GruInputs:
     return GruInputs(*(torch.from_numpy(np.array(values)) for values in (position, velocity, seen)))
 
 
-def gru_features(
-    window: Window, parameters: GruParameters, mode: Mode = "single", memory: int = 4, scale: Scale = ARENA_SCALE
-) -> Floats:
-    """The GRU network's features of all N UAVs; destroyed UAVs are 0.
+def gru_features(window: Window, parameters: GruParameters, memory: int = 4, scale: Scale = ARENA_SCALE) -> Floats:
+    """The GRU network's features e_{i,t} of the last T_0 samples of all N UAVs, ``(N, w)``; destroyed UAVs are 0.
 
-    As ``features=`` of a clusterer: ``functools.partial(gru_features, parameters=parameters, mode="series")``.
-
-    Args:
-        window: what the observer saw.
-        parameters: W, see :func:`detectors.mc_gassl.gru.load_meta_weights`.
-        mode: ``"single"``, the paper's e_{i,t} of the last T_0 samples; ``"mean"``, the mean of e_{i,t} over the times
-            at which the UAV was seen throughout (over all, if there are none); ``"series"``, e_{i,t} at all times.
-        memory: T_0.
-        scale: metres by which positions are divided; the one that the parameters were trained with.
-
-    Returns:
-        ``(N, w)``, or ``(N, T_ob - T_0 + 1, w)`` for ``"series"``.
+    As ``features=`` of a clusterer: ``functools.partial(gru_features, parameters=parameters)``. ``memory`` is T_0, and
+    positions are divided by ``scale`` metres, the one that the parameters were trained with.
     """
     inputs = inputs_of(window, memory)
-    if mode == "single":
-        inputs = inputs.at(torch.tensor([inputs.times - 1]))
     with torch.no_grad():
-        embedding = embed(parameters, inputs, scale).double()
-    if mode == "mean":
-        seen = inputs.seen | ~inputs.seen.any(dim=0)
-        embedding = (embedding * seen[..., None]).sum(dim=0, keepdim=True) / seen.sum(dim=0)[:, None]
-    values: Floats = embedding.numpy().swapaxes(0, 1).copy()
+        values: Floats = embed(parameters, inputs.at(torch.tensor([inputs.times - 1])), scale)[0].double().numpy()
     values[~window.alive] = 0.0
-    return values if mode == "series" else values[:, 0]
+    return values

@@ -26,22 +26,13 @@ ARENA_SCALE = (1000.0, 1000.0, 100.0)
 
 @dataclass(frozen=True, eq=False)
 class GruParameters:
-    """W = {W_r, W_u, W_h}, shared by all cells and all UAVs; w is the width.
+    """W = {W_r, W_u, W_h}, shared by all cells and all UAVs; w is the width."""
 
-    Args:
-        reset: W_r ``(w, w + 3)``, for [h; v].
-        update: W_u ``(w, w + 3)``, for [h; v].
-        candidate: W_h ``(w, 3 + w)``, for [v; g_r * h].
-    """
+    reset: Tensor  #: W_r ``(w, w + 3)``, for [h; v]
+    update: Tensor  #: W_u ``(w, w + 3)``, for [h; v]
+    candidate: Tensor  #: W_h ``(w, 3 + w)``, for [v; g_r * h]
 
-    reset: Tensor
-    update: Tensor
-    candidate: Tensor
-
-    @property
-    def width(self) -> int:
-        """Entries of a feature."""
-        return int(self.reset.shape[0])
+    width = AxisLength("reset", 0)  #: entries of a feature, w
 
     def tensors(self) -> tuple[Tensor, Tensor, Tensor]:
         """W_r, W_u, W_h."""
@@ -54,17 +45,11 @@ class GruParameters:
 
 @dataclass(frozen=True, eq=False)
 class GruInputs:
-    """What the GRU network reads of n UAVs at R times t.
+    """What the GRU network reads of n UAVs at R times t."""
 
-    Args:
-        position: ``(R, n, 3)`` metres, p_{i,t-T_0+1}, where the first of the velocities starts.
-        velocity: ``(R, n, T_0, 3)`` metres per step, oldest first.
-        seen: ``(R, n)`` bool, all of the T_0 velocities were seen. What was not seen is filled in.
-    """
-
-    position: Tensor
-    velocity: Tensor
-    seen: Tensor
+    position: Tensor  #: ``(R, n, 3)`` metres, p_{i,t-T_0+1}, where the first of the velocities starts
+    velocity: Tensor  #: ``(R, n, T_0, 3)`` metres per step, oldest first
+    seen: Tensor  #: ``(R, n)`` bool, all of the T_0 velocities were seen. What was not seen is filled in
 
     times = AxisLength("position", 0)  #: R
     uavs = AxisLength("position", 1)  #: n

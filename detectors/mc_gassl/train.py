@@ -18,18 +18,18 @@ from pydantic import Field
 
 from detectors.mc_gassl.features import inputs_of
 from detectors.mc_gassl.gru import ARENA_SCALE, GruParameters, Scale, draw_parameters, read_parameters
-from detectors.mc_gassl.training_steps import Clustered, OnlineTraining, Task, joint_step, meta_step, train_online
+from detectors.mc_gassl.training_steps import Clustered, Task, joint_step, meta_step
 from detectors.mc_gassl.triplet import Metric, batch_loss
-from detectors.weights import Checkpoint, record_training, write_losses, write_weights
+from detectors.weights import Checkpoint, write_losses, write_weights
 from usnet_env.arrays import Indices
-from usnet_env.config import ArgumentError, Config, quote, whole_number
+from usnet_env.config import ArgumentError, Config
 from usnet_env.evaluation.run import map_tasks
 from usnet_env.files import reserve_folder
 from usnet_env.swarm import SwarmConfig, advance, start
 from usnet_env.swarm.random_follow import random_follow_strategy
 from usnet_env.window import Window
 
-_START, _TASK, _EPISODE, _HELD_OUT, _MEASURE, _ONLINE = range(6)  # what a seed is for
+_START, _TASK, _EPISODE, _HELD_OUT, _MEASURE = range(5)  # what a seed is for
 _HELD_OUT_TASKS = 20
 
 Count = Annotated[int, Field(ge=1, le=10_000_000)]
@@ -86,7 +86,6 @@ def draw_task(training: MetaTraining, number: int, purpose: int = _TASK) -> Task
 
 
 def _make_task(training: MetaTraining, drawn: list[tuple[Window, Indices]]) -> Task:
-    """Turn the windows of two swarms, with the cluster of each UAV, into tensors."""
     return Task(*(Clustered(inputs_of(window, training.memory), torch.from_numpy(labels)) for window, labels in drawn))
 
 
@@ -103,15 +102,8 @@ def _draw_windows(training: MetaTraining, number: int, purpose: int = _TASK) -> 
     return drawn
 
 
-def start_of(training: MetaTraining) -> GruParameters:
-    """The random parameters that the training starts from."""
+def _draw_start(training: MetaTraining) -> GruParameters:
     return draw_parameters(_generator(training, _START), training.width)
-
-
-def trained(training: MetaTraining) -> tuple[GruParameters, list[float]]:
-    """The parameters, and the query loss of every episode; nothing is written."""
-    tasks = [draw_task(training, number) for number in range(training.strategies)]
-    return _train(training, start_of(training), tasks, range(training.episodes))
 
 
 def _train(
@@ -130,18 +122,6 @@ def _train(
     return parameters, losses
 
 
-def online_losses(
-    parameters: GruParameters, window: Window, labels: Indices, steps: int, training: MetaTraining
-) -> tuple[GruParameters, list[float]]:
-    """On-line training on a window with known ``labels`` ``(N,)``: the parameters and the loss before each step.
-
-    The batches are those of the training, and its seed decides the draws.
-    """
-    settings = OnlineTraining(steps=steps, metric=training.part(Metric))
-    generator = _generator(training, _ONLINE)
-    return train_online(parameters, inputs_of(window, training.memory), torch.from_numpy(labels), settings, generator)
-
-
 def train_meta(
     out: str | os.PathLike[str],
     training: MetaTraining | None = None,
@@ -157,34 +137,25 @@ def train_meta(
     Files in ``out``, each appearing whole: ``meta.safetensors`` and ``meta.json`` (``joint.…`` with that method), see
     :mod:`detectors.weights`; ``losses.csv``, the query loss of every episode; ``checkpoint.safetensors``.
 
-    Args:
-        out: a folder; made if it is missing.
-        training: what to train; the defaults make the weights that the package ships.
-        progress: called with what is done (strategies drawn, then episodes) and all there is to do.
-        resume: go on from the checkpoint in ``out``, if there is one; otherwise start again.
-        checkpoint_every: episodes between two checkpoints.
-        workers: number of processes that draw swarms; the weights do not depend on it.
-        backend: where they run, see :func:`usnet_env.evaluation.run.map_tasks`.
-
-    Returns:
-        The weights file.
+    The defaults of ``training`` make the weights that the package ships. ``progress`` is called with the number of
+    strategies drawn and episodes done, and of all there are. It goes on from the checkpoint in ``out`` if ``resume``.
+    The result does not depend on ``workers``, the processes that draw swarms, and ``backend``, see
+    :func:`usnet_env.evaluation.run.map_tasks`.
 
     Raises:
         ArgumentError: ``out`` can't be written to, or its checkpoint is of another training or of more episodes.
     """
     training = MetaTraining() if training is None else training
     # A training can be prolonged: a checkpoint may be of fewer episodes.
-    checkpoint = Checkpoint(Path(out), training.model_dump(mode="json", exclude={"episodes"}))
-    whole_number("checkpoint_every", checkpoint_every, 1)
-    reserve_folder(Path(out))
+    folder = reserve_folder(Path(out))
+    checkpoint = Checkpoint(folder, training.model_dump(mode="json", exclude={"episodes"}))
     total = training.strategies + training.episodes
     arrays, losses = checkpoint.read() if resume else ({}, [])
     if len(losses) > training.episodes:
         raise ArgumentError(
-            f"episodes must be at least the {len(losses)} of the checkpoint in {quote(str(checkpoint.folder))}, "
-            f"got {training.episodes}."
+            f"episodes must be at least the {len(losses)} of the checkpoint in out, got {training.episodes}."
         )
-    parameters = read_parameters(arrays) if arrays else start_of(training)
+    parameters = read_parameters(arrays) if arrays else _draw_start(training)
     tasks = []
     draw = partial(_draw_windows, training)
     for windows in map_tasks(draw, range(training.strategies), workers=workers, backend=backend):
@@ -196,30 +167,27 @@ def train_meta(
         losses += more
         checkpoint.write(vars(parameters), losses)
         progress(training.strategies + len(losses), total)
-    write_losses(checkpoint.folder, "episode", losses)
-    path, metrics = checkpoint.folder / f"{training.method}.safetensors", _metrics(training, parameters, losses)
-    return write_weights(path, vars(parameters), record_training(training), metrics)
+    write_losses(folder, "episode", losses)
+    path, metrics = folder / f"{training.method}.safetensors", _metrics(training, parameters, losses)
+    return write_weights(path, vars(parameters), training.model_dump(mode="json"), metrics)
 
 
 def _metrics(training: MetaTraining, parameters: GruParameters, losses: list[float]) -> dict[str, Any]:
     """The loss at the beginning and end, and on strategies that were not trained on, beside the random start's."""
-    few = max(1, min(500, len(losses) // 2))
-    begin, metric = start_of(training), training.part(Metric)
-    held_out: list[list[float]] = []
-    for number in range(_HELD_OUT_TASKS):
-        swarm = draw_task(training, number, _HELD_OUT).query
+    few, metric = max(1, min(500, len(losses) // 2)), training.part(Metric)
+    swarms = [draw_task(training, number, _HELD_OUT).query for number in range(_HELD_OUT_TASKS)]
+
+    def measure(weights: GruParameters) -> float:
+        generators = (_generator(training, _MEASURE, number) for number in range(_HELD_OUT_TASKS))
         with torch.no_grad():
-            both = [  # of the same batch
-                batch_loss(weights, *swarm, metric, _generator(training, _MEASURE, number))
-                for weights in (parameters, begin)
-            ]
-        held_out.append([float(loss) for loss in both])
-    of_trained, of_start = zip(*held_out, strict=True)
+            pairs = zip(swarms, generators, strict=True)
+            return float(np.mean([float(batch_loss(weights, *swarm, metric, rng)) for swarm, rng in pairs]))
+
     return {
         "episodes_averaged": few,
         "first_loss": float(np.mean(losses[:few])),
         "last_loss": float(np.mean(losses[-few:])),
         "held_out_strategies": _HELD_OUT_TASKS,
-        "held_out_loss": float(np.mean(of_trained)),
-        "held_out_loss_of_random_start": float(np.mean(of_start)),
+        "held_out_loss": measure(parameters),
+        "held_out_loss_of_random_start": measure(_draw_start(training)),
     }

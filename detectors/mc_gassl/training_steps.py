@@ -6,23 +6,21 @@ that they can be compared: one strategy's support and query swarm. On-line train
 
 from __future__ import annotations
 
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import torch
-from pydantic import Field
 from torch import Tensor
 
 from detectors.mc_gassl.gru import GruInputs, GruParameters
 from detectors.mc_gassl.triplet import Metric, batch_loss
-from usnet_env.config import Config
 
 
-class OnlineTraining(Config):
+class OnlineTraining(NamedTuple):
     """Settings of :func:`train_online`: gradient ``steps`` a round, beta' (``rate``), batches and loss (``metric``)."""
 
-    steps: Annotated[int, Field(ge=0, le=1_000_000)] = 1
-    rate: Annotated[float, Field(gt=0)] = 1.0
-    metric: Metric = Metric()
+    steps: int
+    rate: float
+    metric: Metric
 
 
 def descend(parameters: GruParameters, loss: Tensor, at: GruParameters, rate: float) -> GruParameters:
@@ -39,12 +37,9 @@ def train_online(
     settings: OnlineTraining,
     generator: torch.Generator,
 ) -> tuple[GruParameters, list[float]]:
-    """Gradient descent from ``parameters`` on the triplet loss of one window of n UAVs whose clusters are known.
+    """Gradient descent on the triplet loss of one window of n UAVs; the loss before each step.
 
-    UAVs with -1 in ``labels`` ``(n,)`` int64 take no part.
-
-    Returns:
-        The trained parameters, and the loss before each step; unchanged and 0 where no triplet can be drawn.
+    UAVs with -1 in ``labels`` ``(n,)`` int64 take no part. Nothing changes where no triplet can be drawn.
     """
     losses: list[float] = []
     for _ in range(settings.steps):
@@ -80,10 +75,7 @@ def meta_step(
     """One episode, equations (35) and (36), first order; the rates are alpha and beta.
 
     The temporary parameters are Pi = W - alpha grad L_S(W); then W loses beta grad L_Q(Pi), the gradient with respect
-    to Pi. The paper writes one rate for both steps where its text names two; here they are two.
-
-    Returns:
-        The new W, and L_Q(Pi).
+    to Pi. The paper writes one rate for both steps where its text names two. The result is the new W, and L_Q(Pi).
     """
     at = parameters.trainable()
     support = batch_loss(at, *task.support, metric, generator)

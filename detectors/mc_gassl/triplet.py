@@ -14,15 +14,7 @@ from usnet_env.config import Config
 
 
 class Metric(Config):
-    """What a batch of triplets and its loss are made of.
-
-    Args:
-        sampling: ``"hard"``, ``"semi-hard"`` or ``"random"``, see :func:`draw_triplets`.
-        margin: gamma.
-        times: random times t of the window in a batch.
-        anchors: B, triplets in a batch.
-        scale: metres by which positions are divided, axis by axis.
-    """
+    """What a batch of triplets and its loss are made of: sampling, gamma, random times, B, and metres of positions."""
 
     sampling: Literal["hard", "semi-hard", "random"] = "hard"
     margin: Annotated[float, Field(gt=0)] = 0.5
@@ -50,11 +42,7 @@ def draw_triplets(
     FaceNet, 2015): a random positive, and of the other clusters the nearest *feature* that is farther away than the
     positive's; where there is none, the farthest. ``"random"``: both at random.
 
-    UAVs with -1 in ``labels`` ``(n,)`` int64 take no part.
-
-    Returns:
-        B triplets whose three UAVs were seen, or all that are possible, if these are fewer; none where there are no two
-        clusters, one of them with two UAVs.
+    UAVs with -1 in ``labels`` ``(n,)`` int64 take no part. Fewer than B triplets are drawn where fewer are possible.
     """
     there = inputs.seen & (labels >= 0)
     cluster = torch.from_numpy(np.unique(labels.numpy(), return_inverse=True)[1])

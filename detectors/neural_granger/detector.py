@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import torch
@@ -12,9 +12,8 @@ from pydantic import Field
 from detectors.base import Detector
 from detectors.neural_granger.training import build_samples, fit_networks
 from detectors.parameters import Count, Lags
-from detectors.series.designs import check_window
+from detectors.series.designs import check_pairs, check_steps
 from detectors.series.votes import choose_heads, name_at_random, select_top, shows_evidence, spread
-from usnet_env.config import ArgumentError
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
@@ -49,8 +48,8 @@ class NeuralGranger(Detector):
         floor: squared error, in (metres per step)², that is added to all errors before their logarithm is taken.
 
     Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is invalid, the device does not exist, or the
-            window has no more than T_0 velocities or more than 10,000 UAVs.
+        ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is invalid, or the window has no more than T_0
+            velocities or more than 10,000 UAVs.
     """
 
     tags = Tags(needs=("torch",), most_uavs=10_000, least_steps=5, needs_unit_speed=True)
@@ -70,12 +69,6 @@ class NeuralGranger(Detector):
     ridge: Positive = 1.0
     floor: Positive = 1e-3
 
-    def check_arguments(self) -> Any:
-        """Check all arguments and return them."""
-        if self.device == "cuda" and not torch.cuda.is_available():
-            raise ArgumentError("device must be 'cpu' or 'auto' on a machine without a GPU, got 'cuda'.")
-        return super().check_arguments()
-
     def detect(self, window: Window) -> Detection:
         """Train on one window and name the candidates.
 
@@ -89,11 +82,13 @@ class NeuralGranger(Detector):
             living UAVs are named at random (none with the gate) and all scores are 0.
         """
         settings, living = self.check_arguments(), np.flatnonzero(window.alive)
-        check_window(window, self.memory)
+        check_pairs(window.uavs)
+        check_steps(window, self.memory)
         if not shows_evidence(window, living):
             candidates = name_at_random(living, 0 if self.gate else self.top_k, window.uavs, self.rng)
             return Detection(candidates, np.zeros(window.uavs), extras={"followed": False})
-        device = torch.device("cuda" if self.device != "cpu" and torch.cuda.is_available() else "cpu")
+        found = "cuda" if torch.cuda.is_available() else "cpu"
+        device = torch.device(found if self.device == "auto" else self.device)
         generator = torch.Generator(device).manual_seed(int(self.rng.integers(2**63)))
         fit = fit_networks(build_samples(window, living, self.memory, device), settings, generator)
         second = fit.held_out_gain.sort(dim=0, descending=True).values[1]

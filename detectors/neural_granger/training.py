@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -31,11 +31,10 @@ _CHUNK_ENTRIES = 4_000_000  # pair errors formed at once where no gradient is ke
 
 @dataclass(frozen=True)
 class Samples:
-    """Inputs and targets of n UAVs at R = T_ob - T_0 times t.
+    """V_{i,t}, newest first, ``(n, R, T_0, 3)``, p_{i,t} and v_{i,t+1} ``(n, R, 3)`` of n UAVs at R = T_ob - T_0 times.
 
-    These are V_{i,t}, newest first, ``(n, R, T_0, 3)``, p_{i,t} and v_{i,t+1} ``(n, R, 3)``, in metres and metres per
-    step, and whether the target was seen, ``(n, R)``. What was not seen is filled in
-    (:func:`detectors.series.gaps.fill_gaps`), except for the target, which is 0 then.
+    The ``weight`` ``(n, R)`` is 1 where the target was seen; where it was not, the target is 0. Other missing samples
+    are filled in (:func:`detectors.series.gaps.fill_gaps`).
     """
 
     velocity: Tensor
@@ -48,7 +47,7 @@ class Samples:
 
 
 def build_samples(window: Window, members: NDArray[np.intp], memory: int, device: torch.device) -> Samples:
-    """Build the samples of the n UAVs with the indices in ``members``."""
+    """Build the samples of the ``members`` ``(n,)``."""
     whole = fill_gaps(window)
     velocity, seen = whole.velocity[:, members], window.velocity_seen[memory:, members]
     parts = (
@@ -96,7 +95,7 @@ class AdditiveNetwork:
         return cls(weights, free)
 
     def select(self, index: Tensor) -> AdditiveNetwork:
-        """Copy some of the networks, without gradient."""
+        """Some of the networks, without gradient."""
         return AdditiveNetwork(*([part.detach()[index] for part in parts] for parts in (self.weights, self.free)))
 
     def encode_source(self, window: Tensor) -> Tensor:
@@ -118,13 +117,10 @@ class AdditiveNetwork:
 
 
 def split_times(times: int, blocks: int, gap: int, device: torch.device) -> tuple[Tensor, Tensor]:
-    """Split the times into training times and held-out times.
+    """Indices of the training times and of the held-out times.
 
-    A fifth of all times is held out, in evenly spread blocks with gaps on both sides; in fewer and longer blocks, and
-    at last without gaps, if less than a third of the times would remain for training.
-
-    Returns:
-        Indices of the training times and of the held-out times; the ``gap`` times on each side of a block are neither.
+    A fifth of all times is held out, in evenly spread blocks with ``gap`` times on each side that are neither; in fewer
+    and longer blocks, and at last without gaps, if less than a third of the times would remain for training.
     """
     for fewer in range(min(blocks, times), 0, -1):
         held, near = torch.zeros(2, times, dtype=torch.bool, device=device)
@@ -140,7 +136,7 @@ def split_times(times: int, blocks: int, gap: int, device: torch.device) -> tupl
 
 
 def _predict_from_own_history(samples: Samples, ridge: float) -> Tensor:
-    """Predict each UAV's next velocity ``(n, R, 3)`` from its own last ones, without those times: the null model."""
+    """Each UAV's next velocity ``(n, R, 3)`` from its own last ones by the null model."""
     past = (_VELOCITY_SCALE * samples.velocity.flatten(2)).cpu().numpy()
     past = np.concatenate([past, np.ones_like(past[..., :1])], axis=-1)
     target, weight = samples.target.cpu().numpy(), samples.weight.cpu().numpy()
@@ -149,7 +145,6 @@ def _predict_from_own_history(samples: Samples, ridge: float) -> Tensor:
 
 
 def _weighted_mean(values: Tensor, weight: Tensor) -> Tensor:
-    """Mean over the last axis; 0 where all weights are 0."""
     return (values * weight).sum(-1) / weight.sum(-1).clamp(min=1.0)
 
 
@@ -167,13 +162,9 @@ class Problem:
         self.noise = (settings.input_noise * _VELOCITY_SCALE * surprise).reshape(-1, 1, 1)
 
     def compute_errors(
-        self,
-        network: AdditiveNetwork,
-        columns: Tensor,
-        voters: Tensor,
-        times: Tensor,
+        self, network: AdditiveNetwork, columns: Tensor, voters: Tensor, times: Tensor,
         generator: torch.Generator | None = None,
-    ) -> Tensor:
+    ) -> Tensor:  # fmt: skip
         """Squared errors ``(c, v, t)`` of c networks that predict v voters from c columns, with noise or not."""
         samples, shape = self.samples, (len(columns), len(voters), len(times), 3)
         source = self.source[columns][:, times]
@@ -197,21 +188,13 @@ class Problem:
         return torch.cat(parts).T
 
 
-@dataclass(frozen=True)
-class Fit:
-    """The result of training, for n UAVs.
+class Fit(NamedTuple):
+    """The result of training, for n UAVs."""
 
-    Args:
-        held_out_gain: ``(n, n)`` log ratio of the null model's error for UAV i and that of candidate j's network.
-        attention: ``(n, n)`` alpha_ij; the diagonal is the weight of the null model.
-        winner: the candidate whose network predicts best.
-        explained: ``(n,)`` fraction of UAV i's squared velocity that its choice explains on held-out times.
-    """
-
-    held_out_gain: Tensor
-    attention: Tensor
-    winner: int
-    explained: Tensor
+    held_out_gain: Tensor  #: ``(n, n)`` log ratio of the null model's error for UAV i and that of candidate j's network
+    attention: Tensor  #: ``(n, n)`` alpha_ij; the diagonal is the weight of the null model
+    winner: int  #: the candidate whose network predicts best
+    explained: Tensor  #: ``(n,)`` fraction of UAV i's squared velocity that its choice explains on held-out times
 
 
 def fit_networks(samples: Samples, settings: Any, generator: torch.Generator) -> Fit:
@@ -271,7 +254,6 @@ def _attend(problem: Problem, network: AdditiveNetwork, winner: int, held: Tenso
     samples, floor = problem.samples, problem.settings.floor
 
     def measure(times: Tensor) -> Tensor:
-        """Errors ``(n, n)`` by the winner's network at these times; on the diagonal those of the null model."""
         errors = problem.compute_all_errors(lambda columns: network.select(torch.full_like(columns, winner)), times)
         errors.diagonal().copy_(_weighted_mean(problem.null_error[:, times], samples.weight[:, times]))
         return errors

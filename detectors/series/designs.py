@@ -18,19 +18,16 @@ AnyT = TypeVar("AnyT", bound=np.generic)
 RealT = TypeVar("RealT", np.float32, np.float64)
 
 
-def check_pairs(uavs: int) -> None:
+def check_pairs(uavs: int, most: int = MOST_UAVS) -> None:
     """Refuse a window whose matrices of pairs would be too large."""
-    if uavs > MOST_UAVS:
-        raise ArgumentError(
-            f"window must hold at most {MOST_UAVS} UAVs for a detector that compares all pairs, got {uavs}."
-        )
+    if uavs > most:
+        raise ArgumentError(f"window must hold at most {most} UAVs for this detector, got {uavs}.")
 
 
-def check_window(window: Window, memory: int) -> None:
-    """Refuse a window that is too short for ``memory``, T_0, or too large for matrices of all pairs."""
-    check_pairs(window.uavs)
+def check_steps(window: Window, memory: int) -> None:
+    """Refuse a window that has no velocity after the first ``memory``, T_0."""
     if window.observation_steps <= memory:
-        raise ArgumentError(f"window must hold more than memory = {memory} velocities, got {window.observation_steps}.")
+        raise ArgumentError(f"window must hold more than {memory} velocities, got {window.observation_steps}.")
 
 
 def count_lags(steps: int, most: int, width: int, rows_per_feature: float) -> int:
@@ -40,6 +37,19 @@ def count_lags(steps: int, most: int, width: int, rows_per_feature: float) -> in
     L ``width`` features.
     """
     return max(0, min(most, int(steps / (1.0 + rows_per_feature * width))))
+
+
+def shift_in_time(values: NDArray[AnyT], axis: int = 0) -> NDArray[AnyT]:
+    """Shift series circularly by half their length: a surrogate, related to unshifted UAVs by chance only.
+
+    The shift keeps the statistics of each UAV, such as its autocorrelation, without a model of the motion.
+    """
+    return np.roll(values, values.shape[axis] // 2, axis=axis)
+
+
+def compute_chance(surrogate: NDArray[np.floating]) -> float:
+    """Compute how high the best entry of a row rises by chance: the median of the row maxima of surrogate evidence."""
+    return float(np.median(surrogate.max(axis=1)))
 
 
 def stack_past(values: NDArray[AnyT], lags: int) -> NDArray[AnyT]:

@@ -113,9 +113,8 @@ def _measure_leads(group: Floats, past: Floats, future: Floats, longest: int, tu
     """Contributions ``(P, 8)`` of the blocks to the lead of P pairs; the leads ``(P, 2)`` of the predictions.
 
     These are the lead that the group's prediction from the head's past has in place of the group, and, with its sign
-    changed, that of the prediction from the head's future. All are shares of the group's energy. ``group``, ``past``
-    and ``future`` are ``(P, T, a)``: mean velocities of followers, and those of their head as known from before and
-    from afterwards; or their changes. ``turned`` is the sign that they have in reversed time.
+    changed, that of the prediction from the head's future, as shares of the group's energy. All arrays are
+    ``(P, T, a)``; ``turned`` is the sign that they have in reversed time.
     """
     pair = np.stack([past, turned * future[:, ::-1]], axis=1)  # (P, 2, T, a): in both directions of time
     across = pair.reshape(-1, *group.shape[1:]).swapaxes(1, 2)

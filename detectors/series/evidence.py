@@ -2,7 +2,7 @@
 
 Three measures of one form: entry (i, j) is the evidence that i follows j. Each is computed a second time for a
 surrogate, in which UAV i is shifted in time by half a window against all other UAVs
-(:func:`detectors.series.surrogates.shift_in_time`). The surrogate's row maxima estimate, without a model of the motion,
+(:func:`detectors.series.designs.shift_in_time`). The surrogate's row maxima estimate, without a model of the motion,
 how high the best of N entries rises by chance.
 
 All three take velocities ``(T_ob, n, 3)`` in metres per step and whether they were ``seen``, ``(T_ob, n)``: an unseen
@@ -17,9 +17,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from detectors.series.designs import centre_columns, centre_past, count_lags, scale_to_unit
+from detectors.series.designs import (
+    centre_columns,
+    centre_past,
+    compute_chance,
+    count_lags,
+    scale_to_unit,
+    shift_in_time,
+)
 from detectors.series.regressions import correlate_over_lags, explain_beyond_own_past, explain_pairs, whiten
-from detectors.series.surrogates import compute_chance, shift_in_time
 from usnet_env.arrays import Floats, Mask
 
 LEAST_ROWS = 6
@@ -33,10 +39,9 @@ _MAD_TO_SPREAD = 1.4826  # median absolute deviation to standard deviation, for 
 class Evidence:
     """Pairwise evidence among the n living UAVs.
 
-    Args:
-        pairs: ``(n, n)``; entry (i, j) is the evidence that i follows j, about 0 or below if not; -inf for i = j.
-        surrogate: ``(n, n)``, the same with the voters (rows) shifted in time.
-        spread: lower bound of the standard deviation of an entry by chance, for very few UAVs.
+    Entry (i, j) of ``pairs`` ``(n, n)`` is the evidence that i follows j, about 0 or below if not; -inf for i = j.
+    ``surrogate`` ``(n, n)`` is the same with the voters (rows) shifted in time, and ``spread`` a lower bound of the
+    standard deviation of an entry by chance, for very few UAVs.
     """
 
     pairs: Floats

@@ -10,27 +10,10 @@ import numpy as np
 
 from usnet_env.arrays import Floats, Indices
 
-#: Name of each class and the features of it: ``v`` velocities, ``v²`` their axis-wise squares, ``vv`` products of two
-#: axes of the newest velocity, ``v×v`` products of each axis of the newest velocity with each axis of the one before.
-CLASSES = {
-    "v(1)": "the newest velocity",
-    "v²(1)": "its axis-wise squares",
-    "v(L)": "the last L velocities",
-    "v²(L)": "their axis-wise squares",
-    "v+v²+vv(1)": "the newest velocity, its squares and its products of two axes",
-    "v+v²(L)": "the last L velocities and their axis-wise squares",
-    "v+v²+v×v(2)": "the last two velocities, their squares and the products of their axes",
-}
-#: The search begins with few classes, and takes all if these leave a doubt.
-LEVELS = (("v(1)", "v²(1)", "v(L)"), tuple(CLASSES))
-#: Classes by which a single UAV chooses a head: of few features, because it pays for them alone.
-LONE = ("v(1)", "v²(1)")
-#: Classes by which candidates are screened; they contain the others.
-SCREENED = ("v(1)", "v²(1)", "v(L)", "v+v²+vv(1)", "v+v²(L)", "v+v²+v×v(2)")
-
 _ALL = 1_000_000  # of the last velocities: all L
-# Of each class: how many of the last velocities and of their squares it has, and whether it has vv, and v×v.
-_PARTS = {
+#: Of each class: how many of the last velocities ``v`` and of their axis-wise squares ``v²`` it has, and whether it has
+#: the products ``vv`` of two axes of the newest velocity, and those ``v×v`` of its axes with those of the one before.
+CLASSES = {
     "v(1)": (1, 0, 0, 0),
     "v²(1)": (0, 1, 0, 0),
     "v(L)": (_ALL, 0, 0, 0),
@@ -39,6 +22,12 @@ _PARTS = {
     "v+v²(L)": (_ALL, _ALL, 0, 0),
     "v+v²+v×v(2)": (2, 2, 0, 1),
 }
+#: The search begins with few classes, and takes all if these leave a doubt.
+LEVELS = (("v(1)", "v²(1)", "v(L)"), tuple(CLASSES))
+#: Classes by which a single UAV chooses a head: of few features, because it pays for them alone.
+LONE = ("v(1)", "v²(1)")
+#: Classes by which candidates are screened; they contain the others.
+SCREENED = tuple(name for name in CLASSES if name != "v²(L)")
 
 
 def make_features(past: Floats, names: Iterable[str]) -> tuple[Floats, dict[str, Indices]]:
@@ -67,16 +56,12 @@ def make_features(past: Floats, names: Iterable[str]) -> tuple[Floats, dict[str,
 @cache
 def _list_columns(names: tuple[str, ...], lags: int, axes: int) -> tuple[tuple[int, ...], dict[str, Indices]]:
     """The parts that some of the classes have, and the indices of the features of each class among all of them."""
-    parts = {name: _PARTS[name] for name in names if lags > 1 or max(_PARTS[name]) == 1}
+    parts = {name: CLASSES[name] for name in names if lags > 1 or max(CLASSES[name]) == 1}
     whole = tuple(map(max, zip(*parts.values(), strict=True)))
 
     def count(part: tuple[int, ...]) -> list[int]:
-        return [
-            axes * min(part[0], lags),
-            axes * min(part[1], lags),
-            part[2] * axes * (axes - 1) // 2,
-            part[3] * axes**2,
-        ]
+        singles = [axes * min(number, lags) for number in part[:2]]
+        return [*singles, part[2] * axes * (axes - 1) // 2, part[3] * axes**2]
 
     starts = np.cumsum([0, *count(whole)])
     ranges = {name: zip(starts, count(part), strict=False) for name, part in parts.items()}

@@ -25,15 +25,9 @@ def predict_from_own_past(
     """Predict each UAV from its own past by a cross-fitted ridge regression.
 
     The rows of a fold, of consecutive rows, are predicted by a fit to the other folds, without the ``gap`` rows on each
-    side of the fold, which share samples with it. So the errors are those of rows that were not fitted.
-
-    Args:
-        past: ``(..., R, p)``, the features, with a column of ones for the mean.
-        target: ``(..., R, d)``; the prediction has this shape.
-        weight: ``(..., R)``, 1 where the target was seen, else 0.
-        penalty: what is added to the diagonal of the Gram matrix.
-        gap: in rows.
-        folds: their number.
+    side of the fold, which share samples with it. So the errors are those of rows that were not fitted. ``past`` is
+    ``(..., R, p)``, with a column of ones for the mean, ``target`` and prediction are ``(..., R, d)``, ``weight``
+    ``(..., R)`` is 1 where the target was seen, and ``penalty`` is added to the diagonal of the Gram matrix.
     """
     rows = past.shape[-2]
     index = np.arange(rows)

@@ -134,14 +134,11 @@ def explain_each(gram: Floats, moment: Floats) -> Floats:
 def multiply_pairs(
     features: Floats, weight: Floats, innovation: Floats, own: Floats, place: Indices, target: Indices
 ) -> tuple[Floats, Floats, Floats]:
-    """Products of P pairs of features ``(k, p, R)`` and weighted targets ``(G, a, R)``: ``innovation``.
+    """Features times targets ``(P, p, a)``, and features ``(P, p, p)`` less what own rows explain; squares ``(P, p)``.
 
-    ``weight`` ``(G, R)`` is that of the rows of each target, ``own`` ``(G, z, R)`` are orthonormal rows, which the
-    features are compared beyond; ``place`` and ``target`` ``(P,)`` are indices of features and targets.
-
-    Returns:
-        Features times targets ``(P, p, a)``; features times features ``(P, p, p)``, less what the own rows explain of
-        them; their squares ``(P, p)``.
+    For P pairs of features ``(k, p, R)`` and weighted targets, ``innovation`` ``(G, a, R)``: ``weight`` ``(G, R)`` is
+    that of the rows of each target, ``own`` ``(G, z, R)`` are orthonormal rows, which the features are compared beyond;
+    ``place`` and ``target`` ``(P,)`` are indices of features and targets.
     """
     pairs, width = len(place), features.shape[1]
     moment, gram = np.empty((pairs, width, innovation.shape[1])), np.empty((pairs, width, width))
@@ -167,10 +164,8 @@ def multiply_pairs(
 def _solve(product: Singles, gram: Singles, axes: int) -> Floats:
     """``(k, C)``: m' G^-1 m, summed over the axes, with G less what the own past explains, by Cholesky's method.
 
-    Args:
-        product: ``(k, p, a + z, C)`` features times innovations, which are m, and times own pasts.
-        gram: ``(k, p (p + 1) / 2, C)`` lower triangles of features times features.
-        axes: a.
+    ``product`` ``(k, p, a + z, C)`` are features times innovations, which are m, and times own pasts; ``gram``
+    ``(k, p (p + 1) / 2, C)`` are lower triangles of features times features.
     """
     uavs, features, width, count = product.shape
     explained = np.zeros((uavs, count))

@@ -48,11 +48,9 @@ def whiten(features: NDArray[RealT], ridge: float = RIDGE, fitted: bool = False)
 def explain_pairs(
     features: NDArray[np.floating], targets: Sequence[NDArray[np.floating]], ridge: float = RIDGE, fitted: bool = False
 ) -> tuple[Floats, Floats]:
-    """Compute the share of every target that each UAV's ``features`` ``(n, R, p)``, centred, explain.
+    """Compute the share of every target, centred ``(R, v, d)``, that each UAV's ``features`` ``(n, R, p)`` explain.
 
-    One whitened matrix per UAV serves all targets, centred arrays ``(R, v, d)`` with any number v of UAVs, a few UAVs
-    at a time. Products are in single precision. ``ridge`` and ``fitted`` are those of :func:`whiten`; if fitted, the
-    shares are R².
+    Products are in single precision. ``ridge`` and ``fitted`` are those of :func:`whiten`; if fitted, shares are R².
 
     Returns:
         Shares ``(len(targets), v, n)`` from 0 to 1, entry (s, i, j) for target i and the features of j: 0 for UAVs
@@ -85,19 +83,12 @@ def subtract_projection(white: NDArray[RealT], target: NDArray[RealT]) -> NDArra
 
 
 def explain_beyond_own_past(target: Floats, own: Floats, theirs: Floats) -> Floats:
-    """Compute the share of what a regression on i's own past leaves of i that j's past explains, for all pairs.
+    """The share ``(n, n)`` of what a regression on i's own past leaves of i that j's past explains.
 
     Let r be the residual of the regression on i's own past, and F the part of j's features that is orthogonal to i's
     own past. By the Frisch-Waugh theorem, adding j's features explains r' F (F' F)^-1 F' r more. With whitened
-    features Q_j and Q_i this is r' Q_j (I - C C')^-1 Q_j' r with C = Q_j' Q_i, a small linear system per pair.
-
-    Args:
-        target: ``(n, R, d)``.
-        own: ``(n, R, q)``, each UAV's whitened own past, see :func:`whiten`; q may be 0.
-        theirs: ``(n, R, p)``, the whitened features of each UAV as the other one.
-
-    Returns:
-        ``(n, n)`` from 0 to 1.
+    features Q_j (``theirs`` ``(n, R, p)``) and Q_i (``own`` ``(n, R, q)``, q may be 0) this is
+    r' Q_j (I - C C')^-1 Q_j' r with C = Q_j' Q_i. The ``target`` is ``(n, R, d)``.
     """
     uavs, _, width = theirs.shape
     residual = subtract_projection(own, target)

@@ -38,7 +38,7 @@ def count_votes(chosen: Indices) -> Floats:
     return np.asarray(np.bincount(others, minlength=uavs) / uavs)
 
 
-def select_top(scores: Floats, count: int | None, rng: np.random.Generator) -> NDArray[np.intp]:
+def select_top(scores: NDArray[Any], count: int | None, rng: np.random.Generator) -> NDArray[np.intp]:
     """Indices of the ``count`` highest scores (all for ``None``), ties broken at random: equations (21), (22)."""
     return np.lexsort((rng.random(len(scores)), -scores))[:count]
 
@@ -116,10 +116,8 @@ def cover_voters(evidence: Evidence, most: int | None = None) -> list[int]:
 def find_trees(lead: Floats, strength: Floats, threshold: float) -> tuple[Indices, Indices]:
     """Give each follower its direct leader so that no cycle closes.
 
-    Args:
-        lead: ``(n, n)``, how much better j predicts i than i predicts j; above ``threshold`` it is significant.
-        strength: ``(n, n)``, how closely i follows j; among those that lead i, the strongest is its direct leader.
-        threshold: of the lead.
+    The ``lead`` ``(n, n)``, how much better j predicts i than i predicts j, counts above the ``threshold``. Of those
+    that lead i, the one that i follows most closely, by ``strength`` ``(n, n)``, is its direct leader.
 
     Returns:
         ``(n,)`` direct leader, -1 for none, and ``(n,)`` root of the tree, the own index of a UAV that follows none.
@@ -138,26 +136,21 @@ def find_trees(lead: Floats, strength: Floats, threshold: float) -> tuple[Indice
 def detection_from_evidence(
     evidence: Evidence | None, alive: Mask, clusters: int | None, first_round: bool, rng: np.random.Generator
 ) -> Detection:
-    """Derive a detection from pairwise evidence.
+    """Derive a detection from pairwise evidence among the living UAVs; ``None``: the window is too short.
 
-    Args:
-        evidence: the evidence among the living UAVs in index order; ``None``: the window is too short.
-        alive: ``(N,)`` bool.
-        clusters: M, the number of heads at the start of the episode, or ``None`` if it is unknown.
-        first_round: whether this is round 1, in which all M heads are alive.
-        rng: breaks ties, so that low indices have no advantage.
-
-    Returns:
-        Candidates: in the first round the UAVs with the ``clusters`` highest scores; otherwise the heads of
-        :func:`cover_voters`, or the UAV with the highest score if there are none. A score is the sum of the weights of
-        a UAV's votes; clusters are numbered in the order of the heads' indices; attention is the evidence, from 0.
+    Candidates are in the first round the UAVs with the ``clusters`` highest scores, if M is known; otherwise the heads
+    of :func:`cover_voters`, or the UAV with the highest score if there are none. A score is the sum of the weights of a
+    UAV's votes; ``rng`` breaks ties. Clusters are numbered in the order of the heads' indices; attention is the
+    evidence, from 0.
     """
     uavs = len(alive)
     living = np.flatnonzero(alive)
     scores, weight, attention = np.zeros(uavs), np.zeros(uavs), np.zeros((uavs, uavs))
     vote, label, leader = np.full((3, uavs), -1, np.int64)
     found: list[int] = []
+    threshold = np.inf
     if evidence is not None:
+        threshold = evidence.threshold
         chosen, weight[living] = compute_votes(evidence)
         vote[living] = living[chosen]
         np.add.at(scores, vote[living], weight[living])
@@ -181,10 +174,5 @@ def detection_from_evidence(
         clusters=label,
         leader=leader,
         attention=attention,
-        extras={
-            "vote": vote,
-            "weight": weight,
-            "threshold": np.inf if evidence is None else evidence.threshold,
-            "heads_found": len(found),
-        },
+        extras={"vote": vote, "weight": weight, "threshold": threshold, "heads_found": len(found)},
     )

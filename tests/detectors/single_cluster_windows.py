@@ -32,26 +32,10 @@ def rate(found, heads):
     return float((named(found) == heads).mean())
 
 
-def same(one, two):
-    """Both detections are equal in all parts."""
-    for name in ("candidates", "scores", "leader", "attention"):
-        np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
-    assert one.extras.keys() == two.extras.keys()
-    for name, value in one.extras.items():
-        np.testing.assert_array_equal(value, two.extras[name])
-
-
 def changed(window, **arrays):
     """The same window with some arrays replaced."""
     parts = {name: getattr(window, name) for name in ("position", "velocity", "seen", "alive", "round")}
     return usnet_env.Window(**{**parts, **arrays})
-
-
-def renumbered(windows, order):
-    """The windows with the UAVs in another order."""
-    return [
-        changed(w, position=w.position[:, order], velocity=w.velocity[:, order], seen=w.seen[:, order]) for w in windows
-    ]
 
 
 def without(window, gone):

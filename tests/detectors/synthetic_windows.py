@@ -1,10 +1,11 @@
-"""Windows made by hand, without the simulator: heads with fresh random directions, and their followers."""
+"""Windows made by hand: heads with fresh random directions, and their followers; and windows of simulated swarms."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from usnet_env import Window
+from usnet_env.swarm import SwarmConfig, advance, start
 
 
 def unit(vectors):
@@ -51,3 +52,11 @@ def window_of(velocity, seen=None, alive=None, round=1):
 
 def heads_of(leader):
     return leader == np.arange(len(leader))
+
+
+def swarm_window(seed=0, **config):
+    """The first window of a simulated swarm and the truth about it."""
+    settings, rngs = SwarmConfig(**{"clusters": 3, "uavs": 30, **config}), [np.random.default_rng(seed)]
+    state, sighting = advance(settings, start(settings, rngs), rngs)
+    arrays = (getattr(sighting, name)[0] for name in ("position", "velocity", "seen", "alive"))
+    return Window(*arrays), state.episode(0)

@@ -68,11 +68,9 @@ def test_reset_starts_an_episode_and_its_seed_decides():
         detector.reset(-1)
 
 
-def test_an_observation_is_refused_and_taken_by_the_policy():
+def test_the_policy_takes_an_observation():
     observation = {name: getattr(window(), name) for name in ("position", "velocity", "seen", "alive")}
     observation["round"] = np.ones(1)
-    with pytest.raises(ArgumentError, match="window must be"):
-        First().detect(observation)
     policy = First().as_policy()
     assert isinstance(policy, DetectorPolicy)
     action, state = policy.predict(observation, state=None, episode_start=np.array([True]))

@@ -2,20 +2,12 @@
 
 import numpy as np
 import pytest
+from synthetic_windows import swarm_window
 
 from detectors.baselines import Factions, Granger
-from detectors.baselines.factions import build_following_network, compute_pagerank
-from usnet_env import ArgumentError, Window
-from usnet_env.swarm import SwarmConfig, advance, start
+from usnet_env import Window
 
 BOTH = [Granger, Factions]
-
-
-def swarm_window(seed, **config):
-    settings = SwarmConfig(**{"clusters": 3, "uavs": 30, **config})
-    generators = [np.random.default_rng(seed)]
-    state, seen = advance(settings, start(settings, generators), generators)
-    return Window(seen.position[0], seen.velocity[0], seen.seen[0], seen.alive[0]), state.episode(0)
 
 
 def answer(detector, window, seed=0):
@@ -38,23 +30,6 @@ def test_granger_sees_beyond_the_own_past():
         assert np.array_equal(answer(Granger(), window).candidates, truth.head)
 
 
-def test_followings_have_one_direction():
-    window, truth = swarm_window(2, follow="f1")
-    network = build_following_network(window.velocity, window.velocity_seen, 4, 0.4)
-    assert not ((network > 0) & (network.T > 0)).any()
-    followers = np.flatnonzero(~truth.head)
-    assert (network[followers, truth.root[followers]] > 0.9).all()
-
-
-def test_pagerank_is_a_distribution_that_favours_the_followed():
-    network = np.zeros((5, 5))
-    network[[1, 2, 3], 0] = 1.0
-    rank = compute_pagerank(network)
-    assert rank.sum() == pytest.approx(1.0)
-    assert rank.argmax() == 0
-    np.testing.assert_allclose(rank[1:], rank[1])
-
-
 def test_a_chain_has_one_leader():
     rng = np.random.default_rng(0)
     lead = rng.standard_normal((62, 3))
@@ -64,18 +39,3 @@ def test_a_chain_has_one_leader():
     detection = answer(Factions(max_lag=1), window)
     assert detection.candidates.tolist() == [True, False, False]
     assert detection.leader.tolist() == [0, 0, 0]
-
-
-@pytest.mark.parametrize(
-    ("detector", "name"),
-    [
-        (Granger(lags=0), "lags"),
-        (Granger(own_lags=-1), "own_lags"),
-        (Granger(clusters=0), "clusters"),
-        (Factions(max_lag=0), "max_lag"),
-        (Factions(threshold=1.5), "threshold"),
-    ],
-)
-def test_a_bad_argument_is_refused(detector, name):
-    with pytest.raises(ArgumentError, match=f"{name} must be"):
-        detector.reset(0)

@@ -14,7 +14,6 @@ from detectors.baselines import (
 )
 from detectors.baselines.transfer_entropy import estimate_transfer_entropy
 from detectors.baselines.warping import warp_pairs
-from detectors.series.votes import find_trees
 from usnet_env import ArgumentError, Window
 
 KINDS = [DirectionalDelays, LaggedNetwork, NetLagRegression, TransferEntropy]
@@ -95,13 +94,6 @@ def test_few_windows_without_a_leader_name_any(kind):
     assert named <= 7  # 0.05 of 40 are 2; P(more than 7) < 0.001
 
 
-def test_trees_have_no_cycles():
-    lead = np.array([[-np.inf, 2.0, -1], [1.0, -np.inf, 3.0], [2.5, -3.0, -np.inf]])
-    leader, root = find_trees(lead, lead, 0.0)
-    assert leader.tolist() == [-1, 2, 0]
-    assert root.tolist() == [0, 0, 0]
-
-
 def test_transfer_entropy_of_gaussian_series_is_the_known_one():
     """For v_i(t) = v_j(t - 1) + noise of variance s² per axis in one axis it is 1/2 ln(1 + 1/s²)."""
     rng = np.random.default_rng(0)
@@ -147,7 +139,7 @@ def test_the_first_on_a_path_leads(detector):
 
 @pytest.mark.parametrize("kind", [*KINDS, FrontMost, Mflica, Flica])
 def test_short_windows_are_refused_and_two_uavs_answered(kind):
-    with pytest.raises(ArgumentError, match=r"^window must hold at least 5 velocities, got 4\.$"):
+    with pytest.raises(ArgumentError, match="window must hold more than 4 velocities"):
         answer(kind(), window_of(np.ones((4, 3, 3))))
     rng = np.random.default_rng(0)
     for steps in (5, 8, 20):

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from detectors.follow_mixture import FollowMixture
-from usnet_env import Window
-from usnet_env.swarm import FollowStrategy, SwarmConfig, advance, register_follow_strategy, start
+from usnet_env.swarm import FollowStrategy, register_follow_strategy
 
 OWN_DELAYS = "tests_group_own_delays"
 MAJORITY = "tests_group_majority"
@@ -41,14 +40,6 @@ for delay in (1, 3):
 register_follow_strategy(OWN_DELAYS, OwnDelays())
 register_follow_strategy(MAJORITY, majority, lags=3)
 register_follow_strategy(ONWARDS, onwards, lags=2)
-
-
-def swarm_window(seed, **config):
-    """One window and the truth about it."""
-    settings = SwarmConfig(**{"clusters": 3, "uavs": 30, **config})
-    generators = [np.random.default_rng(seed)]
-    state, seen = advance(settings, start(settings, generators), generators)
-    return Window(seen.position[0], seen.velocity[0], seen.seen[0], seen.alive[0]), state.episode(0)
 
 
 def answer(window, seed=0, **arguments):

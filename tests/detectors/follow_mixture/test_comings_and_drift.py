@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from mixture_windows import answer, swarm_window
+from mixture_windows import answer
+from synthetic_windows import swarm_window
 
 from detectors.follow_mixture.motion import read_motion
 from usnet_env import Window

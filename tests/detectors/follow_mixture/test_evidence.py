@@ -13,7 +13,6 @@ from detectors.follow_mixture.evidence import (
     make_targets,
     own_evidence,
     pair,
-    screen,
 )
 from detectors.series.features import make_features
 
@@ -77,23 +76,6 @@ def test_the_evidence_of_a_pair_is_that_of_a_regression_on_both_pasts():
             expected = bayes_factor(share, targets.rows[pairs.target[place]], statistics.width, 3)
             assert evidence[place] == pytest.approx(float(expected), rel=1e-3, abs=1e-2)
         assert evidence[(pairs.group == 1) & (pairs.uav == 0)] > 50
-
-
-def test_a_candidate_of_its_own_group_alone_has_the_same_evidence_there_and_none_elsewhere():
-    velocity, past = make_problem(4)
-    targets = make_targets(velocity, LABEL, LAGS)
-    groups = np.array(list(HEAD_OF))
-    only = np.where(np.arange(len(LABEL)) % 2, LABEL, -1)
-    found = screen(targets, past, NAMES, groups, only)
-    compared = (only < 0) | (only == groups[:, None])
-    whole = screen(targets, past, NAMES, groups)
-    # Near 0 only the rounding of single precision is left, which differs between processors.
-    np.testing.assert_allclose(
-        found[:, compared], whole[:, compared], rtol=1e-4, atol=1e-5 * float(np.abs(whole).max())
-    )
-    assert compared.any(axis=1).all()
-    assert not compared.all()
-    assert not found[:, ~compared].any()
 
 
 @given(st.integers(0, 1000), st.integers(1, 6), st.floats(0.0, 2.0), st.integers(1, 3))

@@ -4,9 +4,9 @@ import re
 
 import numpy as np
 import pytest
-from mixture_windows import MAJORITY, OWN_DELAYS, answer, swarm_window
+from mixture_windows import MAJORITY, OWN_DELAYS, answer
+from synthetic_windows import swarm_window
 
-from detectors.follow_mixture import FollowMixture
 from usnet_env import ArgumentError, Window
 
 F1_TO_F6 = ["f1", "f2", "f3", "f4", "f5", "f6"]
@@ -44,25 +44,6 @@ def test_decoys_are_not_named():
     detection = answer(window, policy="map")
     assert np.array_equal(detection.candidates, truth.head)
     assert (detection.leader[truth.decoy] == -1).all()
-
-
-@pytest.mark.parametrize("follow", ["f1", "f5", "f6"])
-def test_one_head_two_followers_and_a_decoy(follow):
-    for seed in (780, 781, 782):
-        window, truth = swarm_window(seed, follow=follow, clusters=1, uavs=4, decoys=1)
-        assert np.array_equal(answer(window, objective="P1").candidates, truth.head)
-
-
-def test_destroyed_uavs_are_never_named():
-    window, truth = swarm_window(792)
-    alive = window.alive.copy()
-    gone = int(np.flatnonzero(truth.head)[0])
-    alive[gone] = False
-    keep = alive[None, :, None]
-    detection = answer(Window(window.position * keep, window.velocity * keep, window.seen & alive, alive, 2))
-    assert not detection.candidates[gone]
-    assert detection.leader[gone] == -1
-    assert np.array_equal(np.flatnonzero(detection.candidates), np.flatnonzero(truth.head)[1:])
 
 
 @pytest.mark.parametrize("follow", [OWN_DELAYS, MAJORITY])
@@ -181,27 +162,3 @@ def test_the_same_seed_gives_the_same_answer():
     large, truth = swarm_window(797, uavs=310, clusters=2, observation_steps=40)  # grouped in turns, which are drawn
     assert np.array_equal(answer(large, 3).scores, answer(large, 3).scores)
     assert np.array_equal(answer(large, policy="map").candidates, truth.head)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("clusters", 2.5),
-        ("max_delay", 0.0),
-        ("policy", "best"),
-        ("redundancy_price", -1.0),
-        ("round_price", 0.0),
-    ],
-)
-def test_a_bad_argument_is_refused_when_it_is_used(name, value):
-    window, _ = swarm_window(0, observation_steps=10)
-    detector = FollowMixture(**{name: value})
-    for use in (lambda: detector.reset(0), lambda: detector.detect(window)):
-        with pytest.raises(ArgumentError, match=f"{name} must be"):
-            use()
-
-
-def test_more_clusters_than_uavs_are_refused():
-    window, _ = swarm_window(0, observation_steps=10)
-    with pytest.raises(ArgumentError, match="clusters must be at most"):
-        answer(window, clusters=31)

@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from mixture_windows import swarm_window
+from synthetic_windows import swarm_window
 
-from detectors.follow_mixture.groups import _spectral_bands
 from detectors.follow_mixture.motion import fit_spectra, read_motion, smoothed_pasts
 
 
@@ -36,15 +35,3 @@ def test_smoothed_pasts_are_expectations_given_earlier_observations():
     assert pasts.shape == (len(motion.velocity), 4, 3, motion.velocity.shape[1] - 4)
     for uav, row, lag in ((7, 40, 2), (0, 0, 1), (29, 95, 4)):
         np.testing.assert_allclose(pasts[uav, lag - 1, :, row], expect(motion, spectra, uav, row + 4, lag), atol=1e-8)
-
-
-@pytest.mark.parametrize("steps", [9, 10])
-def test_fourier_coordinates_keep_lengths_and_angles(steps):
-    velocity = np.random.default_rng(0).standard_normal((4, steps, 3))
-    coordinates, columns, count, wave, _ = _spectral_bands(velocity, fit_spectra(velocity, True))
-    centred = velocity - velocity.mean(axis=1, keepdims=True)
-    np.testing.assert_allclose(coordinates @ coordinates.T, np.einsum("itx,jtx->ij", centred, centred), atol=1e-10)
-    assert sorted(np.concatenate(columns)) == list(range(3 * (steps - 1)))
-    assert count.tolist() == [len(some) for some in columns]
-    assert (np.diff(wave) >= 0).all()
-    assert wave.max() <= 4.0

@@ -10,7 +10,7 @@ from detectors.gassl.agat import AgatSizes, draw_agat
 from detectors.gassl.algorithm_1 import algorithm_1, batch_loss
 from detectors.gassl.ifsn import draw_ifsn
 from detectors.gassl.topology_matrix import build_batch
-from detectors.gassl.training import gradient, prepare_inputs, train
+from detectors.gassl.training import gradient, train
 
 #: widths that all differ, so that no two axes can be confused
 ODD = {"query_hidden": 7, "query": 5, "key": 6, "similarity_hidden": (9, 3)}
@@ -28,7 +28,7 @@ def problem(followers, memory=4, miss_rate=0.0, widths=None, hidden=8, steps=14,
     """Inputs of a small window, and initial networks: ``(inputs, phi, gamma, agat, ifsn)``."""
     window, _ = cluster(seed, follow="f6", followers=followers, miss_rate=miss_rate, observation_steps=steps)
     assert bool(miss_rate) == (not window.seen.all())
-    inputs = prepare_inputs(build_batch(window, memory=memory))
+    inputs = build_batch(window, np.arange(window.uavs), memory)
     agat, ifsn, rng = AgatSizes(memory=memory, **widths or {}), hidden, np.random.default_rng(seed)
     return inputs, draw_agat(agat, inputs.uavs, rng), draw_ifsn(inputs.entries, ifsn, rng), agat, ifsn
 

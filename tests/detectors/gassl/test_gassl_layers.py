@@ -1,9 +1,5 @@
 """The compiled exp and tanh against NumPy's."""
 
-import os
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 
@@ -32,30 +28,3 @@ def test_tanh_is_odd_bounded_and_numpys(shape):
     ends = np.array([-1e4, 1e4, 0.0], np.float32)
     tanh_in_place(ends)
     assert ends.tolist() == [-1.0, 1.0, 0.0]
-
-
-DIGEST = """
-import hashlib, sys
-import gymnasium as gym
-import usnet_env
-from detectors.gassl import Gassl
-
-window = usnet_env.Window.from_observation(gym.make("USNET/SingleCluster-v0", followers=4).reset(seed=1)[0])
-detector = Gassl(steps=20)
-detector.reset(0)
-print(hashlib.sha256(detector.detect(window).attention.tobytes()).hexdigest())
-"""
-
-
-@pytest.mark.slow
-def test_a_process_that_compiles_answers_as_one_that_loads_the_cache(tmp_path):
-    # Functions that may reorder sums round differently when they are compiled inside another function.
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-    digests = [
-        subprocess.run(
-            [sys.executable, "-c", DIGEST], env=environment, capture_output=True, text=True, check=True
-        ).stdout
-        for _ in range(2)
-    ]
-    assert list(tmp_path.rglob("*.nbc"))
-    assert digests[0] == digests[1]

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 
 from detectors.mc_gassl.gru import GruInputs, GruParameters
 from detectors.mc_gassl.training_steps import Clustered
-from usnet_env import Window
-from usnet_env.swarm import SwarmConfig, advance, start
 
 
 def generator(seed=0):
@@ -31,12 +28,3 @@ def random_inputs(times=5, uavs=9, memory=4, seed=0, dtype=torch.float64, unseen
 def clustered(times=5, uavs=9, clusters=3, seed=0):
     labels = torch.arange(uavs) % clusters
     return Clustered(random_inputs(times, uavs, seed=seed), labels)
-
-
-def swarm_window(seed=0, **config):
-    """A window of a simulated swarm's first round and its leaders (N,)."""
-    rngs = [np.random.default_rng(seed)]
-    settings = SwarmConfig(**config)
-    state, sighting = advance(settings, start(settings, rngs), rngs)
-    arrays = (getattr(sighting, name)[0] for name in ("position", "velocity", "seen", "alive"))
-    return Window(*arrays), state.root[0]

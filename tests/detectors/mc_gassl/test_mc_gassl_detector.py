@@ -2,14 +2,11 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from mc_gassl_inputs import swarm_window
-from swarm_games import ANY_GAME, InOrder, Known, game, part_of, play_any
+from swarm_games import InOrder, Known, game, part_of
+from synthetic_windows import swarm_window
 
 import usnet_env
 from detectors.mc_gassl import McGassl
-from usnet_env import ArgumentError
 
 SMALL = {"gassl": {"steps": 2}}
 
@@ -47,31 +44,6 @@ def test_an_answer_stays_within_the_clusters():
     assert answer.extras["count"] == 3
 
 
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        ({"gru_mode": "last"}, "gru_mode must be one of"),
-        ({"start": "cold"}, "start must be one of"),
-        ({"sampling": "easy"}, "sampling must "),
-        ({"count": 0}, "count must "),
-        ({"gassl": {"units": 3}}, "gassl must hold arguments of Gassl other than memory, got 'units'"),
-        ({"gassl": {"memory": 3}}, "gassl must hold arguments of Gassl other than memory, got 'memory'"),
-        ({"gassl": {"steps": 0}}, "steps must "),
-    ],
-)
-def test_bad_arguments_are_refused(arguments, sentence):
-    with pytest.raises(ArgumentError, match=f"^{sentence}"):
-        McGassl(**arguments).reset(0)
-
-
-@pytest.mark.parametrize("clusterer", ["kmeans", "spectral", "hdbscan"])
-@settings(max_examples=3)
-@given(features=st.sampled_from(["gru", "raw"]), **ANY_GAME)
-def test_any_game_is_played_to_its_end(clusterer, features, **arguments):
-    count = "own" if clusterer == "hdbscan" else "eigengap"
-    play_any(McGassl(clusterer=clusterer, features=features, count=count, **SMALL), **arguments)
-
-
 @pytest.mark.parametrize("alive", [0, 1, 2])
 def test_fewer_than_three_living_uavs(alive):
     living = np.arange(14) < alive
@@ -80,12 +52,6 @@ def test_fewer_than_three_living_uavs(alive):
     answer = detector.detect(part_of(game()[1], living))
     assert answer.candidates.sum() == min(1, alive)
     assert not (answer.candidates & ~living).any()
-
-
-@pytest.mark.parametrize("bad", ["k-means", 3])
-def test_a_bad_clusterer_is_refused(bad):
-    with pytest.raises(ArgumentError, match="clusterer must be"):
-        McGassl(clusterer=bad).reset(0)
 
 
 def windows_of_two_rounds(seed=0):

@@ -100,7 +100,7 @@ def test_online_training_parts_the_clusters(sampling):
     assert len(losses) == 80
     assert sum(losses[-10:]) < 0.5 * sum(losses[:10])
     assert_equal_parameters(at, kept)
-    shorter = settings.model_copy(update={"steps": 5})
+    shorter = settings._replace(steps=5)
     again, same = (train_online(at, swarm.inputs, swarm.labels, shorter, generator(1)) for _ in range(2))
     assert again[1] == same[1] == losses[:5]
     assert_equal_parameters(again[0], same[0])
@@ -111,7 +111,7 @@ def test_online_training_parts_the_clusters(sampling):
 def test_online_training_without_a_triplet_changes_nothing(labels):
     at = parameters()
     found, losses = train_online(
-        at, clustered().inputs, torch.tensor(labels), OnlineTraining(steps=3, metric=SMOOTH), generator()
+        at, clustered().inputs, torch.tensor(labels), OnlineTraining(3, 1.0, SMOOTH), generator()
     )
     assert_equal_parameters(found, at)
     assert losses == [0.0, 0.0, 0.0]

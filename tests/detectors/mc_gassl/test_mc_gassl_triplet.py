@@ -2,8 +2,6 @@
 
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from mc_gassl_inputs import generator, parameters, random_inputs
 
 from detectors.mc_gassl.gru import GruParameters, embed
@@ -70,32 +68,6 @@ def test_semi_hard_negatives_are_the_nearest_beyond_the_positive():
         kinds.add(bool(beyond))
         assert n == (min(beyond, key=lambda j: distance[j]) if beyond else max(other, key=lambda j: distance[j]))
     assert kinds == {True, False}
-
-
-@settings(max_examples=60, deadline=None)
-@given(
-    sampling=st.sampled_from(SAMPLINGS),
-    labels=st.lists(st.integers(-1, 3), min_size=1, max_size=9),
-    anchors=st.integers(1, 60),
-    seed=st.integers(0, 1000),
-)
-def test_every_triplet_is_one(sampling, labels, anchors, seed):
-    inputs = random_inputs(times=3, uavs=len(labels), seed=seed, unseen=0.3)
-    labels = torch.tensor(labels)
-    triplets = drawn(sampling, inputs, labels, anchors, seed)[1]
-    possible = 0
-    for t in range(3):
-        for i in range(inputs.uavs):
-            same, other = partners(inputs, labels, t, i)
-            possible += bool(inputs.seen[t, i]) and bool(labels[i] >= 0) and bool(same) and bool(other)
-    found = rows(triplets)
-    assert len(found) == min(anchors, possible)
-    assert len({(t, a) for t, a, _, _ in found}) == len(found)
-    for t, a, p, n in found:
-        same, other = partners(inputs, labels, t, a)
-        assert bool(inputs.seen[t, a])
-        assert p in same
-        assert n in other
 
 
 def test_the_batch_loss_is_the_mean_and_its_gradient_that_of_finite_differences():

@@ -48,14 +48,6 @@ def test_held_out_times_are_apart_from_those_of_training(times, blocks):
     assert 1 + int((held.diff() > 1).sum()) == max(1, blocks)
 
 
-@pytest.mark.parametrize("times", [1, 2, 5])
-def test_very_short_windows_still_have_times_of_both_kinds(times):
-    used, held = split_times(times, blocks=4, gap=4, device=CPU)
-    assert len(used) >= 1
-    assert len(held) >= 1
-    assert max(used.max(), held.max()) < times
-
-
 def literal_error(network, problem, i, j, times):
     """Mean squared error of UAV i from candidate j by j's own network, one time at a time."""
     samples = problem.samples

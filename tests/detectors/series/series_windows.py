@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import strategies as st
 
 
 def flight(seed, steps=40, uavs=6):
@@ -17,12 +16,3 @@ def flight(seed, steps=40, uavs=6):
 def gaps(seed, steps=40, uavs=6, missed=0.15):
     """``(steps, uavs)``: which velocities were seen."""
     return np.random.default_rng([seed, 1]).random((steps, uavs)) >= missed
-
-
-@st.composite
-def flights(draw, least_steps=12):
-    """A velocity, its mask and a permutation of its UAVs."""
-    seed, uavs = draw(st.integers(0, 2**31)), draw(st.integers(2, 7))
-    steps = draw(st.integers(least_steps, 50))
-    order = np.array(draw(st.permutations(range(uavs))))
-    return flight(seed, steps, uavs), gaps(seed, steps, uavs, draw(st.sampled_from([0.0, 0.1, 0.4]))), order

@@ -18,15 +18,6 @@ def explained(design, target):
     return float(((design @ np.linalg.lstsq(design, target, rcond=None)[0]) ** 2).sum())
 
 
-def test_orthonormal_rows_span_the_features():
-    features = make_features()
-    white = orthonormalise(features)
-    products = white @ white.transpose(0, 2, 1)
-    np.testing.assert_allclose(products[1:], np.broadcast_to(np.eye(5), (2, 5, 5)), atol=1e-4)
-    rebuilt = (features @ white.transpose(0, 2, 1)) @ white
-    np.testing.assert_allclose(rebuilt, features, atol=1e-4)
-
-
 @pytest.mark.parametrize("uavs", [0, 3])
 def test_projections_of_a_class_hold_what_its_features_explain(uavs):
     features = make_features()[:uavs]

@@ -1,0 +1,59 @@
+"""Every detector refuses a bad argument when it is used, in a sentence that begins with the name of the argument."""
+
+import pytest
+from registered import made
+from synthetic_windows import swarm_window
+
+from detectors.follow_mixture.train import CalibrationTraining
+from detectors.learned.train import HeadTraining
+from detectors.mc_gassl.train import MetaTraining
+from usnet_env import ArgumentError, make_detector
+
+BAD = {
+    "random": {"count": 0},
+    "lagged-correlation": {"clusters": 0, "max_lag": None},
+    "lagged-regression": {"clusters": True, "lags": "4", "squares": 1, "ridge": float("nan")},
+    "granger": {"own_lags": -1},
+    "factions": {"max_lag": 0, "threshold": 1.5},
+    "mflica": {"series": "speed", "level": 1.0},
+    "follow-mixture": {"clusters": 2.5, "max_delay": 0.0, "policy": "best", "round_price": 0.0},
+    "gassl": {"top_k": 0, "rule": "argmax", "learning_rate": float("inf"), "similarity_hidden": (8, 8, 8), "gain": 0.0},
+    "mc-gassl": {"start": "cold", "sampling": "easy", "count": 0, "clusterer": "k-means"},
+    "neural-granger": {"steps": 1.5, "gate": 1, "device": "tpu", "voters": 1},
+    "learned": {"threshold": 1.5, "policy": "costs", "round_price": 0.0},
+}
+
+
+@pytest.mark.parametrize(("name", "argument"), [(name, argument) for name, bad in BAD.items() for argument in bad])
+def test_a_bad_argument_is_refused(name, argument):
+    made(name)
+    window, _ = swarm_window(0, observation_steps=10)
+    detector = make_detector(name, **{argument: BAD[name][argument]})
+    for use in (lambda: detector.reset(0), lambda: detector.detect(window)):
+        with pytest.raises(ArgumentError, match=f"^{argument} must "):
+            use()
+
+
+@pytest.mark.parametrize("name", ["lagged-regression", "follow-mixture"])
+def test_more_clusters_than_uavs_are_refused(name):
+    with pytest.raises(ArgumentError, match="clusters must be at most"):
+        make_detector(name, clusters=31).detect(swarm_window(0, observation_steps=10)[0])
+
+
+@pytest.mark.parametrize("bad", [{"steps": 1.5}, {"memory": 3}, {"units": 3}])
+def test_arguments_of_gassl_in_mc_gassl_are_checked(bad):
+    with pytest.raises((ArgumentError, TypeError), match=next(iter(bad))):
+        make_detector("mc-gassl", gassl=bad).reset(0)
+
+
+@pytest.mark.parametrize(
+    ("training", "bad"),
+    [
+        *((MetaTraining, bad) for bad in ({"episodes": 0}, {"method": "maml"}, {"width": 2}, {"sampling": "easy"})),
+        *((HeadTraining, bad) for bad in ({"steps": 0}, {"seed": -1}, {"rate": 0.0}, {"leader_weight": -1.0})),
+        (CalibrationTraining, {"swarms": 0}),
+    ],
+)
+def test_bad_settings_of_a_training_are_refused(training, bad):
+    with pytest.raises(ArgumentError, match=next(iter(bad))):
+        training(**bad)
