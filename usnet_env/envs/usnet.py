@@ -14,7 +14,7 @@ from pydantic import Field
 
 from usnet_env.arrays import Mask, Observation
 from usnet_env.config import ArgumentError, list_arguments, optional_seed, quote, takes_arguments
-from usnet_env.drawing import EpisodeFrames, describe_frame
+from usnet_env.drawing import EpisodeFrames
 from usnet_env.envs import game
 from usnet_env.swarm import SwarmConfig, SwarmState
 from usnet_env.swarm.config import BystanderArguments, MobilityArguments, SensorArguments, SwarmArguments
@@ -138,13 +138,10 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         game.require_game(None if before.terminated[0] or before.truncated[0] else before)
         candidates = game.parse_candidates(action, (self.config.uavs,))
         state, rewards, metrics = game.play_round(self.rules, before, candidates[None])
-        reward, values = float(rewards[0]), {name: value[0].item() for name, value in metrics.items()}
-        title = describe_frame(
-            values["round"], values["hits"], values["redundant"], values["J"], reward, bool(values["over_budget"])
-        )
+        title = game.title_round({name: value[0].item() for name, value in metrics.items()})
         self._last_round = (self._window, before.swarm, candidates, title)
-        observation = self._observe(state)
-        return observation, reward, bool(state.terminated[0]), bool(state.truncated[0]), self._info(metrics)
+        observation, over = self._observe(state), (bool(state.terminated[0]), bool(state.truncated[0]))
+        return observation, float(rewards[0]), *over, self._info(metrics)
 
     def _draw_config(self) -> SwarmConfig:
         """The swarm of the next episode."""
@@ -232,13 +229,10 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         if self.render_mode is None:
             return None
         state = game.require_game(self._game)
-        window, swarm, candidates, title = self._last_round or (
-            self._window, state.swarm, None, f"round {int(self._window['round'][0])}: observed, no answer yet"
-        )  # fmt: skip
-        seen = window["seen"].astype(bool)
-        return self._frames.render(
-            position=window["position"], seen=seen, candidates=candidates, title=title, **swarm.episode().roles()
-        )
+        unanswered = self._window, state.swarm, None, game.UNANSWERED
+        window, swarm, candidates, title = self._last_round or unanswered
+        roles, seen = swarm.episode().roles(), window["seen"].astype(bool)
+        return self._frames.render(position=window["position"], seen=seen, candidates=candidates, title=title, **roles)
 
 
 @list_arguments(observation=OBSERVATION, info=INFO)

@@ -15,9 +15,17 @@ from pydantic import Field
 
 from usnet_env.arrays import Floats, Mask, Observation, Singles
 from usnet_env.config import ArgumentError, MissingExtraError, how_to_install, optional_seed, quote
-from usnet_env.drawing import EpisodeFrames, describe_frame
-from usnet_env.envs.game import GameState, RenderArguments, RoundArguments, Rules, check_options, require_game
-from usnet_env.objectives import hits_and_redundant
+from usnet_env.drawing import EpisodeFrames
+from usnet_env.envs.game import (
+    UNANSWERED,
+    GameState,
+    RenderArguments,
+    RoundArguments,
+    Rules,
+    play_round,
+    require_game,
+    title_round,
+)
 from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState
 from usnet_env.swarm.config import Count, SizeArguments, Sizes, SwarmArguments
 
@@ -44,16 +52,14 @@ class RoundRecord:
         truth: the swarm before the candidates were destroyed.
         candidates: ``(N,)`` bool.
         scores: ``(N,)`` float64; the candidates are chosen by them.
-        objective: J_m after the round.
-        over_budget: whether there were more candidates than the shot budget, so that no UAV was destroyed.
+        metrics: those of ``info``.
     """
 
     sighting: ObservationBatch
     truth: SwarmState
     candidates: Mask
     scores: Floats
-    objective: float
-    over_budget: bool
+    metrics: dict[str, int | float]
 
 
 class GameArguments(RenderArguments, RoundArguments, SizeArguments, SwarmArguments):
@@ -70,13 +76,13 @@ class GameArguments(RenderArguments, RoundArguments, SizeArguments, SwarmArgumen
     )
 
     def make_rules(self, opening: int = 0) -> Rules:
-        """Create the rules of P2; ``opening`` is the number of steps before the first round."""
+        """The rules of P2; ``opening`` is the number of steps before the first round."""
         limit = self.max_rounds if self.max_cycles is None else min(self.max_rounds, self.max_cycles - opening)
         return self.part(Rules, max_rounds=limit)
 
 
 def to_scalars(metrics: Mapping[str, NDArray[Any]]) -> dict[str, int | float]:
-    """Convert the metrics of a batch of one game to plain numbers."""
+    """The metrics of a batch of one game as plain numbers."""
     return {name: values[0].item() for name, values in metrics.items()}
 
 
@@ -85,9 +91,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
 
     Attributes:
         config: the configuration of the swarm.
-        rules: the rules of the game: problem, number of rounds, budget and price.
-        possible_agents: all agents of the game; they never change.
-        agents: the agents that are still in the game.
+        rules: the rules of the game.
         last_round: the round of the last step; ``None`` before the first round.
     """
 
@@ -120,11 +124,11 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         self._frames = EpisodeFrames()
 
     def observation_space(self, agent: str) -> spaces.Dict:
-        """Return the observation space of an agent; the same object every time."""
+        """The observation space of an agent."""
         return self._observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
-        """Return the action space of an agent; the same object every time."""
+        """The action space of an agent."""
         return self._action_spaces[agent]
 
     @property
@@ -140,16 +144,14 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
 
         Args:
             seed: seed of the game's generator; ``None`` keeps the current generator.
-            options: empty: a game is changed by its arguments. The key ``"options"``, which PettingZoo's tests pass,
-                has no effect.
+            options: without effect: a game is changed by its arguments.
 
         Returns:
             Observations and infos by agent.
 
         Raises:
-            ArgumentError: the seed is not a whole number from 0, or there are options.
+            ArgumentError: the seed is not a whole number from 0.
         """
-        check_options(options, ("options",))
         if (seed := optional_seed("seed", seed)) is not None:
             self._rng = seeding.np_random(seed)[0]
         self.agents, self.last_round = list(self.possible_agents), None
@@ -182,18 +184,13 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
             )
         return dict(actions)
 
-    def _keep_round(
-        self, before: GameState, candidates: Mask, scores: Floats, metrics: Mapping[str, NDArray[Any]]
-    ) -> None:
-        """Keep a round that has been played as :attr:`last_round`; ``before`` is the game before it."""
-        self.last_round = RoundRecord(
-            sighting=self._current_window(),
-            truth=self._reveal_swarm(before),
-            candidates=candidates,
-            scores=scores,
-            objective=float(metrics["J"][0]),
-            over_budget=bool(metrics["over_budget"][0]),
-        )
+    def _play_round(self, candidates: Mask, scores: Floats) -> tuple[GameState, float, dict[str, NDArray[Any]]]:
+        """Play a round, and keep it as :attr:`last_round`: the game after it, the reward, and the metrics."""
+        before = self._current_game()
+        state, rewards, metrics = play_round(self.rules, before, candidates[None])
+        truth = self._reveal_swarm(before)
+        self.last_round = RoundRecord(self._current_window(), truth, candidates, scores, to_scalars(metrics))
+        return state, float(rewards[0]), metrics
 
     def state(self) -> Singles:
         """Return the true state for a centralised critic, ``(10 N + 1,)`` float32.
@@ -219,18 +216,13 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         """
         if self.render_mode is None:
             return None
-        game = self._current_game()
         if self.last_round is not None:
             last = self.last_round
-            sighting, truth, candidates = last.sighting, last.truth, last.candidates
-            hits, redundant = hits_and_redundant(truth.head, truth.alive, candidates & (not last.over_budget))
-            title = describe_frame(
-                int(game.rounds[0]), int(hits), int(redundant), last.objective, over_budget=last.over_budget
-            )
+            sighting, truth, candidates, title = last.sighting, last.truth, last.candidates, title_round(last.metrics)
         else:
             self._frames = EpisodeFrames()
-            sighting, truth, candidates = self._current_window(), self._reveal_swarm(game), None
-            title = f"round {int(game.rounds[0]) + 1}: observed, no answer yet"
+            sighting, truth, candidates = self._current_window(), self._reveal_swarm(self._current_game()), None
+            title = UNANSWERED
         self._frames.watch(sighting.position, sighting.seen)
         return self._frames.render(
             position=sighting.position, seen=sighting.seen, candidates=candidates, title=title, **truth.roles()
@@ -245,15 +237,15 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         return None
 
     def _reveal_swarm(self, state: GameState) -> SwarmState:
-        """Return a copy of the true swarm, without a leading axis, as it was in the window that ``state`` ends with."""
+        """A copy of the true swarm, without a leading axis, as it was in the window that ``state`` ends with."""
         return state.swarm.episode()
 
     def _current_window(self) -> ObservationBatch:
-        """Return the current window; an empty one before the first window."""
+        """The current window; an empty one before the first window."""
         return self._sighting or ObservationBatch.unseen(self.config, self._current_game().swarm.alive[0])
 
     def _make_observation(self, sighting: ObservationBatch, legal: Mask) -> Observation:
-        """Return an observation with the arrays of a window and the mask ``legal``; all arrays are copies."""
+        """An observation with copies of the arrays of a window and the mask ``legal``."""
         return {
             "position": sighting.position.copy(),
             "velocity": sighting.velocity.copy(),
@@ -265,11 +257,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
 
 
 def make_aec_forms(game: type[UsnetParallelEnv]) -> tuple[Callable[..., AECEnv], Callable[..., AECEnv]]:
-    """Make the functions ``raw_env`` and ``env`` of a game, which create its AEC form.
-
-    In AEC form agents act in turn, and the step is made after the last one has acted. ``env`` adds PettingZoo's wrapper
-    that refuses calls in a wrong order. Both take the arguments of the game.
-    """
+    """Make the functions ``raw_env`` and ``env`` of a game, which create its AEC form and take its arguments."""
 
     def raw_env(**arguments: Any) -> AECEnv:
         """Create the AEC form without the wrapper that enforces the order of calls."""

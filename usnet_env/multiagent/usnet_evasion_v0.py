@@ -154,22 +154,15 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         return {agent: self._observation(agent) for agent in self.agents}, infos
 
     def step(self, actions: Any) -> base.Step:
-        """Destroy the observer's candidates, apply the choices of the surviving heads, and fly the next window.
-
-        Heads that are destroyed in this step are in its results for the last time. Otherwise as the base class says.
-        """
+        """Destroy the observer's candidates, apply the choices of the surviving heads, and fly the next window."""
         checked = self._check_actions(actions)
         named = game.parse_candidates(checked[OBSERVER], (self.config.uavs,), f"action of {OBSERVER}")
         plan = Plan(*np.stack([self._check_choice(name, checked.get(name)) for name in self.heads], axis=1))
-        before = self._current_game()
-        opening = self._sighting is None
-        if opening:
-            state, metrics = before, game.initial_info(self.rules, before)
-            reward = 0.0
+        if self._sighting is None:  # the opening
+            state, reward = self._current_game(), 0.0
+            metrics = game.initial_info(self.rules, state)
         else:
-            state, rewards, metrics = game.play_round(self.rules, before, named[None])
-            reward = float(rewards[0])
-            self._keep_round(before, named, named.astype(np.float64), metrics)
+            state, reward, metrics = self._play_round(named, named.astype(np.float64))
         self._game = state
         prices = compute_prices(self.manoeuvres, state.swarm, plan)
         if state.terminated[0]:
@@ -198,14 +191,14 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         return observations, rewards, terminations, truncations, infos
 
     def _reveal_swarm(self, state: game.GameState) -> SwarmState:
-        """Return the true swarm in the window; followers that were decoys in it count as decoys without a head."""
+        """The true swarm in the window; followers that were decoys in it count as decoys without a head."""
         truth = super()._reveal_swarm(state)
         truth.decoy[self._decoys] = True
         truth.root[self._decoys] = self._decoys
         return truth
 
     def _check_choice(self, agent: str, action: Any) -> Indices:
-        """Check the four choices of a head, and return them; zeros for a head that has left the game."""
+        """The four choices of a head; zeros for a head that has left the game."""
         sizes = self.manoeuvres.choices
         if agent not in self.agents:
             return np.zeros(len(sizes), np.int64)

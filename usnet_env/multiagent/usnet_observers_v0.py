@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Any, ClassVar
 
 import numpy as np
@@ -14,7 +15,6 @@ from usnet_env.envs import game
 from usnet_env.multiagent import base
 from usnet_env.multiagent.sensors import FUSIONS, Observer, SensorConfig, merge_sightings, sense_window
 from usnet_env.swarm import ObservationBatch, SwarmConfig
-from usnet_env.swarm.checks import check_returned
 from usnet_env.swarm.config import MobilityArguments
 
 
@@ -101,18 +101,11 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         if size:
             shape["messages"] = spaces.Box(0, 1, (observers, size), np.float32)
         names = [f"observer_{k}" for k in range(observers)]
-        super().__init__(
-            config,
-            rules,
-            arguments.render_mode,
-            {name: spaces.Dict(shape) for name in names},
-            {
-                name: spaces.MultiBinary(uavs + size)
-                if self.fusion.vote == "candidates"
-                else spaces.Box(0, 1, (uavs + size,), np.float32)
-                for name in names
-            },
-        )
+        vote: spaces.Space[Any] = spaces.Box(0, 1, (uavs + size,), np.float32)
+        if self.fusion.vote == "candidates":
+            vote = spaces.MultiBinary(uavs + size)
+        actions = {name: copy.deepcopy(vote) for name in names}
+        super().__init__(config, rules, arguments.render_mode, {name: spaces.Dict(shape) for name in names}, actions)
         self._observers: list[Observer] = []
         self._sightings: list[ObservationBatch] = []
         self._messages = np.zeros((observers, size), np.float32)
@@ -133,20 +126,18 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         """Combine the votes, destroy the candidates, score the round, and observe the next window."""
         checked = self._check_actions(actions)
         whole = np.stack([self._check_vote(agent, checked[agent]) for agent in self.possible_agents])
-        before = self._current_game()
         uavs = self.config.uavs
         seen = np.stack([sighting.seen.any(axis=0) for sighting in self._sightings])  # false for destroyed UAVs
         votes = whole[:, :uavs] * seen
-        candidates = check_returned("fusion", self.fusion.rule(votes, seen), (uavs,), 1).astype(bool)
-        state, reward, metrics = game.play_round(self.rules, before, candidates[None])
-        self._keep_round(before, candidates, votes.sum(axis=0), metrics)
+        candidates = np.asarray(self.fusion.rule(votes, seen), bool).reshape(uavs)
+        state, reward, metrics = self._play_round(candidates, votes.sum(axis=0))
         self._messages = whole[:, uavs:].astype(np.float32)
         self._sense_next_window(state)
         agents = self.agents
         terminated, truncated = bool(state.terminated[0]), bool(state.truncated[0])
         result = (
             self._observations(),
-            dict.fromkeys(agents, float(reward[0])),
+            dict.fromkeys(agents, reward),
             dict.fromkeys(agents, terminated),
             dict.fromkeys(agents, truncated),
             {agent: base.to_scalars(metrics) for agent in agents},
@@ -156,7 +147,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         return result
 
     def _sense_next_window(self, state: game.GameState) -> None:
-        """Fly the next window and observe it with each observer; after the end of the game all windows are empty."""
+        """Fly and observe the next window; after the end of the game all windows are empty."""
         self._game, truth = game.observe_windows(self._flight, state, [self._rng])
         if state.terminated[0]:
             self._sightings = [ObservationBatch.unseen(self.config, state.swarm.alive[0])] * len(self._observers)
@@ -177,7 +168,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         return observations
 
     def _check_vote(self, agent: str, action: Any) -> Floats:
-        """Check an action and convert it to numbers from 0 to 1: one for each UAV, then the message."""
+        """Convert an action to numbers from 0 to 1: one for each UAV, then the message."""
         length = self.config.uavs + self.sensor_config.message_size
         if self.fusion.vote == "candidates":
             return game.parse_candidates(action, (length,), f"action of {agent}").astype(np.float64)
