@@ -146,9 +146,6 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
             seed: seed of the game's generator; ``None`` keeps the current generator.
             options: without effect: a game is changed by its arguments.
 
-        Returns:
-            Observations and infos by agent.
-
         Raises:
             ArgumentError: the seed is not a whole number from 0.
         """
@@ -159,29 +156,22 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
 
     @abstractmethod
     def _start(self, rng: np.random.Generator) -> Start:
-        """Start a game, whose agents all live, and return the answer of :meth:`reset`."""
+        """Start a game, whose agents all live: the answer of :meth:`reset`."""
 
     @abstractmethod
     def step(self, actions: Any) -> Step:
-        """Play a round and fly the next window.
-
-        Args:
-            actions: an action for each living agent.
-
-        Returns:
-            Observations, rewards, terminations, truncations and infos by agent.
+        """Play a round and fly the next window; ``actions`` holds an action for each living agent.
 
         Raises:
             ArgumentError: an action is missing, or has a wrong shape or wrong values, or the game has ended.
         """
 
     def _check_actions(self, actions: Any) -> dict[str, Any]:
-        """Check that there is one action for each living agent, and return the actions."""
+        """The actions, one for each living agent."""
         require_game(self._game if self.agents else None)
         if not isinstance(actions, Mapping) or set(actions) != set(self.agents):
-            raise ArgumentError(
-                f"actions must map each of {', '.join(self.agents)} to its action, got {quote(actions)}."
-            )
+            names = ", ".join(self.agents)
+            raise ArgumentError(f"actions must map each of {names} to its action, got {quote(actions)}.")
         return dict(actions)
 
     def _play_round(self, candidates: Mask, scores: Floats) -> tuple[GameState, float, dict[str, NDArray[Any]]]:
@@ -193,7 +183,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         return state, float(rewards[0]), metrics
 
     def state(self) -> Singles:
-        """Return the true state for a centralised critic, ``(10 N + 1,)`` float32.
+        """The true state for a centralised critic, ``(10 N + 1,)`` float32.
 
         For each UAV: position (m), velocity (m/step), 1 if it is alive, 1 if it is a head, 1 if it is a decoy, and the
         index of its root (-1 if it has none). The last value is the number of rounds played.
@@ -207,13 +197,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         return np.append(table.reshape(-1), game.rounds[0]).astype(np.float32)
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Draw the last round from above, or the current window before the first round, ``(H, W, 3)`` uint8.
-
-        Crosses mark UAVs that were destroyed in earlier rounds, where an earlier frame showed them.
-
-        Returns:
-            The picture; ``None`` unless ``render_mode="rgb_array"``.
-        """
+        """Draw the last round, or the current window before the first round, ``(H, W, 3)`` uint8."""
         if self.render_mode is None:
             return None
         if self.last_round is not None:

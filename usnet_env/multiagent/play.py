@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import time
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -16,6 +15,8 @@ from usnet_env.multiagent.base import RoundRecord, UsnetParallelEnv
 from usnet_env.multiagent.policies import DetectorObserver, Policy
 from usnet_env.plugins import detector_label
 from usnet_env.provenance import versions
+
+WINDOW = ("position", "velocity", "seen")
 
 
 @dataclass(frozen=True)
@@ -61,31 +62,24 @@ def choose_policies(env: UsnetParallelEnv, policies: Mapping[str, Any]) -> dict[
 
 
 def play_game(
-    env: UsnetParallelEnv,
-    policies: Mapping[str, Policy],
-    seed: int,
-    label: str = "",
-    policy_seed: int | None = None,
+    env: UsnetParallelEnv, policies: Mapping[str, Policy], seed: int, label: str = "", policy_seed: int | None = None
 ) -> GameResult:
     """Play one game in Parallel form.
 
     Args:
         env: one of the games' ``parallel_env``.
         policies: a policy for each agent, or for each role (``"observer"``, ``"head"``). A policy that several agents
-            share is copied for each of them; a policy of a single agent is used as it is, without a copy.
+            share is copied for each of them.
         seed: the seed of the game.
         label: name of the detector in the record; by default those of the observers' detectors or policies.
         policy_seed: the seed from which the seeds of the policies come; ``None``: a separate branch of ``seed``.
-
-    Returns:
-        The result; ``usnet_env.replay.EpisodeRecord(**result.record)`` is the episode in the form that can be saved.
 
     Raises:
         ArgumentError: an agent has no policy, or the seed is no whole number.
     """
     chosen = choose_policies(env, policies)
-    uses = Counter(map(id, chosen.values()))
-    agents = {name: copy.deepcopy(policy) if uses[id(policy)] > 1 else policy for name, policy in chosen.items()}
+    uses = [id(policy) for policy in chosen.values()]
+    agents = {name: copy.deepcopy(one) if uses.count(id(one)) > 1 else one for name, one in chosen.items()}
     observations, _ = env.reset(seed=seed)
     branch = () if policy_seed is not None else (1,)
     source = np.random.SeedSequence(seed if policy_seed is None else policy_seed, spawn_key=branch)
@@ -116,9 +110,7 @@ def play_game(
     observers = [policy for agent, policy in agents.items() if agent.startswith("observer")]
     metrics = {name: np.array([played.metrics[name] for played in rounds]) for name in rounds[0].metrics}
     record = {
-        **{
-            name: np.stack([getattr(one.sighting, name) for one in rounds]) for name in ("position", "velocity", "seen")
-        },
+        **{name: np.stack([getattr(one.sighting, name) for one in rounds]) for name in WINDOW},
         **{name: np.stack([getattr(one.truth, name) for one in rounds]) for name in ("alive", "root")},
         **{name: np.stack([getattr(one, name) for one in rounds]) for name in ("candidates", "scores")},
         "objective": metrics["J"],

@@ -19,7 +19,7 @@ Array = NDArray[Any]
 
 
 class Policy(ABC):
-    """Base class of policies for one agent; any class with ``reset`` and ``act`` can be used instead."""
+    """Base class of policies for one agent."""
 
     def reset(self, seed: int, action_space: spaces.Space[Any]) -> None:
         """Start a game: create the generator ``self.rng`` and store the action space."""
