@@ -13,7 +13,7 @@ from gymnasium.utils.env_checker import check_env
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from usnet_env import ArgumentError, Window
+from usnet_env import ArgumentError
 from usnet_env.envs import (
     ENVIRONMENTS,
     FieldEnv,
@@ -69,7 +69,9 @@ def episode(env, seed, shots):
 
 @pytest.mark.parametrize("name", IDS)
 def test_twin_rollouts_are_equal(name):
-    one, other = (episode(gym.make(name), 12345, 7) for _ in range(2))
+    env = gym.make(name, position_noise=3.0, miss_rate=0.1)
+    one, other = (episode(env, 12345, 7) for _ in range(2))
+    assert all(env.observation_space.contains(step[0]) for step in one)
     assert {frozenset(step[-1]) for step in one} == {frozenset(one[0][1])}  # info has the same names in every step
     for _, reward, *_, info in one[1:]:
         assert sum(value for key, value in info.items() if key.startswith("reward_")) == pytest.approx(reward)
@@ -77,21 +79,6 @@ def test_twin_rollouts_are_equal(name):
     for a, b in zip(one, other, strict=True):
         same(a[0], b[0])
         assert a[1:] == b[1:]
-
-
-def test_seed_0_is_a_seed():
-    env = gym.make(MULTI, **SMALL)
-    first, again, other = env.reset(seed=0)[0], env.reset(seed=0)[0], env.reset(seed=1)[0]
-    same(first, again)
-    assert not np.array_equal(first["position"], other["position"])
-    assert not np.array_equal(env.reset()[0]["position"], env.reset()[0]["position"])
-
-
-@pytest.mark.parametrize("name", IDS)
-def test_observations_are_inside_their_space_to_the_end(name):
-    env = gym.make(name, position_noise=3.0, miss_rate=0.1)
-    for observation, *_ in episode(env, 3, 2):
-        assert env.observation_space.contains(observation)
 
 
 # --- rewards ---------------------------------------------------------------------------------------------------------
@@ -280,27 +267,6 @@ def test_every_argument_works_or_is_named(kind, data):
     assert "\n" not in sentence
 
 
-@pytest.mark.parametrize(
-    ("name", "arguments"),
-    [
-        (MULTI, {"max_rounds": 0}),
-        (MULTI, {"shot_budget": "x"}),
-        (MULTI, {"redundancy_price": np.nan}),
-        (MULTI, {"reveal_truth": "yes"}),
-        (MULTI, {"follow": "f8"}),
-        (MULTI, {"render_mode": "human"}),
-        (SINGLE, {"followers": 1}),
-        (SINGLE, {"decoys": -1}),
-        (MULTI, {"followers": 3}),
-        (SINGLE, {"uavs": 3}),
-    ],
-)
-def test_bad_arguments_are_named(name, arguments):
-    kind = SingleClusterEnv if name == SINGLE else MultiClusterEnv
-    with pytest.raises(ArgumentError, match=rf"^{next(iter(arguments))} "):
-        kind(**arguments)
-
-
 def test_what_comes_too_early_or_too_late_is_refused():
     env = gym.make(SINGLE).unwrapped
     for early in (env.action_masks, env.get_state, lambda: env.step(np.zeros(16)), lambda: env.swarm):
@@ -365,15 +331,6 @@ def test_a_state_of_another_env_is_refused():
             other.set_state(wrong)
 
 
-def test_observations_share_nothing_with_the_env():
-    env = gym.make(MULTI, **SMALL).unwrapped
-    observation, _ = env.reset(seed=0)
-    kept = copy.deepcopy(env.get_state()["observation"])
-    for values in observation.values():
-        values[...] = 0
-    same(env.get_state()["observation"], kept)
-
-
 # --- truth -----------------------------------------------------------------------------------------------------------
 
 
@@ -403,40 +360,21 @@ def test_the_docstring_lists_the_keys_of_info(name, kind):
     assert {*info, *re.findall(r"`(\w+)`", revealed)} == set(truth)
 
 
-def test_a_window_is_made_of_an_observation():
-    observation, _ = gym.make(MULTI, **SMALL).reset(seed=0)
-    window = Window.from_observation(observation)
-    np.testing.assert_array_equal(window.position, observation["position"])
-    assert (window.uavs, window.round) == (20, 1)
-
-
 # --- wrappers and pictures -------------------------------------------------------------------------------------------
 
 
-def test_multi_discrete_wrapper_plays_the_same_game():
-    plain, wrapped = gym.make(MULTI, **SMALL), MultiDiscreteCandidates(gym.make(MULTI, **SMALL))
-    assert wrapped.action_space == gym.spaces.MultiDiscrete([2] * 20)
-    plain.reset(seed=0)
-    wrapped.reset(seed=0)
-    action = np.array(shots(1)[0], np.int64)
-    same(plain.step(action)[0], wrapped.step(action)[0])
-    np.testing.assert_array_equal(wrapped.action_masks(), plain.unwrapped.action_masks())
-
-
-def test_masks_become_boxes_and_nothing_else_changes():
-    plain, wrapped = gym.make(MULTI, **SMALL), BoxMasks(gym.make(MULTI, **SMALL))
-    assert wrapped.observation_space["seen"] == gym.spaces.Box(0, 1, (13, 20), np.int8)
-    assert wrapped.observation_space["velocity"] == plain.observation_space["velocity"]
-    (one, _), (other, _) = plain.reset(seed=0), wrapped.reset(seed=0)
-    same(one, other)
-    assert wrapped.observation_space.contains(other)
-
-
 @pytest.mark.parametrize("wrapper", [BoxMasks, MultiDiscreteCandidates])
-def test_a_wrapped_environment_can_be_made_again_from_its_spec(wrapper):
-    wrapped = wrapper(gym.make(MULTI, **SMALL))
+def test_a_wrapped_environment_plays_the_same_game_and_can_be_made_again_from_its_spec(wrapper):
+    plain, wrapped = gym.make(MULTI, **SMALL), wrapper(gym.make(MULTI, **SMALL))
     again = gym.make(wrapped.spec)
     assert (again.action_space, again.observation_space) == (wrapped.action_space, wrapped.observation_space)
+    same(plain.reset(seed=0)[0], wrapped.reset(seed=0)[0])
+    action = np.array(shots(1)[0], np.int64)
+    assert wrapped.action_space.contains(action.astype(wrapped.action_space.dtype))
+    observation = wrapped.step(action)[0]
+    same(plain.step(action)[0], observation)
+    assert wrapped.observation_space.contains(observation)
+    np.testing.assert_array_equal(wrapped.get_wrapper_attr("action_masks")(), plain.unwrapped.action_masks())
     with pytest.warns(UserWarning, match="is different from the unwrapped version"):
         check_env(wrapped)
 
@@ -454,7 +392,7 @@ def test_rendering_shows_the_round_that_was_decided():
     assert gym.make(MULTI, **SMALL).unwrapped.render() is None
 
 
-@pytest.mark.parametrize("options", [{"follow": "f3"}, 3, "f3", [1]])
+@pytest.mark.parametrize("options", [{"follow": "f3"}, "f3"])
 def test_options_of_reset_are_refused(options):
     env = gym.make(MULTI, **SMALL)
     with pytest.raises(ArgumentError, match="options must be"):
@@ -469,11 +407,3 @@ def test_a_bad_seed_is_named(seed):
     with pytest.raises(ArgumentError, match=r"^seed must"):
         env.reset(seed=seed)
     same(env.reset(seed=np.array(7))[0], env.reset(seed=7)[0])
-
-
-@pytest.mark.parametrize("make", [gym.make, lambda name, **arguments: gym.make_vec(name, num_envs=2, **arguments)])
-def test_a_misspelt_argument_is_named(make):
-    with pytest.raises(ArgumentError, match=r"^cluster is not an argument .*clusters"):
-        make(MULTI, cluster=3)
-    with pytest.raises(ArgumentError, match=r"^max_rounds is not an argument"):
-        make(SINGLE, max_rounds=3)

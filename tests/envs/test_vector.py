@@ -57,18 +57,6 @@ def test_seeds_as_a_list_and_generators_that_go_on():
     np.testing.assert_array_equal(single.reset(seed=8)[0]["position"], one[2])
 
 
-def test_masks_are_those_of_the_single_envs():
-    batch = gym.make_vec(MULTI, num_envs=2, observation_steps=10)
-    batch.reset(seed=0)
-    actions = np.zeros((2, 82), np.int8)
-    actions[1, 3] = 1
-    batch.step(actions)
-    masks = batch.unwrapped.action_masks().reshape(2, 82, 2)
-    assert masks[..., 0].all()
-    assert masks[0].all()
-    assert not masks[1, 3, 1]
-
-
 def test_bad_input_is_named():
     for arguments in ({"num_envs": 0}, {"follow": "f0"}, {"render_mode": "rgb_array"}):
         with pytest.raises(ArgumentError, match=f"^{next(iter(arguments))} must"):
