@@ -12,14 +12,13 @@ import usnet_env  # noqa: F401  # registers the single-agent environments
 from usnet_env import ArgumentError
 from usnet_env.multiagent import usnet_evasion_v0
 from usnet_env.multiagent.evasion import (
-    DelayedFollow,
     Manoeuvres,
     Plan,
     compute_prices,
     fly_window,
     select_decoys,
 )
-from usnet_env.swarm import FOLLOW_STRATEGIES, FollowInputs, SwarmConfig, advance, start
+from usnet_env.swarm import FollowInputs, SwarmConfig, start
 from usnet_env.swarm.follow import FollowFunction, Lags, Network, StayInRange
 
 OBSERVER = "observer_0"
@@ -74,17 +73,6 @@ def test_truthful_heads_fly_as_in_the_single_agent_game(follow, seed):
         assert rewards[OBSERVER] == reward
         assert (terminations[OBSERVER], truncations[OBSERVER]) == (terminated, truncated)
         over = terminated or truncated
-
-
-@pytest.mark.parametrize("strategy", [*FOLLOW_STRATEGIES.values(), FollowFunction(lambda one: one.head_velocity[:, 0])])
-def test_a_delay_of_zero_is_the_strategy_itself(strategy):
-    config, state, rngs = a_swarm(follow=strategy, memory=12)
-    late = config.model_copy(update={"follow": DelayedFollow(strategy, np.zeros(20, np.int64))})
-    twin = [np.random.default_rng(0)]
-    start(config, twin)
-    _, expected = advance(config, state, rngs)
-    _, got = advance(late, state, twin)
-    np.testing.assert_array_equal(got.velocity, expected.velocity)
 
 
 @pytest.mark.parametrize(

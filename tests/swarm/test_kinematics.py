@@ -82,23 +82,6 @@ def test_compiled_flight_equals_its_definition(slow):
     np.testing.assert_allclose(state[0][motion > 0], state[1][motion > 0], atol=1e-5)
 
 
-def test_speeds_vary_between_uavs_and_over_time():
-    _, window = fly(kinematics="varied_speed", observation_steps=400)
-    speed = np.linalg.norm(window.velocity[0], axis=-1).astype(float)
-    assert speed.min() >= 0.5 - 1e-4
-    assert 0.08 < speed.mean(axis=0).std() < 0.2
-    relative = speed / speed.mean(axis=0) - 1
-    assert (relative[1:] * relative[:-1]).mean() / (relative**2).mean() == pytest.approx(0.95, abs=0.05)
-
-
-def test_lagged_velocities_approach_what_is_wanted():
-    state, window = fly("none", kinematics="lagged", mobility="iid", observation_steps=2000)
-    velocity, share = window.velocity[0].astype(float), state.kinematic_state[:, 0]
-    product = (velocity[1:] * velocity[:-1]).sum(axis=-1).mean(axis=0)
-    np.testing.assert_allclose(product / (velocity**2).sum(axis=-1).mean(axis=0), 1 - share, atol=0.1)
-    assert 1 / 4 - 1e-6 <= share.min() <= share.max() <= 1 / 1.5 + 1e-6
-
-
 @pytest.mark.parametrize("mobility", ["iid", "local_waypoint"])
 def test_no_uav_turns_or_accelerates_beyond_its_limit(mobility):
     state, window = fly("f3", kinematics="limited", mobility=mobility, rounds=2)
@@ -107,14 +90,6 @@ def test_no_uav_turns_or_accelerates_beyond_its_limit(mobility):
     speed = np.linalg.norm(velocity, axis=-1)
     assert np.abs(np.diff(speed, axis=0)).max() <= Limited().acceleration + 1e-4
     assert speed.max() <= 1.0 + 1e-5
-
-
-def test_uavs_climb_to_their_layers_and_stay_there():
-    state, window = fly(kinematics="layered", mobility="gauss_markov", observation_steps=600)
-    layer = state.kinematic_state[:, 0]
-    assert set(np.unique(layer)) <= {10.0, 30.0, 50.0, 70.0, 90.0}
-    np.testing.assert_allclose(window.position[0, -1, :, 2], layer, atol=0.1)
-    assert np.abs(window.velocity[..., 2]).max() <= Layered().climb + 1e-5
 
 
 def test_a_registered_model_is_used_by_name():

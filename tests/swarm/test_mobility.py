@@ -22,12 +22,6 @@ def test_every_law_flies_one_metre_a_step(name):
     np.testing.assert_allclose(np.diff(position, axis=0), velocity, atol=2e-4)
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_uavs_fly_independently(name):
-    velocity, _ = tracks(name, uavs=200, steps=4)
-    assert np.linalg.norm(velocity[0].mean(axis=0)) < 4 / np.sqrt(200)
-
-
 def test_iid_has_no_memory_and_no_preferred_axis():
     velocity, _ = tracks("iid")
     n = velocity[1:].size / 3
@@ -44,11 +38,6 @@ def test_gauss_markov_angles_have_the_stated_memory_and_variances():
     azimuth -= azimuth.mean(axis=0)
     assert azimuth.var() == pytest.approx(0.2, rel=0.05)
     assert np.mean(azimuth[1:] * azimuth[:-1]) / azimuth.var() == pytest.approx(0.85, abs=0.02)
-
-
-def test_gauss_markov_starts_in_its_steady_state():
-    first = np.concatenate([np.arcsin(tracks("gauss_markov", 300, 1, seed)[0][0, :, 2]) for seed in range(10)])
-    assert first.var() == pytest.approx(0.02, rel=0.15)
 
 
 def test_smooth_turns_are_bounded_and_change():

@@ -58,21 +58,13 @@ class RenderArguments(Config):
 
 @dataclass(frozen=True)
 class GameState:
-    """B games between two rounds.
-
-    Args:
-        swarm: the true state of the swarms.
-        rounds: ``(B,)`` int64, number of rounds played.
-        redundant: ``(B,)`` int64, number of redundant candidates in all rounds.
-        terminated: ``(B,)`` bool, whether the game ended by its rules.
-        truncated: ``(B,)`` bool, whether the game was stopped after ``max_rounds``.
-    """
+    """B games between two rounds; each array is ``(B,)``."""
 
     swarm: SwarmState
-    rounds: Indices
-    redundant: Indices
-    terminated: Mask
-    truncated: Mask
+    rounds: Indices  # played so far
+    redundant: Indices  # candidates in all rounds
+    terminated: Mask  # whether the game ended by its rules
+    truncated: Mask  # whether the game was stopped after ``max_rounds``
 
     def with_rows(self, episodes: NDArray[np.intp], other: GameState) -> Self:
         """A copy of this batch in which ``other`` replaces some games."""

@@ -45,21 +45,13 @@ Step = tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str
 
 @dataclass(frozen=True, eq=False)
 class RoundRecord:
-    """One finished round, without leading axes.
+    """One finished round, without leading axes."""
 
-    Args:
-        sighting: the window; in the observers' game, the merged sightings of all observers.
-        truth: the swarm before the candidates were destroyed.
-        candidates: ``(N,)`` bool.
-        scores: ``(N,)`` float64; the candidates are chosen by them.
-        metrics: those of ``info``.
-    """
-
-    sighting: ObservationBatch
-    truth: SwarmState
+    sighting: ObservationBatch  # in the observers' game, the merged sightings of all observers
+    truth: SwarmState  # before the candidates were destroyed
     candidates: Mask
-    scores: Floats
-    metrics: dict[str, int | float]
+    scores: Floats  # the candidates are chosen by them
+    metrics: dict[str, int | float]  # those of ``info``
 
 
 class GameArguments(RenderArguments, RoundArguments, SizeArguments, SwarmArguments):
@@ -140,11 +132,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         return require_game(self._game)
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Start:
-        """Start a game; observers get its first window, or nothing yet if the game has an opening.
-
-        Args:
-            seed: seed of the game's generator; ``None`` keeps the current generator.
-            options: without effect: a game is changed by its arguments.
+        """Start a game with a seed of its generator (``None`` keeps the present one); ``options`` have no effect.
 
         Raises:
             ArgumentError: the seed is not a whole number from 0.
@@ -160,7 +148,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
 
     @abstractmethod
     def step(self, actions: Any) -> Step:
-        """Play a round and fly the next window; ``actions`` holds an action for each living agent.
+        """Play a round with an action of each living agent, and fly the next window.
 
         Raises:
             ArgumentError: an action is missing, or has a wrong shape or wrong values, or the game has ended.

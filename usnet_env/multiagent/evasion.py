@@ -201,16 +201,8 @@ def fly_window(
 ) -> tuple[SwarmState, ObservationBatch, Indices]:
     """Fly the next window as the heads planned it; otherwise the same as :func:`usnet_env.swarm.advance`.
 
-    Args:
-        config: the swarm, with its own mobility and follow strategy.
-        manoeuvres: the available choices.
-        state: a batch of one with at least one living head.
-        flown: ``(M,)`` int64, the mobility of each head in the window before; a head that changes it gets a new state.
-        plan: the choices of the heads.
-        rngs: the generator of the episode, in a sequence of length 1.
-
-    Returns:
-        The state at the end of the window, the window, and the mobility ``(M,)`` of each head in it.
+    ``state`` is a batch of one. ``flown`` ``(M,)`` has the mobility of each head before; a head that changes
+    it gets a new state. It returns the state at the end, the window, and the mobility of each head in it.
     """
     laws = tuple(MOBILITIES.find(name) for name in manoeuvres.mobilities)
     heads = np.flatnonzero(state.head[0])

@@ -12,6 +12,7 @@ from pydantic import Field
 from usnet_env.arrays import Floats, Observation
 from usnet_env.config import ArgumentError, list_arguments, quote, takes_arguments
 from usnet_env.envs import game
+from usnet_env.envs.usnet import OBSERVATION
 from usnet_env.multiagent import base
 from usnet_env.multiagent.sensors import FUSIONS, Observer, SensorConfig, merge_sightings, sense_window
 from usnet_env.swarm import ObservationBatch, SwarmConfig
@@ -24,7 +25,7 @@ class ObserversArguments(base.GameArguments, MobilityArguments, SensorConfig):
     fusion: str = Field("union", description="``union``, ``majority``, ``scores``, or a registered rule")
 
 
-@list_arguments()
+@list_arguments(observation=OBSERVATION)
 class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
     """Several observers, each of which sees a part of the swarm, find its heads together (cooperative).
 
@@ -43,15 +44,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
     values of the same type, the message.
 
     ## Observation Space
-    `Dict` of
-
-    | key | shape | dtype | unit | meaning |
-    | --- | --- | --- | --- | --- |
-    | `position` | `(T_ob + 1, N, 3)` | float32 | m | observed positions; 0 if unseen |
-    | `velocity` | `(T_ob, N, 3)` | float32 | m/step | observed velocities; 0 unless seen at both instants |
-    | `seen` | `(T_ob + 1, N)` | int8 | | 1 where the UAV was in range and detected |
-    | `alive` | `(N,)` | int8 | | 1 unless destroyed |
-    | `round` | `(1,)` | float32 | | number of the round, from 1 |
+    {observation}
     | `legal` | `(N,)` | int8 | | 1 for the living UAVs that this observer saw: only votes for them count |
     | `place` | `(3,)` | float32 | m | position of this observer |
     | `messages` | `(K, B)` | float32 | | messages of all observers in the previous round; only if `message_size` > 0 |
@@ -62,8 +55,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
     In each round every observer gets the reward of P2 for the fused candidates, −(1 + `redundancy_price` · redundant /
     N). With price 1 the return is −J_m.
 
-    `info` is the same for all observers: `hits`, `redundant`, `round`, `success`, `is_success`, `J`, `over_budget`,
-    `reward_round`, `reward_redundancy`.
+    `info` is that of `USNET/MultiCluster-v0`, the same for all observers.
 
     ## Starting State
     That of `USNET/MultiCluster-v0` with the same seed. The observers are placed on a grid over the arena

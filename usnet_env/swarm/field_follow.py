@@ -118,11 +118,7 @@ class Links(FieldStrategy):
 
 @dataclass(frozen=True)
 class Chain(Links):
-    """A chain of command: head, sub-heads and followers form a tree in which each copies the one above it.
-
-    Args:
-        depth: number of links from the head to the last followers.
-    """
+    """A chain of command: a tree of ``depth`` links in which each UAV copies the one above it."""
 
     depth: int = 3
 
@@ -154,13 +150,7 @@ class Hierarchy(Links):
 
 @dataclass(frozen=True)
 class Kinds(FieldStrategy):
-    """f1 to f6 in one swarm.
-
-    Args:
-        block: number of steps in which a cluster keeps its strategy.
-        reach: kappa_r of f6, metres.
-        answers: ``ALWAYS`` for a strategy of each follower, ``EACH_CLUSTER`` for one of each cluster and block.
-    """
+    """f1 to f6 in one swarm: a strategy of each follower, or with ``EACH_CLUSTER`` one of each cluster and block."""
 
     block: int = 30
     reach: float = KAPPA_RANGE

@@ -74,11 +74,8 @@ class Couzin(Flock):
 class Informed(Couzin):
     """A Couzin flock with an informed minority: its heads fly in the flock, and also prefer a course that they know.
 
-    The course is that of a reference, which flies by the swarm's mobility. The other UAVs have no head of their own:
-    their ``root`` is -1.
-
-    Args:
-        share: share of the UAVs of a cluster that are informed; at least one is.
+    The course is that of a reference, which flies by the swarm's mobility. ``share`` of the UAVs are informed, at least
+    one; the others have no head of their own: their ``root`` is -1.
     """
 
     share: float = 0.2

@@ -60,15 +60,9 @@ class Kinematics:
     def fly(
         self, t: int, motion: NDArray[np.int8], normals: Singles, state: Singles, position: Singles, velocity: Singles
     ) -> None:
-        """Fly step ``t`` of B swarms: replace the wanted directions by velocities and write the next positions.
+        """Fly step ``t`` of B swarms: replace the wanted directions ``velocity[:, t]`` by velocities.
 
-        Args:
-            t: the step; ``velocity[:, t]`` holds the wanted directions.
-            motion: ``(B, N)`` int8, as in ``TrajectoryBatch``.
-            normals: ``(B, N, normals)`` float32.
-            state: ``(B, N, values)`` float32, updated in place.
-            position: ``(B, >= t + 2, N, 3)`` float32, metres, updated in place.
-            velocity: ``(B, >= t + 1, N, 3)`` float32, metres per step, updated in place.
+        It writes ``state`` and the next positions, too; all arrays have a leading axis B.
         """
         living = motion != kernels.DESTROYED
         kept = state[living]
@@ -148,12 +142,7 @@ class VariedSpeed(_Compiled):
 
 @dataclass(frozen=True)
 class Lagged(_Compiled):
-    """A first-order lag: the velocity approaches the wanted one with a time constant of each UAV.
-
-    Args:
-        shortest: the smallest time constant, steps.
-        longest: the largest time constant, steps.
-    """
+    """A first-order lag: the velocity approaches the wanted one with a time constant of each UAV, in steps."""
 
     equation = "v_{t+1} = v_t + (u_{t+1} − v_t) / τ_i"
     source = "first-order velocity response (Beard & McLain 2012, §9)"
@@ -199,10 +188,7 @@ class Limited(_Compiled):
 class Layered(_Compiled):
     """Altitude layers: a UAV keeps the altitude of its layer and flies the wanted course in the plane.
 
-    Args:
-        layers: number of layers, the lowest at half a ``height``.
-        height: distance of two layers, metres.
-        climb: the largest vertical speed, metres per step.
+    ``layers`` layers are ``height`` metres apart, the lowest at half of it; ``climb`` is the largest vertical speed.
     """
 
     equation = "v_z = clip((h_i − z) / 10, ±c), v_xy = √(1 − v_z²) u_xy / ‖u_xy‖"

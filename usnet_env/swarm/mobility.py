@@ -46,14 +46,7 @@ class Mobility(ABC):
 
 @dataclass(frozen=True)
 class CompiledMobility(Mobility):
-    """A mobility with a compiled step, ``kernels.fly_free``.
-
-    Args:
-        code: the number of the mobility in ``kernels``.
-        normals: standard normal numbers that a UAV needs per step.
-        numbers: up to 6 constants of the mobility.
-        description: one line for lists and documentation pages.
-    """
+    """A mobility with a compiled step: its number in ``kernels``, normal numbers per step, and up to 6 constants."""
 
     code: int
     normals: int

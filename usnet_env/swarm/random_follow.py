@@ -49,14 +49,7 @@ class Term:
 class RandomFollowStrategy(FollowStrategy):
     """A random strategy: norm(R g(sum of terms) + pull + kappa_n n) with g(x) = tanh(s x) / s on each axis.
 
-    Args:
-        terms: the summands.
-        rotation: R, ``(3, 3)``, or ``None``.
-        saturation: s, or ``None``.
-        offset: ``(3,)`` metres; the follower is pulled towards the head's position plus this offset. ``None``: no pull.
-        pull: weight of the pull.
-        lags: number of past head velocities that the strategy may use.
-        noise: kappa_n.
+    The follower is pulled towards the head's position plus ``offset``. ``None`` leaves out a part.
     """
 
     equation = "v_{i,t+1} = norm(R g(Σ_k w_k h_k(v_{iL,t−τ_k})) + κ_p g_i / max(‖g_i‖, 1) + κ_n n)"

@@ -129,12 +129,6 @@ def shift_tracks(position: Singles, velocity: Singles, source: Indices, rngs: Ge
     """Roll the steps of each UAV's track in time by a shift of its own; the track begins where it did.
 
     The shifts of m UAVs with the same source are T / m steps apart, in random order.
-
-    Args:
-        position: ``(B, T + 1, N, 3)`` float32, metres.
-        velocity: ``(B, T, N, 3)`` float32, metres per step.
-        source: ``(B, N)`` int64, the UAV that each UAV copies; its own index if there is none.
-        rngs: one generator per episode.
     """
     steps = velocity.shape[1]
     shift = np.empty(source.shape, np.int64)

@@ -1,12 +1,9 @@
 """The simulator: pure functions from a state and random generators to the next state and the observed window.
 
-A batch has a leading axis B and one generator per episode. All random numbers of an episode come from its own
-generator, in an order that does not depend on the batch. So episode b of a batch equals the single swarm with the same
-seed, bit for bit. A free UAV is one that follows no UAV: a head, decoy or bystander, and every UAV with
-``follow="none"``.
-
-With the kinematics ``unit`` one call simulates all steps of a window. With any other, a step at a time is simulated:
-first what the UAVs want, by the same mobilities and follow strategies, then what they fly.
+A batch has a leading axis B. All random numbers of an episode come from its own generator, so episode b of a batch
+equals the single swarm with the same seed, bit for bit. A free UAV is one that follows no UAV: a head, decoy or
+bystander, and every UAV with ``follow="none"``. With other kinematics than ``unit`` a step at a time is simulated:
+first what the UAVs want, then what they fly.
 """
 
 from __future__ import annotations
@@ -57,13 +54,6 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
     """Start B swarms, one per generator, and simulate T_0 steps, which are the past of the first round.
 
     In these T_0 steps followers move in random directions: they have no past of their head to follow yet.
-
-    Args:
-        config: the swarm.
-        rngs: one generator per episode.
-
-    Returns:
-        The state after T_0 steps.
     """
     swarms = [_draw_swarm(config, rng) for rng in rngs]
     drawn = {name: np.stack([swarm[name] for swarm in swarms]) for name in swarms[0]}
@@ -129,15 +119,10 @@ def _draw_swarm(config: SwarmConfig, rng: np.random.Generator) -> dict[str, NDAr
 
 
 def advance(config: SwarmConfig, state: SwarmState, rngs: Generators) -> tuple[SwarmState, ObservationBatch]:
-    """Simulate the next round: T_0 unobserved steps, then the observed window of T_ob samples.
+    """Simulate the next round of B swarms: T_0 unobserved steps, then the observed window of T_ob samples.
 
-    Args:
-        config: the same configuration as in :func:`start`.
-        state: B swarms, each with at least one living head unless no UAV leads it.
-        rngs: one generator per episode.
-
-    Returns:
-        The state at the end of the window, and the observed windows.
+    Each swarm has at least one living head unless no UAV leads it. It returns the state at the end of the window, and
+    the windows.
     """
     episodes, uavs = state.alive.shape
     memory, steps = config.memory, config.steps

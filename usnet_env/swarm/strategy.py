@@ -46,8 +46,6 @@ class FollowInputs:
 class TrajectoryBatch:
     """B swarms with a past of L steps and S steps to simulate; ``position`` and ``velocity`` are filled in place.
 
-    Behind the N UAVs of a swarm stand its R references, points that fly like heads and that no sensor sees.
-
     Args:
         position: ``(B, L + S + 1, N + R, 3)`` float32, metres; the first L + 1 instants are given.
         velocity: ``(B, L + S, N + R, 3)`` float32, metres per step; the first L steps are given, and all
@@ -88,8 +86,7 @@ class TrajectoryBatch:
 class FollowStrategy(ABC):
     """A follow strategy f. A follower's next velocity is norm(direction + kappa_n n), n ~ N(0, I).
 
-    To add a strategy, subclass this and define :meth:`direction`, or pass a function to
-    :func:`register_follow_strategy`.
+    To add one, define :meth:`direction` in a subclass, or pass a function to :func:`register_follow_strategy`.
 
     Attributes:
         equation: the equation as text, for lists and documentation pages.
