@@ -70,16 +70,6 @@ def test_a_state_of_another_swarm_is_restored():
         FieldEnv(observation_steps=11).set_state(state)
 
 
-def test_the_next_episode_is_another_swarm():
-    env = FieldEnv(observation_steps=2)
-    env.reset(seed=0)
-    configs = []
-    for _ in range(5):
-        configs.append(env.config)
-        env.reset()
-    assert len({config.model_dump_json() for config in configs}) == 5
-
-
 def test_a_vector_environment_has_no_pictures():
     with pytest.raises(ArgumentError, match="render_mode must"):
         gym.make_vec(FIELD, num_envs=2, render_mode="rgb_array")

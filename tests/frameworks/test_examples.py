@@ -42,27 +42,3 @@ def test_an_example_trains_and_compares_its_agent_with_detectors(name, capsys, m
     scores = [(line[1], float(line[2])) for line in lines if line]
     assert [agent for agent, _ in scores] == EXAMPLES[name][2]
     assert np.isfinite([score for _, score in scores]).all()
-
-
-@pytest.mark.slow
-def test_ppo_of_stable_baselines_learns(monkeypatch):
-    example = load("sb3_ppo", monkeypatch)
-    from comparison import compare_detectors
-    from how_copied import how_copied
-
-    from detectors.policy_detector import PolicyDetector
-
-    models = {"untrained": example.train(0), "trained": example.train(2048)}
-    detectors = {name: PolicyDetector(model.policy, observe=how_copied) for name, model in models.items()}
-    scores = compare_detectors(example.ENV, example.ARGUMENTS, detectors, episodes=30)
-    assert scores["untrained"]["J"]["mean"] < -3.0
-    assert scores["trained"]["J"]["mean"] >= -1.1
-
-
-def test_a_network_learns_to_imitate_a_recorded_detector(tmp_path, monkeypatch):
-    example = load("minari_imitation", monkeypatch)
-    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
-    dataset = example.record(30, seed=100)
-    _, losses = example.imitate(dataset, updates=60)
-    assert losses[-1] < 0.2 * losses[0]
-    assert dataset.recover_environment().unwrapped.config.clusters == example.ARGUMENTS["clusters"]

@@ -34,31 +34,6 @@ def test_a_wrapped_game_is_the_same_game(game, wrapper):
         assert all(wrapped.observation_space(agent).contains(seen) for agent, seen in step[0].items())
 
 
-@pytest.mark.parametrize("game", GAMES)
-def test_discrete_actions_are_the_game_s_own(game):
-    env, twin = DiscreteActions(game.parallel_env(**SMALL)), game.parallel_env(**SMALL)
-    observations, _ = env.reset(seed=0)
-    twin.reset(seed=0)
-    rng = np.random.default_rng(0)
-    while env.agents:
-        actions, numbers = {}, {}
-        for agent in env.agents:
-            inner, mask = twin.action_space(agent), observations[agent]["action_mask"]
-            numbers[agent] = number = int(rng.choice(np.flatnonzero(mask)))
-            if isinstance(inner, spaces.MultiDiscrete):
-                actions[agent] = np.array(np.unravel_index(number, inner.nvec))
-                legal = np.split(observations[agent]["legal"], np.cumsum(inner.nvec)[:-1])
-                assert mask.sum() == np.prod([part.sum() for part in legal])
-                assert all(part[value] for part, value in zip(legal, actions[agent], strict=True))
-            else:
-                actions[agent] = (np.arange(10) == number).astype(np.int8)
-                np.testing.assert_array_equal(mask, [*observations[agent]["legal"], 1])
-        got, expected = env.step(numbers), twin.step(actions)
-        assert got[1:] == expected[1:]
-        observations = got[0]
-        assert all(env.observation_space(agent).contains(seen) for agent, seen in observations.items())
-
-
 @pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL is tested using version:UserWarning")
 @pytest.mark.parametrize("game", GAMES)
 def test_torchrl_reads_the_games(game):

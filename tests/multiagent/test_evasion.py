@@ -12,15 +12,13 @@ import usnet_env  # noqa: F401  # registers the single-agent environments
 from usnet_env import ArgumentError
 from usnet_env.multiagent import usnet_evasion_v0
 from usnet_env.multiagent.evasion import (
-    DelayedFollow,
     Manoeuvres,
-    MixedMobility,
     Plan,
     compute_prices,
     fly_window,
     select_decoys,
 )
-from usnet_env.swarm import FOLLOW_STRATEGIES, MOBILITIES, FollowInputs, SwarmConfig, advance, start
+from usnet_env.swarm import FollowInputs, SwarmConfig, start
 from usnet_env.swarm.follow import FollowFunction, Lags, Network, StayInRange
 
 OBSERVER = "observer_0"
@@ -75,17 +73,6 @@ def test_truthful_heads_fly_as_in_the_single_agent_game(follow, seed):
         assert rewards[OBSERVER] == reward
         assert (terminations[OBSERVER], truncations[OBSERVER]) == (terminated, truncated)
         over = terminated or truncated
-
-
-@pytest.mark.parametrize("strategy", [*FOLLOW_STRATEGIES.values(), FollowFunction(lambda one: one.head_velocity[:, 0])])
-def test_a_delay_of_zero_is_the_strategy_itself(strategy):
-    config, state, rngs = a_swarm(follow=strategy, memory=12)
-    late = config.model_copy(update={"follow": DelayedFollow(strategy, np.zeros(20, np.int64))})
-    twin = [np.random.default_rng(0)]
-    start(config, twin)
-    _, expected = advance(config, state, rngs)
-    _, got = advance(late, state, twin)
-    np.testing.assert_array_equal(got.velocity, expected.velocity)
 
 
 @pytest.mark.parametrize(
@@ -145,31 +132,6 @@ def test_each_head_flies_the_mobility_it_chose():
     turns = (v[1:, heads[1]] * v[:-1, heads[1]]).sum(axis=1)
     assert abs(turns.mean()) < 0.2
     np.testing.assert_allclose(np.linalg.norm(v, axis=-1), 1.0, atol=1e-4)
-
-
-def test_jitter_is_the_followers_noise():
-    config, state, rngs = a_swarm(observation_steps=400)
-    heads = np.flatnonzero(state.head[0])
-    offer = Manoeuvres(mobilities=("straight",))
-    config = config.model_copy(update={"mobility": "straight"})
-    state = type(state)(**{**state.arrays(), "mobility_state": MOBILITIES["straight"].start(rngs[0], 2)[None]})
-    _, sighting, _ = flown(config, state, rngs, plan_of(2, jitter=[1, 0]), offer)
-    v = sighting.velocity[0]
-    assert np.abs(v[:, heads[1]] - v[0, heads[1]]).max() < 1e-6
-    across = v[:, heads[0]] - v[:, heads[0]].mean(axis=0)
-    assert np.sqrt((across**2).sum(axis=1).mean() / 2) == pytest.approx(0.05, rel=0.1)
-
-
-@pytest.mark.parametrize("name", sorted(MOBILITIES))
-def test_a_mix_of_one_law_is_that_law(name):
-    law = MOBILITIES[name]
-    mixed = MixedMobility((law,), np.zeros(4, np.int64), np.zeros(4, bool), 0.05)
-    a, b = np.random.default_rng(0), np.random.default_rng(0)
-    one, other = law.start(a, 4), mixed.start(b, 4)
-    np.testing.assert_array_equal(one, other)
-    place = np.zeros((4, 3), np.float32)
-    np.testing.assert_array_equal(law.fly(one, place, 30, a), mixed.fly(other, place, 30, b))
-    np.testing.assert_array_equal(one, other)
 
 
 # --- the price and the sums ------------------------------------------------------------------------------------------

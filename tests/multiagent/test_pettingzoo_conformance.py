@@ -115,23 +115,6 @@ def test_observations_and_states_stay_in_their_spaces_and_are_described(game, mo
 
 
 @both_games
-def test_observations_share_nothing_with_the_game(game):
-    env, twin = small(game), small(game)
-    rng = np.random.default_rng(0)
-    observations, _ = env.reset(seed=0)
-    twin.reset(seed=0)
-    while env.agents:
-        for seen in observations.values():
-            for array in seen.values():
-                array[...] = 0
-        actions = drawn(env, rng, None)
-        observations, rewards, *_ = env.step(actions)
-        expected, expected_rewards, *_ = twin.step(copy.deepcopy(actions))
-        assert rewards == expected_rewards
-        assert data_equivalence(observations, expected, exact=True)
-
-
-@both_games
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
 def test_a_copy_in_mid_game_goes_on_alike(game, copied):
     env = small(game, max_rounds=6)

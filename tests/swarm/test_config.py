@@ -30,7 +30,6 @@ from usnet_env.swarm import SwarmConfig
         ("cluster_sizes", [1, 19, 19, 19, 19]),
         ("cluster_sizes", [2, 2, 2, 2, 2]),
         ("uavs", 14),
-        ("observation_steps", 100_000_000 // 82),
         ("miss_rate", 1.0),
         ("miss_burst", 0.5),
     ],
@@ -49,11 +48,3 @@ def test_what_contradicts_is_named():
         SwarmConfig(miss_rate=0.9, miss_burst=2.0)
     with pytest.raises(ArgumentError, match="follw"):
         SwarmConfig(follw="f1")
-
-
-def test_numpy_numbers_and_lists_are_taken():
-    config = SwarmConfig(clusters=np.int64(2), uavs=np.int32(9), position_noise=np.float32(1), cluster_sizes=[3, 4])
-    assert config == SwarmConfig(clusters=2, uavs=9, position_noise=1.0, cluster_sizes=np.array([3, 4]))
-    assert config.followers == 7
-    with pytest.raises(ValueError, match="frozen"):
-        config.clusters = 3

@@ -5,13 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from flights import fly, generators, unit
-from head_dependence import head_dependence
 
 from usnet_env import ArgumentError, register_follow_strategy
 from usnet_env.swarm import FOLLOW_STRATEGIES, FollowStrategy, SwarmConfig, advance, destroy, start
-from usnet_env.swarm.follow import Lags, Network, StayInRange, follow_strategy
+from usnet_env.swarm.follow import Lags, Network, follow_strategy
 from usnet_env.swarm.random_follow import random_follow_strategy
-from usnet_env.swarm.strategy import KAPPA, KAPPA_NOISE, KAPPA_RANGE, FollowInputs, TrajectoryBatch
+from usnet_env.swarm.strategy import FollowInputs, TrajectoryBatch
 
 NAMES = ["f1", "f2", "f3", "f4", "f5", "f6", "f7"]
 
@@ -62,16 +61,12 @@ def test_compiled_flight_equals_the_general_loop(name):
             free = rng.standard_normal((steps, 3, 3)).astype(np.float32)
             velocity[b, memory:, state.free[b]] = (free / np.linalg.norm(free, axis=-1, keepdims=True)).swapaxes(0, 1)
         noise = rng.standard_normal((2, steps, 20, 3), dtype=np.float32)
-        flights.append(TrajectoryBatch(position, velocity, noise, motion, state.root, state.parameters))
+        swarm = state.root, state.parameters, state.source, state.bystander, state.clock
+        flights.append(TrajectoryBatch(position, velocity, noise, motion, *swarm))
     strategy.fly(flights[0])
     FollowStrategy.fly(strategy, flights[1])
     np.testing.assert_allclose(flights[0].velocity, flights[1].velocity, atol=2e-4)
     np.testing.assert_allclose(flights[0].position, flights[1].position, atol=5e-3)
-
-
-def test_the_table_s_constants():
-    assert (KAPPA, KAPPA_NOISE, KAPPA_RANGE) == (1.0, 0.05, 60.0)
-    assert set(NAMES) <= set(FOLLOW_STRATEGIES)
 
 
 def test_followers_noise_has_the_table_s_size():
@@ -83,14 +78,6 @@ def test_followers_noise_has_the_table_s_size():
     along = (led * flown).sum(axis=1, keepdims=True)
     across = (flown - along * led) / along  # undo norm(): components in metres of v_{iL}
     assert np.sqrt((across**2).sum(axis=1).mean() / 2) == pytest.approx(0.05, rel=0.05)
-
-
-def test_f7_depends_on_its_head_and_a_saturated_one_does_not():
-    with_head, without_head = head_dependence("f7", 0)
-    assert without_head < 0.5
-    assert with_head - without_head > 0.3
-    with_head, without_head = head_dependence(Network(position_scale=1.0), 0)
-    assert with_head - without_head < 0.05
 
 
 def test_f7_draws_a_network_an_episode_unless_seeded():
@@ -117,12 +104,9 @@ def test_a_registered_function_is_used_by_name():
     i = np.flatnonzero(~swarm.head)[0]
     np.testing.assert_allclose(window.velocity[0, 1:, i], -window.velocity[0, :-1, swarm.root[i]], atol=1e-5)
     assert FOLLOW_STRATEGIES["test-mirror-0"].equation == "v = -v_L"
-
-
-def test_a_function_written_as_f6_flies_as_f6():
-    register_follow_strategy("test-f6", StayInRange().direction, lags=1, replace=True)
-    one, other = fly("f6", formation="around")[1], fly("test-f6", formation="around")[1]
-    np.testing.assert_allclose(one.velocity, other.velocity, atol=1e-3)
+    register_follow_strategy("test-bad", lambda inputs: np.zeros(3), replace=True)
+    with pytest.raises(ValueError, match="reshape"):
+        fly("test-bad")
 
 
 @pytest.mark.parametrize(
@@ -133,32 +117,11 @@ def test_a_function_written_as_f6_flies_as_f6():
         ("", Lags(1), {}, "name"),
         ("none", Lags(1), {}, "name"),
         ("test-x", 3, {}, "strategy"),
-        ("test-x", len, {"lags": 1.5}, "lags"),
-        ("test-x", len, {"lags": 0}, "lags"),
-        ("test-x", len, {"noise": float("nan")}, "noise"),
-        ("test-x", Lags(1, noise=-1), {}, "noise"),
     ],
 )
 def test_bad_registrations_are_refused(name, strategy, arguments, argument):
     with pytest.raises(ArgumentError, match=f"^{argument} must"):
         register_follow_strategy(name, strategy, **arguments)
-
-
-@pytest.mark.parametrize("answer", [0.0, np.nan, 1j, 1e300])
-def test_a_function_with_a_bad_answer_is_told_so(answer):
-    def bad(inputs):
-        return np.full((len(inputs.own_position), 3) if answer else 3, answer)
-
-    register_follow_strategy("test-bad", bad, replace=True)
-    with pytest.raises(ArgumentError, match="follow function must return an array"):
-        fly("test-bad")
-
-
-def test_a_strategy_that_is_not_registered_is_checked_too():
-    with pytest.raises(ArgumentError, match="noise must"):
-        SwarmConfig(follow=Lags(1, noise=float("inf")))
-    with pytest.raises(ArgumentError, match="lags must"):
-        SwarmConfig(follow=StayInRange(lags=0))
 
 
 def random_inputs(rng, n=400):
@@ -168,8 +131,8 @@ def random_inputs(rng, n=400):
     return FollowInputs(own, head_velocity, head, np.empty(0, np.float32))
 
 
-def cosines(a, b):
-    return (a * b).sum(axis=1) / (np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1) + 1e-9)
+def cosine(a, b):
+    return ((a * b).sum(axis=1) / (np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1) + 1e-9)).mean()
 
 
 def test_random_strategies_are_none_of_the_seven():
@@ -178,14 +141,17 @@ def test_random_strategies_are_none_of_the_seven():
     tables = [follow_strategy(name).direction(inputs) for name in NAMES[:6]]
     for _ in range(400):
         wanted = random_follow_strategy(rng).direction(inputs)
-        assert max(np.mean(cosines(wanted, table)) for table in tables) < 0.995
+        assert max(cosine(wanted, table) for table in tables) < 0.995
 
 
-def test_random_strategies_follow_their_head():
-    shares = [
-        head_dependence(random_follow_strategy(np.random.default_rng(seed)), seed, followers=2) for seed in range(3)
-    ]
-    assert min(with_head - without_head for with_head, without_head in shares) > 0.05
+def test_f7_depends_on_its_head():
+    inputs = random_inputs(np.random.default_rng(0))
+    still = inputs.own_position[:, :1].repeat(5, axis=1)
+    inputs = replace(inputs, own_position=still, parameters=Network().draw(np.random.default_rng(1)))
+    turned = replace(inputs, head_velocity=-inputs.head_velocity)
+    assert cosine(Network().direction(inputs), Network().direction(turned)) < 0.2
+    saturated = Network(position_scale=1.0)
+    assert cosine(saturated.direction(inputs), saturated.direction(turned)) > 0.9
 
 
 @pytest.mark.parametrize("gone", ["follower", "head"])

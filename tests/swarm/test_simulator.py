@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from flights import flown, fly, generators, unit
 
-from usnet_env.swarm import SwarmConfig, SwarmState, advance, destroy, start
+from usnet_env.swarm import SwarmConfig, advance, destroy, start
 from usnet_env.swarm.follow import Lags
 
 
@@ -17,15 +17,6 @@ def test_positions_integrate_velocities_and_speeds_are_one():
     np.testing.assert_allclose(np.diff(window.position, axis=1), window.velocity, atol=2e-4)
     np.testing.assert_allclose(np.linalg.norm(window.velocity, axis=-1), 1.0, atol=1e-5)
     assert window.seen.all()
-
-
-def test_a_window_ends_where_the_swarm_is_now():
-    config, rngs = SwarmConfig(clusters=2, uavs=10, observation_steps=10), generators([0])
-    state = start(config, rngs)
-    for _ in range(2):
-        state, window = advance(config, state, rngs)
-        np.testing.assert_array_equal(window.position[:, -1], state.position)
-        np.testing.assert_array_equal(window.velocity[:, -1], state.past_velocity[:, -1])
 
 
 def test_a_window_holds_one_regime_only():
@@ -80,16 +71,3 @@ def test_nothing_given_or_global_is_changed():
     assert (left.root[~left.head] == -1).all()
     assert pickle.dumps(state.arrays()) == given
     np.testing.assert_array_equal(np.random.get_state()[1], before)  # noqa: NPY002
-
-
-def test_state_travels_as_plain_arrays():
-    state = start(SwarmConfig(clusters=2, uavs=10), generators([0, 1]))
-    again = SwarmState(**state.arrays())
-    for name, array in state.arrays().items():
-        np.testing.assert_array_equal(getattr(again, name), array)
-    one = state.episode(1)
-    np.testing.assert_array_equal(one.head, state.head[1])
-    assert one.heads_left == 2
-    np.testing.assert_array_equal(one.source, one.root)
-    np.testing.assert_array_equal(one.leader, one.root)
-    assert one.reference_position.shape[1] == one.kinematic_state.shape[1] == 0

@@ -13,7 +13,7 @@ from pydantic import Field
 from usnet_env.arrays import Mask
 from usnet_env.config import list_arguments, takes_arguments
 from usnet_env.envs import game
-from usnet_env.envs.usnet import INFO, OBSERVATION, OutputArguments, UsnetEnv
+from usnet_env.envs.usnet import INFO_P2, OBSERVATION, OutputArguments, UsnetEnv
 from usnet_env.envs.vector import check_batch
 from usnet_env.swarm import FollowStrategy, Kinematics, Mobility, SwarmConfig
 from usnet_env.swarm.config import Burst, Count, Few, Metres, Rate, Ratio, Share, Steps
@@ -25,24 +25,10 @@ Weights = Mapping[str, float]
 class FieldDistribution:
     """The distribution of the swarms of ``USNET/Field-v0``. All draws are independent.
 
-    Args:
-        version: increases when a draw changes.
-        follow: weight of each follow strategy.
-        mobility: weight of each mobility.
-        kinematics: weight of each kinematics model.
-        formation: weight of each formation.
-        clusters: smallest and largest M; each is equally likely, as for the numbers that follow.
-        decoys: smallest and largest number of decoys.
-        bystanders: smallest and largest number of bystanders.
-        traffic: smallest and largest number of UAVs of civil traffic.
-        jitter: probability of the head jitter.
-        clean: probability that the sensor lacks a fault, for each of the faults that follow.
-        position_noise: smallest and largest position noise otherwise, log-uniform, metres.
-        miss_rate: smallest and largest miss rate otherwise, uniform, as for all that follow.
-        noise_memory: smallest and largest memory of the noise.
-        miss_burst: smallest and largest mean length of a burst of missed detections, sampling instants.
-        partial_tracks: smallest and largest share of partial tracks.
-        swap_rate: smallest and largest rate of identity switches.
+    ``follow``, ``mobility``, ``kinematics`` and ``formation`` have a weight for each name. The numbers are equally
+    likely from the smallest to the largest. ``jitter`` is the probability of the head jitter. With the probability
+    ``clean`` the sensor lacks a fault, each by itself; otherwise its size is uniform, or log-uniform for
+    ``position_noise``. ``version`` increases when a draw changes.
     """
 
     version: int = 1
@@ -96,7 +82,7 @@ class FieldDistribution:
 
     @property
     def largest(self) -> dict[str, Any]:
-        """The arguments of a swarm with the largest bounds of the observation, and the most UAVs beside followers."""
+        """The arguments of a swarm with the largest bounds, and the most UAVs beside followers."""
         return {
             **{name: getattr(self, name)[1] for name in ("clusters", "decoys", "bystanders", "traffic")},
             "follow": "unequal_delays",
@@ -146,7 +132,7 @@ class FieldArguments(OutputArguments, game.RoundArguments):
         return self.part(SwarmConfig, **{name: value for name, value in drawn.items() if getattr(self, name) is None})
 
 
-@list_arguments(observation=OBSERVATION, info=INFO)
+@list_arguments(observation=OBSERVATION, info=INFO_P2)
 class FieldEnv(UsnetEnv):
     """P2 in the field: find all heads; each episode has a different kind of swarm.
 
@@ -160,8 +146,7 @@ class FieldEnv(UsnetEnv):
     `usnet_env.envs.field.DISTRIBUTION` is the distribution; any part of it can be fixed by an argument.
 
     ## Action Space
-    `MultiBinary(N)`: 1 for every candidate. A candidate that is already destroyed counts as redundant. Integers,
-    booleans and floats are accepted if they are 0 or 1.
+    That of `USNET/MultiCluster-v0`.
 
     ## Observation Space
     {observation}
@@ -169,14 +154,9 @@ class FieldEnv(UsnetEnv):
     The bounds are those of the fastest UAVs and the largest noise of the distribution.
 
     ## Rewards
-    −(1 + `redundancy_price` · redundant / N) per round, as in `USNET/MultiCluster-v0`. An empty set counts as a round.
-    A set of more than `shot_budget` candidates destroys no UAV; the round counts and `info["over_budget"]` is 1.
+    Those of `USNET/MultiCluster-v0`.
 
     {info}
-    | `J` | J_m of the rounds played so far, at price 1 |
-    | `over_budget` | 1 if the round had more candidates than `shot_budget` |
-    | `reward_round` | the part of the reward for the round, −1 |
-    | `reward_redundancy` | the rest of the reward: the price of redundant candidates |
 
     ## Starting State
     Drawn from the distribution. `config` is the swarm of the present episode, for evaluation only.
@@ -214,15 +194,7 @@ class FieldEnv(UsnetEnv):
 
 
 class FieldVectorEnv(SyncVectorEnv):
-    """B games of :class:`FieldEnv`, one after another; see ``gym.make_vec("usnet_env:USNET/Field-v0", num_envs=B)``.
-
-    Args:
-        num_envs: B.
-        arguments: the arguments of the single environment except ``render_mode``.
-
-    Raises:
-        ArgumentError: an argument has the wrong type or is out of range.
-    """
+    """B games of :class:`FieldEnv`, one after another; see ``gym.make_vec("usnet_env:USNET/Field-v0", num_envs=B)``."""
 
     def __init__(self, num_envs: int = 1, **arguments: Any) -> None:
         super().__init__([lambda: FieldEnv(**arguments)] * check_batch(num_envs, arguments))

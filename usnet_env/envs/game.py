@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, Self
 
@@ -13,11 +13,13 @@ from pydantic import Field
 
 from usnet_env.arrays import Floats, Indices, Mask, Observation
 from usnet_env.config import ArgumentError, Config, quote
+from usnet_env.drawing import describe_frame
 from usnet_env.objectives import hits_and_redundant, single_cluster_objective
 from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState, advance, destroy, start
 from usnet_env.swarm.config import Count
 
 COUNTERS = ("rounds", "redundant", "terminated", "truncated")
+UNANSWERED = "observed, no answer yet"  # the title of the picture of a window before the first round
 
 
 class ShotArguments(Config):
@@ -56,21 +58,13 @@ class RenderArguments(Config):
 
 @dataclass(frozen=True)
 class GameState:
-    """B games between two rounds.
-
-    Args:
-        swarm: the true state of the swarms.
-        rounds: ``(B,)`` int64, number of rounds played.
-        redundant: ``(B,)`` int64, number of redundant candidates in all rounds.
-        terminated: ``(B,)`` bool, whether the game ended by its rules.
-        truncated: ``(B,)`` bool, whether the game was stopped after ``max_rounds``.
-    """
+    """B games between two rounds; each array is ``(B,)``."""
 
     swarm: SwarmState
-    rounds: Indices
-    redundant: Indices
-    terminated: Mask
-    truncated: Mask
+    rounds: Indices  # played so far
+    redundant: Indices  # candidates in all rounds
+    terminated: Mask  # whether the game ended by its rules
+    truncated: Mask  # whether the game was stopped after ``max_rounds``
 
     def with_rows(self, episodes: NDArray[np.intp], other: GameState) -> Self:
         """A copy of this batch in which ``other`` replaces some games."""
@@ -98,42 +92,24 @@ def observation_space(config: SwarmConfig, rules: Rules) -> spaces.Dict:
 
 
 def require_game(state: GameState | None) -> GameState:
-    """The games that have been started.
-
-    Raises:
-        ArgumentError: there are none.
-    """
+    """The games that have been started, if there are any."""
     if state is None:
         raise ArgumentError("reset must be called first, got a game that has not begun or is over.")
     return state
 
 
 def parse_candidates(action: Any, shape: tuple[int, ...], name: str = "action") -> Mask:
-    """Convert an action (integers, booleans or floats) to booleans of the given shape; errors call it ``name``.
-
-    Raises:
-        ArgumentError: the action has another shape or a value other than 0 and 1.
-    """
+    """Convert an action (integers, booleans or floats) to booleans of the given shape; errors call it ``name``."""
     values = np.asarray(action)
     if values.shape != shape or values.dtype.kind not in "biuf" or not ((values == 0) | (values == 1)).all():
         raise ArgumentError(f"{name} must have shape {shape} and hold only 0 and 1, got {quote(action)}.")
     return values.astype(bool)
 
 
-def check_options(options: Any, ignored: Collection[str] = ()) -> None:
-    """Refuse options of ``reset``: all properties of a game are arguments of its constructor.
-
-    Args:
-        options: what ``reset`` received.
-        ignored: keys that may be there and have no effect.
-
-    Raises:
-        ArgumentError: the options are neither ``None`` nor a mapping without other keys.
-    """
-    if options is not None and not (isinstance(options, Mapping) and set(options) <= set(ignored)):
-        raise ArgumentError(
-            f"options must be empty, got {quote(options)}: create an environment with other arguments to change a game."
-        )
+def check_options(options: Any) -> None:
+    """Refuse options of ``reset``: all properties of a game are arguments of its constructor."""
+    if options:
+        raise ArgumentError(f"options must be empty, since a game is changed by its arguments, got {quote(options)}.")
 
 
 def start_games(config: SwarmConfig, rngs: Sequence[np.random.Generator]) -> GameState:
@@ -145,11 +121,6 @@ def start_games(config: SwarmConfig, rngs: Sequence[np.random.Generator]) -> Gam
 
 def play_round(rules: Rules, state: GameState, candidates: Mask) -> tuple[GameState, Floats, dict[str, NDArray[Any]]]:
     """Play one round: score and destroy the candidates; followers of a destroyed head re-merge.
-
-    Args:
-        rules: the rules.
-        state: B games before the round.
-        candidates: ``(B, N)`` bool.
 
     Returns:
         The games after the round, the reward ``(B,)`` float64, and the metrics of ``info`` by name, each ``(B,)``.
@@ -190,6 +161,13 @@ def play_round(rules: Rules, state: GameState, candidates: Mask) -> tuple[GameSt
     return GameState(after, rounds, total, terminated, truncated), reward, metrics
 
 
+def title_round(metrics: Mapping[str, Any]) -> str:
+    """The title of the picture of a round, from its metrics as plain numbers."""
+    reward = sum(value for name, value in metrics.items() if name.startswith("reward_"))
+    hits, redundant, over_budget = metrics["hits"], metrics["redundant"], bool(metrics["over_budget"])
+    return describe_frame(metrics["round"], hits, redundant, metrics["J"], reward, over_budget)
+
+
 def initial_info(rules: Rules, state: GameState) -> dict[str, NDArray[Any]]:
     """The metrics of ``info`` before the first round: those of a round without candidates, all zero or false."""
     metrics = play_round(rules, state, np.zeros_like(state.swarm.alive))[2]
@@ -199,11 +177,7 @@ def initial_info(rules: Rules, state: GameState) -> dict[str, NDArray[Any]]:
 def truth_info(swarm: SwarmState) -> dict[str, NDArray[Any]]:
     """The entries that ``reveal_truth`` adds to ``info``: the roles, and ``heads_left``, which with ``hits`` gives M.
 
-    Args:
-        swarm: B swarms, or one without the leading axis.
-
-    Returns:
-        ``head``, ``decoy`` ``(B, N)`` int8, ``root``, ``leader`` ``(B, N)`` int64 and ``heads_left`` ``(B,)`` int64.
+    ``head`` and ``decoy`` ``(B, N)`` int8, ``root`` and ``leader`` ``(B, N)`` int64, ``heads_left`` ``(B,)`` int64.
     """
     return {
         "head": swarm.head.astype(np.int8),
@@ -218,11 +192,6 @@ def observe_windows(
     config: SwarmConfig, state: GameState, rngs: Sequence[np.random.Generator]
 ) -> tuple[GameState, Observation]:
     """Simulate and observe the next window of every game that has not terminated; other games get an empty window.
-
-    Args:
-        config: the swarm.
-        state: B games.
-        rngs: one generator per game.
 
     Returns:
         The games at the end of the window, and the observation with a leading axis B.

@@ -23,21 +23,13 @@ AnswerT = TypeVar("AnswerT", bound=_Answer)
 
 @dataclass(frozen=True)
 class PlayedRound(Generic[AnswerT]):
-    """One round that has been played.
-
-    Args:
-        observation: what was answered.
-        truth: the swarm in this window, before the destruction.
-        answer: the answer, with its candidates ``(N,)`` bool.
-        info: what the environment returned.
-        left: the swarm after the destruction and the re-merge.
-    """
+    """One round that has been played: what was answered how, the truth, and what the environment returned."""
 
     observation: Any
-    truth: SwarmState
+    truth: SwarmState  # in this window, before the destruction
     answer: AnswerT
     info: dict[str, Any]
-    left: SwarmState
+    left: SwarmState  # after the destruction and the re-merge
 
 
 def play_rounds(
@@ -45,10 +37,7 @@ def play_rounds(
 ) -> Iterator[PlayedRound[AnswerT]]:
     """Play an episode to its end, and yield each round after it has been played.
 
-    Args:
-        env: a USNET environment.
-        answer: answers an observation; it gets the truth as well, to check the form of the answer.
-        seed: seed of the environment; ``None`` continues with its generator.
+    ``answer`` gets an observation, and the truth as well, to check the form of its answer.
     """
     game: Any = env.unwrapped
     observation, _ = env.reset(seed=seed)

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from usnet_env.arrays import Mask, Observation
 from usnet_env.config import ArgumentError, list_arguments, optional_seed, quote, takes_arguments
-from usnet_env.drawing import EpisodeFrames, describe_frame
+from usnet_env.drawing import EpisodeFrames
 from usnet_env.envs import game
 from usnet_env.swarm import SwarmConfig, SwarmState
 from usnet_env.swarm.config import BystanderArguments, MobilityArguments, SensorArguments, SwarmArguments
@@ -37,7 +37,12 @@ INFO = """`info` holds, at every step and all zero at reset:
     | `redundant` | candidates of the round that are not living heads |
     | `round` | rounds played |
     | `success` | 1 if no head is left |
-    | `is_success` | the same as a boolean, under the name that Stable-Baselines3 reads at the end of an episode |"""
+    | `is_success` | the same as a boolean, under the name that Stable-Baselines3 reads at the end of an episode |
+    | `J` | J_s or, for the rounds played so far, J_m, at price 1 |
+    | `over_budget` | 1 if the round had more candidates than `shot_budget` |"""
+INFO_P2 = f"""{INFO}
+    | `reward_round` | the part of the reward for the round, −1 |
+    | `reward_redundancy` | the rest of the reward: the price of redundant candidates |"""
 
 
 class OutputArguments(game.RenderArguments):
@@ -106,10 +111,7 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
 
         Args:
             seed: seed of the environment's own generator; ``None`` keeps the present generator.
-            options: ``None`` or an empty mapping; a game is changed by the arguments of the environment.
-
-        Returns:
-            The observation and ``info``.
+            options: none; a game is changed by the arguments of the environment.
 
         Raises:
             ArgumentError: the seed is not a whole number from 0, or there are options.
@@ -122,14 +124,9 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         return self._observe(state), self._info(metrics)
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Destroy the candidates, score the round, and observe the next window.
+        """Destroy the candidates, ``(N,)`` of 0 and 1, score the round, and observe the next window.
 
-        Args:
-            action: ``(N,)`` of 0 and 1, the candidates.
-
-        Returns:
-            Observation, reward, terminated, truncated, ``info``. After termination the window is empty (``seen`` is
-            all 0), because no head is left.
+        After termination the window is empty (``seen`` is all 0), because no head is left.
 
         Raises:
             ArgumentError: the action has another shape or other values, or the episode has ended.
@@ -138,13 +135,10 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         game.require_game(None if before.terminated[0] or before.truncated[0] else before)
         candidates = game.parse_candidates(action, (self.config.uavs,))
         state, rewards, metrics = game.play_round(self.rules, before, candidates[None])
-        reward, values = float(rewards[0]), {name: value[0].item() for name, value in metrics.items()}
-        title = describe_frame(
-            values["round"], values["hits"], values["redundant"], values["J"], reward, bool(values["over_budget"])
-        )
+        title = game.title_round({name: value[0].item() for name, value in metrics.items()})
         self._last_round = (self._window, before.swarm, candidates, title)
-        observation = self._observe(state)
-        return observation, reward, bool(state.terminated[0]), bool(state.truncated[0]), self._info(metrics)
+        observation, over = self._observe(state), (bool(state.terminated[0]), bool(state.truncated[0]))
+        return observation, float(rewards[0]), *over, self._info(metrics)
 
     def _draw_config(self) -> SwarmConfig:
         """The swarm of the next episode."""
@@ -190,22 +184,14 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         }
 
     def set_state(self, state: dict[str, Any]) -> Observation:
-        """Restore a state from :meth:`get_state` of an environment with the same arguments.
-
-        Args:
-            state: the saved state.
-
-        Returns:
-            The observation at that moment.
+        """Restore a state from :meth:`get_state` of an environment with the same arguments, and show its observation.
 
         Raises:
             ArgumentError: the state is of an environment with other arguments.
         """
         here = self._settings()
         if {name: state.get(name) for name in here} != here:
-            raise ArgumentError(
-                f"state must come from get_state of an environment with the same arguments, got {quote(state)}."
-            )
+            raise ArgumentError(f"state must come from get_state with the same arguments, got {quote(state)}.")
         saved = copy.deepcopy(state)
         config = SwarmConfig(**saved["config"])
         if config != self.config:  # drawn for each episode
@@ -218,13 +204,10 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         return self._show(saved["observation"])
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Draw the last round (before the first round: the present window) as seen from above.
+        """Draw the last round, or before the first one the present window, as seen from above, ``(H, W, 3)`` uint8.
 
         The axes fit the first window with a margin, and change only if a later window does not fit. Crosses mark UAVs
-        that were destroyed in earlier rounds. The title has the result of the round, J, and the reward.
-
-        Returns:
-            ``(H, W, 3)`` uint8, or ``None`` unless ``render_mode="rgb_array"``.
+        that were destroyed in earlier rounds. It returns ``None`` unless ``render_mode="rgb_array"``.
 
         Raises:
             MissingExtraError: matplotlib is not installed.
@@ -232,13 +215,10 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         if self.render_mode is None:
             return None
         state = game.require_game(self._game)
-        window, swarm, candidates, title = self._last_round or (
-            self._window, state.swarm, None, f"round {int(self._window['round'][0])}: observed, no answer yet"
-        )  # fmt: skip
-        seen = window["seen"].astype(bool)
-        return self._frames.render(
-            position=window["position"], seen=seen, candidates=candidates, title=title, **swarm.episode().roles()
-        )
+        unanswered = self._window, state.swarm, None, game.UNANSWERED
+        window, swarm, candidates, title = self._last_round or unanswered
+        roles, seen = swarm.episode().roles(), window["seen"].astype(bool)
+        return self._frames.render(position=window["position"], seen=seen, candidates=candidates, title=title, **roles)
 
 
 @list_arguments(observation=OBSERVATION, info=INFO)
@@ -268,8 +248,6 @@ class SingleClusterEnv(UsnetEnv):
     empty set is the right answer and scores 0.
 
     {info}
-    | `J` | J_s, at price 1 |
-    | `over_budget` | 1 if the round had more candidates than `shot_budget` |
     | `reward_hit` | the part of the reward for the hit: 0 if a head is a candidate or the answer is right, else −1 |
     | `reward_redundancy` | the rest of the reward: the price of redundant candidates |
 
@@ -295,7 +273,7 @@ class SingleClusterEnv(UsnetEnv):
         super().__init__(config, arguments.part(game.Rules, problem="P1", max_rounds=1), arguments)
 
 
-@list_arguments(observation=OBSERVATION, info=INFO)
+@list_arguments(observation=OBSERVATION, info=INFO_P2)
 class MultiClusterEnv(UsnetEnv):
     """P2: find all heads of a swarm with unknown clusters, in few rounds and with few redundant candidates.
 
@@ -322,10 +300,6 @@ class MultiClusterEnv(UsnetEnv):
     (decision l). So report J_m together with precision, recall and rounds.
 
     {info}
-    | `J` | J_m of the rounds played so far, at price 1 |
-    | `over_budget` | 1 if the round had more candidates than `shot_budget` |
-    | `reward_round` | the part of the reward for the round, −1 |
-    | `reward_redundancy` | the rest of the reward: the price of redundant candidates |
 
     As long as heads are left, none of these values depends on M: `heads_left` needs `reveal_truth=True`.
 

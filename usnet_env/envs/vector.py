@@ -21,21 +21,17 @@ MOST_ENVS = 1_000_000
 
 
 def check_batch(num_envs: Any, arguments: Mapping[str, Any]) -> int:
-    """Check the arguments of a vector environment that single environments don't check; returns the number of games."""
+    """The number of games, if the arguments are those of a vector environment."""
     if arguments.get("render_mode") is not None:
         raise ArgumentError("render_mode must be None for a vector environment; use a single environment to render.")
     return whole_number("num_envs", num_envs, 1, MOST_ENVS)
 
 
 class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
-    """Base class of :class:`SingleClusterVectorEnv` and :class:`MultiClusterVectorEnv`: B games in one batch.
+    """``num_envs`` games in one batch, with the arguments of the single environment except ``render_mode``.
 
     The step after the end of a game resets this game and ignores its action (``AutoresetMode.NEXT_STEP``, Gymnasium's
     default).
-
-    Args:
-        num_envs: B.
-        arguments: the arguments of the single environment except ``render_mode``.
 
     Raises:
         ArgumentError: an argument has the wrong type or is out of range.
@@ -68,10 +64,7 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
         Args:
             seed: game b is seeded with ``seed + b``, or with element b of a sequence; ``None`` keeps the present
                 generators.
-            options: ``None`` or an empty mapping; a game is changed by the arguments of the environment.
-
-        Returns:
-            The observations ``(B, ...)`` and ``info`` in Gymnasium's vector form.
+            options: none; a game is changed by the arguments of the environment.
 
         Raises:
             ArgumentError: another number of seeds than B, a seed that is not a whole number from 0, or options.
@@ -88,7 +81,7 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
         return observation, self._infos(metrics)
 
     def _seeds(self, seed: Any) -> list[int | None]:
-        """One seed for each game: ``seed + b`` for a number, the elements of a sequence, or ``None`` for each."""
+        """One seed for each game."""
         if np.ndim(seed) == 0:
             first = optional_seed("seed", seed)
             return [None if first is None else first + b for b in range(self.num_envs)]
@@ -97,13 +90,7 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
         return [optional_seed("seed", one) for one in seed]
 
     def step(self, actions: Any) -> tuple[Observation, Floats, Mask, Mask, dict[str, Any]]:
-        """Play one round of every running game; a game that had ended is reset instead.
-
-        Args:
-            actions: ``(B, N)`` of 0 and 1, the candidates of each game.
-
-        Returns:
-            Observations, rewards, terminated, truncated and ``info``, each with a leading axis B.
+        """Play one round of every running game, with candidates ``(B, N)`` of 0 and 1; a game that had ended is reset.
 
         Raises:
             ArgumentError: actions of another shape or with other values, or no call of :meth:`reset` before.
@@ -123,7 +110,7 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
         return observation, reward, state.terminated.copy(), state.truncated.copy(), self._infos(metrics)
 
     def _infos(self, metrics: dict[str, NDArray[Any]]) -> dict[str, Any]:
-        """``info`` in Gymnasium's vector form: one array per key, and the mask ``_key`` of the games that have it."""
+        """One array per key, and the mask ``_key`` of the games that have it."""
         values = metrics | (game.truth_info(self.swarm) if self.reveal_truth else {})
         return values | {f"_{name}": np.ones(self.num_envs, bool) for name in values}
 

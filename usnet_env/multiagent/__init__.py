@@ -1,9 +1,8 @@
 """Games with several agents for PettingZoo: observers that vote, and heads that evade detection.
 
-The games are the modules :mod:`usnet_env.multiagent.usnet_observers_v0` and
-:mod:`usnet_env.multiagent.usnet_evasion_v0`, each with ``env``, ``parallel_env`` and ``raw_env``. PettingZoo is an
-optional dependency (``pip install 'usnet[multiagent]'``). If it is installed, importing this package registers both
-games with it. ``FUSIONS`` and ``PLACEMENTS`` are the registered parts by name, as mappings.
+The games are the modules ``usnet_observers_v0`` and ``usnet_evasion_v0``, each with ``env``, ``parallel_env`` and
+``raw_env``. If PettingZoo is installed, importing this package registers both games with it. ``FUSIONS`` and
+``PLACEMENTS`` are the registered parts by name, as mappings.
 """
 
 from importlib.util import find_spec

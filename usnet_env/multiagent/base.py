@@ -15,9 +15,17 @@ from pydantic import Field
 
 from usnet_env.arrays import Floats, Mask, Observation, Singles
 from usnet_env.config import ArgumentError, MissingExtraError, how_to_install, optional_seed, quote
-from usnet_env.drawing import EpisodeFrames, describe_frame
-from usnet_env.envs.game import GameState, RenderArguments, RoundArguments, Rules, check_options, require_game
-from usnet_env.objectives import hits_and_redundant
+from usnet_env.drawing import EpisodeFrames
+from usnet_env.envs.game import (
+    UNANSWERED,
+    GameState,
+    RenderArguments,
+    RoundArguments,
+    Rules,
+    play_round,
+    require_game,
+    title_round,
+)
 from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState
 from usnet_env.swarm.config import Count, SizeArguments, Sizes, SwarmArguments
 
@@ -37,23 +45,13 @@ Step = tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str
 
 @dataclass(frozen=True, eq=False)
 class RoundRecord:
-    """One finished round, without leading axes.
+    """One finished round, without leading axes."""
 
-    Args:
-        sighting: the window; in the observers' game, the merged sightings of all observers.
-        truth: the swarm before the candidates were destroyed.
-        candidates: ``(N,)`` bool.
-        scores: ``(N,)`` float64; the candidates are chosen by them.
-        objective: J_m after the round.
-        over_budget: whether there were more candidates than the shot budget, so that no UAV was destroyed.
-    """
-
-    sighting: ObservationBatch
-    truth: SwarmState
+    sighting: ObservationBatch  # in the observers' game, the merged sightings of all observers
+    truth: SwarmState  # before the candidates were destroyed
     candidates: Mask
-    scores: Floats
-    objective: float
-    over_budget: bool
+    scores: Floats  # the candidates are chosen by them
+    metrics: dict[str, int | float]  # those of ``info``
 
 
 class GameArguments(RenderArguments, RoundArguments, SizeArguments, SwarmArguments):
@@ -70,13 +68,13 @@ class GameArguments(RenderArguments, RoundArguments, SizeArguments, SwarmArgumen
     )
 
     def make_rules(self, opening: int = 0) -> Rules:
-        """Create the rules of P2; ``opening`` is the number of steps before the first round."""
+        """The rules of P2; ``opening`` is the number of steps before the first round."""
         limit = self.max_rounds if self.max_cycles is None else min(self.max_rounds, self.max_cycles - opening)
         return self.part(Rules, max_rounds=limit)
 
 
 def to_scalars(metrics: Mapping[str, NDArray[Any]]) -> dict[str, int | float]:
-    """Convert the metrics of a batch of one game to plain numbers."""
+    """The metrics of a batch of one game as plain numbers."""
     return {name: values[0].item() for name, values in metrics.items()}
 
 
@@ -85,9 +83,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
 
     Attributes:
         config: the configuration of the swarm.
-        rules: the rules of the game: problem, number of rounds, budget and price.
-        possible_agents: all agents of the game; they never change.
-        agents: the agents that are still in the game.
+        rules: the rules of the game.
         last_round: the round of the last step; ``None`` before the first round.
     """
 
@@ -120,11 +116,11 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         self._frames = EpisodeFrames()
 
     def observation_space(self, agent: str) -> spaces.Dict:
-        """Return the observation space of an agent; the same object every time."""
+        """The observation space of an agent."""
         return self._observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
-        """Return the action space of an agent; the same object every time."""
+        """The action space of an agent."""
         return self._action_spaces[agent]
 
     @property
@@ -136,20 +132,11 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         return require_game(self._game)
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Start:
-        """Start a game; observers get its first window, or nothing yet if the game has an opening.
-
-        Args:
-            seed: seed of the game's generator; ``None`` keeps the current generator.
-            options: empty: a game is changed by its arguments. The key ``"options"``, which PettingZoo's tests pass,
-                has no effect.
-
-        Returns:
-            Observations and infos by agent.
+        """Start a game with a seed of its generator (``None`` keeps the present one); ``options`` have no effect.
 
         Raises:
-            ArgumentError: the seed is not a whole number from 0, or there are options.
+            ArgumentError: the seed is not a whole number from 0.
         """
-        check_options(options, ("options",))
         if (seed := optional_seed("seed", seed)) is not None:
             self._rng = seeding.np_random(seed)[0]
         self.agents, self.last_round = list(self.possible_agents), None
@@ -157,46 +144,34 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
 
     @abstractmethod
     def _start(self, rng: np.random.Generator) -> Start:
-        """Start a game, whose agents all live, and return the answer of :meth:`reset`."""
+        """Start a game, whose agents all live: the answer of :meth:`reset`."""
 
     @abstractmethod
     def step(self, actions: Any) -> Step:
-        """Play a round and fly the next window.
-
-        Args:
-            actions: an action for each living agent.
-
-        Returns:
-            Observations, rewards, terminations, truncations and infos by agent.
+        """Play a round with an action of each living agent, and fly the next window.
 
         Raises:
             ArgumentError: an action is missing, or has a wrong shape or wrong values, or the game has ended.
         """
 
     def _check_actions(self, actions: Any) -> dict[str, Any]:
-        """Check that there is one action for each living agent, and return the actions."""
+        """The actions, one for each living agent."""
         require_game(self._game if self.agents else None)
         if not isinstance(actions, Mapping) or set(actions) != set(self.agents):
-            raise ArgumentError(
-                f"actions must map each of {', '.join(self.agents)} to its action, got {quote(actions)}."
-            )
+            names = ", ".join(self.agents)
+            raise ArgumentError(f"actions must map each of {names} to its action, got {quote(actions)}.")
         return dict(actions)
 
-    def _keep_round(
-        self, before: GameState, candidates: Mask, scores: Floats, metrics: Mapping[str, NDArray[Any]]
-    ) -> None:
-        """Keep a round that has been played as :attr:`last_round`; ``before`` is the game before it."""
-        self.last_round = RoundRecord(
-            sighting=self._current_window(),
-            truth=self._reveal_swarm(before),
-            candidates=candidates,
-            scores=scores,
-            objective=float(metrics["J"][0]),
-            over_budget=bool(metrics["over_budget"][0]),
-        )
+    def _play_round(self, candidates: Mask, scores: Floats) -> tuple[GameState, float, dict[str, NDArray[Any]]]:
+        """Play a round, and keep it as :attr:`last_round`: the game after it, the reward, and the metrics."""
+        before = self._current_game()
+        state, rewards, metrics = play_round(self.rules, before, candidates[None])
+        truth = self._reveal_swarm(before)
+        self.last_round = RoundRecord(self._current_window(), truth, candidates, scores, to_scalars(metrics))
+        return state, float(rewards[0]), metrics
 
     def state(self) -> Singles:
-        """Return the true state for a centralised critic, ``(10 N + 1,)`` float32.
+        """The true state for a centralised critic, ``(10 N + 1,)`` float32.
 
         For each UAV: position (m), velocity (m/step), 1 if it is alive, 1 if it is a head, 1 if it is a decoy, and the
         index of its root (-1 if it has none). The last value is the number of rounds played.
@@ -210,27 +185,16 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         return np.append(table.reshape(-1), game.rounds[0]).astype(np.float32)
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Draw the last round from above, or the current window before the first round, ``(H, W, 3)`` uint8.
-
-        Crosses mark UAVs that were destroyed in earlier rounds, where an earlier frame showed them.
-
-        Returns:
-            The picture; ``None`` unless ``render_mode="rgb_array"``.
-        """
+        """Draw the last round, or the current window before the first round, ``(H, W, 3)`` uint8."""
         if self.render_mode is None:
             return None
-        game = self._current_game()
         if self.last_round is not None:
             last = self.last_round
-            sighting, truth, candidates = last.sighting, last.truth, last.candidates
-            hits, redundant = hits_and_redundant(truth.head, truth.alive, candidates & (not last.over_budget))
-            title = describe_frame(
-                int(game.rounds[0]), int(hits), int(redundant), last.objective, over_budget=last.over_budget
-            )
+            sighting, truth, candidates, title = last.sighting, last.truth, last.candidates, title_round(last.metrics)
         else:
             self._frames = EpisodeFrames()
-            sighting, truth, candidates = self._current_window(), self._reveal_swarm(game), None
-            title = f"round {int(game.rounds[0]) + 1}: observed, no answer yet"
+            sighting, truth, candidates = self._current_window(), self._reveal_swarm(self._current_game()), None
+            title = UNANSWERED
         self._frames.watch(sighting.position, sighting.seen)
         return self._frames.render(
             position=sighting.position, seen=sighting.seen, candidates=candidates, title=title, **truth.roles()
@@ -245,15 +209,15 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         return None
 
     def _reveal_swarm(self, state: GameState) -> SwarmState:
-        """Return a copy of the true swarm, without a leading axis, as it was in the window that ``state`` ends with."""
+        """A copy of the true swarm, without a leading axis, as it was in the window that ``state`` ends with."""
         return state.swarm.episode()
 
     def _current_window(self) -> ObservationBatch:
-        """Return the current window; an empty one before the first window."""
+        """The current window; an empty one before the first window."""
         return self._sighting or ObservationBatch.unseen(self.config, self._current_game().swarm.alive[0])
 
     def _make_observation(self, sighting: ObservationBatch, legal: Mask) -> Observation:
-        """Return an observation with the arrays of a window and the mask ``legal``; all arrays are copies."""
+        """An observation with copies of the arrays of a window and the mask ``legal``."""
         return {
             "position": sighting.position.copy(),
             "velocity": sighting.velocity.copy(),
@@ -265,11 +229,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
 
 
 def make_aec_forms(game: type[UsnetParallelEnv]) -> tuple[Callable[..., AECEnv], Callable[..., AECEnv]]:
-    """Make the functions ``raw_env`` and ``env`` of a game, which create its AEC form.
-
-    In AEC form agents act in turn, and the step is made after the last one has acted. ``env`` adds PettingZoo's wrapper
-    that refuses calls in a wrong order. Both take the arguments of the game.
-    """
+    """Make the functions ``raw_env`` and ``env`` of a game, which create its AEC form and take its arguments."""
 
     def raw_env(**arguments: Any) -> AECEnv:
         """Create the AEC form without the wrapper that enforces the order of calls."""

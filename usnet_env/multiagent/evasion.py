@@ -75,14 +75,7 @@ class Manoeuvres(Config):
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """The choices of all heads for the next window, in the order of the heads' indices; each ``(M,)`` int64.
-
-    Args:
-        mobility: index into ``Manoeuvres.mobilities``.
-        jitter: 1 if the head flies with the followers' noise, else 0.
-        decoys: number of followers that become decoys.
-        delay: delay of the followers, in steps.
-    """
+    """The choices of all heads for the next window, in the order of the heads' indices; each ``(M,)`` int64."""
 
     mobility: Indices
     jitter: Indices
@@ -92,14 +85,7 @@ class Plan:
 
 @dataclass(frozen=True, eq=False)
 class MixedMobility(Mobility):
-    """A mobility that differs between UAVs: free UAV i flies by ``laws[which[i]]``, with noise if ``jitter[i]``.
-
-    Args:
-        laws: the mobilities.
-        which: ``(n,)`` int64, index into ``laws`` for each of the n free UAVs.
-        jitter: ``(n,)`` bool, the free UAVs that fly with noise.
-        noise: standard deviation of the noise per axis, relative to a direction of length 1.
-    """
+    """A mobility that differs between UAVs: free UAV i flies by ``laws[which[i]]``, with noise if ``jitter[i]``."""
 
     laws: tuple[Mobility, ...]
     which: Indices
@@ -107,12 +93,8 @@ class MixedMobility(Mobility):
     noise: float
 
     def start(self, rng: np.random.Generator, uavs: int) -> Floats:
-        """Draw the initial mobility states, each by its UAV's law."""
-        state = np.zeros((uavs, kernels.MOBILITY_STATE))
-        for number in np.unique(self.which):
-            rows = np.flatnonzero(self.which == number)
-            state[rows] = self.laws[number].start(rng, len(rows))
-        return state
+        """Not defined: the states are those of the laws."""
+        raise NotImplementedError("a mix of mobilities flies one window, and starts none")
 
     def fly(self, state: Floats, position: Singles, steps: int, rng: np.random.Generator) -> Singles:
         """Draw the directions of all UAVs, one law after another."""
@@ -134,13 +116,8 @@ class MixedMobility(Mobility):
 class DelayedFollow(FollowStrategy):
     """A follow strategy whose followers use their head's motion of some steps before.
 
-    During the flight every head with a delay gets a ghost: an extra UAV that repeats the head's track ``delay`` steps
-    later. The followers follow the ghost, so that every strategy, compiled or not, runs its own code unchanged.
-    It is for :func:`usnet_env.swarm.advance` alone: a swarm starts with the strategy itself.
-
-    Args:
-        strategy: the follow strategy.
-        delay: ``(N,)`` int64, delay in steps of the followers of each UAV; 0 for no delay.
+    During the flight every head with a ``delay`` ``(N,)`` gets a ghost: an extra UAV that repeats the head's track that
+    many steps later. The followers follow the ghost, so that every strategy, compiled or not, runs its own code.
     """
 
     strategy: FollowStrategy
@@ -151,7 +128,7 @@ class DelayedFollow(FollowStrategy):
             object.__setattr__(self, name, getattr(self.strategy, name))
 
     def direction(self, inputs: FollowInputs) -> Singles:
-        """Return the direction of the strategy, whose inputs are then those of the ghost."""
+        """The direction of the strategy, whose inputs are then those of the ghost."""
         return self.strategy.direction(inputs)
 
     def fly(self, flight: TrajectoryBatch) -> None:
@@ -163,8 +140,7 @@ class DelayedFollow(FollowStrategy):
         uavs = flight.motion.shape[1]
 
         def widen(array: NDArray[Any], axis: int, value: int = 0) -> NDArray[Any]:
-            widths = [(0, len(heads) if k == axis else 0) for k in range(array.ndim)]
-            return np.pad(array, widths, constant_values=value)
+            return np.insert(array, [uavs] * len(heads), value, axis=axis)
 
         position, velocity = widen(flight.position, 2), widen(flight.velocity, 2)
         root, source = widen(flight.root, 1), widen(flight.source, 1)
@@ -175,24 +151,15 @@ class DelayedFollow(FollowStrategy):
             for copied in (root, source):
                 copied[copied == head] = ghost
                 copied[:, ghost] = ghost
-        self.strategy.fly(
-            replace(
-                flight,
-                position=position,
-                velocity=velocity,
-                noise=widen(flight.noise, 2),
-                motion=widen(flight.motion, 1, kernels.FREE),
-                root=root,
-                source=source,
-                bystander=widen(flight.bystander, 1),
-            )
-        )
+        noise, motion = widen(flight.noise, 2), widen(flight.motion, 1, kernels.FREE)
+        swarm = root, flight.parameters, source, widen(flight.bystander, 1), flight.clock
+        self.strategy.fly(TrajectoryBatch(position, velocity, noise, motion, *swarm))
         flight.position[...] = position[:, :, :uavs]
         flight.velocity[...] = velocity[:, :, :uavs]
 
 
 def _sort_followers(state: SwarmState, head: int) -> NDArray[np.intp]:
-    """Return the living followers of a head, the nearest first; ``state`` is a batch of one."""
+    """The living followers of a head, the nearest first; ``state`` is a batch of one."""
     followers = np.flatnonzero((state.root[0] == head) & state.alive[0] & ~state.head[0] & ~state.decoy[0])
     gap = state.position[0, followers] - state.position[0, head]
     return followers[np.argsort((gap * gap).sum(axis=1), kind="stable")]
@@ -201,12 +168,7 @@ def _sort_followers(state: SwarmState, head: int) -> NDArray[np.intp]:
 def select_decoys(state: SwarmState, plan: Plan) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Select the followers that become decoys, the nearest of each head first; each head keeps at least one follower.
 
-    Args:
-        state: a batch of one.
-        plan: the plan of its M heads; the row of a destroyed head is ignored.
-
-    Returns:
-        The indices of the selected UAVs, and for each the row of its head in the plan; both ``(d,)``.
+    Returns their indices, and for each the row of its head in the plan; both ``(d,)``.
     """
     heads = np.flatnonzero(state.head[0])
     decoys = [_sort_followers(state, int(head))[:-1][:wanted] for head, wanted in zip(heads, plan.decoys, strict=True)]
@@ -214,18 +176,9 @@ def select_decoys(state: SwarmState, plan: Plan) -> tuple[NDArray[np.intp], NDAr
 
 
 def compute_prices(manoeuvres: Manoeuvres, state: SwarmState, plan: Plan) -> Floats:
-    """Compute the price of the plan for each head.
+    """The price ``(M,)`` of the plan for each head, in rounds (the unit of J_m); 0 for a destroyed head.
 
-    A head pays for the loss of formation: for each choice, its price times the share of the swarm that flies
-    differently because of it.
-
-    Args:
-        manoeuvres: the prices.
-        state: a batch of one.
-        plan: the choices of its M heads.
-
-    Returns:
-        ``(M,)`` float64, in rounds (the unit of J_m); 0 for a destroyed head.
+    A head pays for each choice its price times the share of the swarm that flies differently because of it.
     """
     uavs = state.alive.shape[1]
     heads = np.flatnonzero(state.head[0])
@@ -248,16 +201,8 @@ def fly_window(
 ) -> tuple[SwarmState, ObservationBatch, Indices]:
     """Fly the next window as the heads planned it; otherwise the same as :func:`usnet_env.swarm.advance`.
 
-    Args:
-        config: the swarm, with its own mobility and follow strategy.
-        manoeuvres: the available choices.
-        state: a batch of one with at least one living head.
-        flown: ``(M,)`` int64, the mobility of each head in the window before; a head that changes it gets a new state.
-        plan: the choices of the heads.
-        rngs: the generator of the episode, in a sequence of length 1.
-
-    Returns:
-        The state at the end of the window, the window, and the mobility ``(M,)`` of each head in it.
+    ``state`` is a batch of one. ``flown`` ``(M,)`` has the mobility of each head before; a head that changes
+    it gets a new state. It returns the state at the end, the window, and the mobility of each head in it.
     """
     laws = tuple(MOBILITIES.find(name) for name in manoeuvres.mobilities)
     heads = np.flatnonzero(state.head[0])

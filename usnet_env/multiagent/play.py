@@ -4,28 +4,19 @@ from __future__ import annotations
 
 import copy
 import time
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from usnet_env.config import ArgumentError, describe_arguments, quote
 from usnet_env.multiagent.base import RoundRecord, UsnetParallelEnv
-from usnet_env.multiagent.policies import DetectorObserver
+from usnet_env.multiagent.policies import DetectorObserver, Policy
 from usnet_env.plugins import detector_label
 from usnet_env.provenance import versions
 
-
-class PolicyLike(Protocol):
-    """The methods that a policy needs; :class:`usnet_env.multiagent.policies.Policy` is a base class with them."""
-
-    def reset(self, seed: int, action_space: Any) -> None:
-        """Start a game."""
-
-    def act(self, observation: Any) -> Any:
-        """Return the action for one observation."""
+WINDOW = ("position", "velocity", "seen")
 
 
 @dataclass(frozen=True)
@@ -55,20 +46,11 @@ class GameResult:
     record: dict[str, Any]
 
 
-def agent_role(agent: str) -> str:
-    """Return the role of an agent: ``"observer"`` for ``"observer_0"``."""
-    return agent.rpartition("_")[0]
-
-
-def choose_policies(env: UsnetParallelEnv, policies: Mapping[str, Any]) -> dict[str, PolicyLike]:
-    """Find the policy of each agent in a mapping of agents or roles to policies.
-
-    Raises:
-        ArgumentError: an agent has no policy, or a detector is one of an agent without windows.
-    """
+def choose_policies(env: UsnetParallelEnv, policies: Mapping[str, Any]) -> dict[str, Policy]:
+    """The policy of each agent in a mapping of agents or roles to policies."""
     chosen = {}
     for agent in env.possible_agents:
-        role = agent_role(agent)
+        role = agent.rpartition("_")[0]
         policy = policies.get(agent, policies.get(role))
         if policy is None or (isinstance(policy, DetectorObserver) and role != "observer"):
             raise ArgumentError(
@@ -80,42 +62,32 @@ def choose_policies(env: UsnetParallelEnv, policies: Mapping[str, Any]) -> dict[
 
 
 def play_game(
-    env: UsnetParallelEnv,
-    policies: Mapping[str, PolicyLike],
-    seed: int,
-    label: str = "",
-    policy_seed: int | None = None,
+    env: UsnetParallelEnv, policies: Mapping[str, Policy], seed: int, label: str = "", policy_seed: int | None = None
 ) -> GameResult:
     """Play one game in Parallel form.
 
     Args:
         env: one of the games' ``parallel_env``.
         policies: a policy for each agent, or for each role (``"observer"``, ``"head"``). A policy that several agents
-            share is copied for each of them; a policy of a single agent is used as it is, without a copy.
+            share is copied for each of them.
         seed: the seed of the game.
         label: name of the detector in the record; by default those of the observers' detectors or policies.
         policy_seed: the seed from which the seeds of the policies come; ``None``: a separate branch of ``seed``.
 
-    Returns:
-        The result; ``usnet_env.replay.EpisodeRecord(**result.record)`` is the episode in the form that can be saved.
-
     Raises:
-        ArgumentError: ``env`` is not one of the games, an agent has no policy, or the seed is no whole number.
+        ArgumentError: an agent has no policy, or the seed is no whole number.
     """
-    if not isinstance(env, UsnetParallelEnv):
-        raise ArgumentError(f"env must be the parallel_env of a usnet_env game, got {quote(env)}.")
     chosen = choose_policies(env, policies)
-    uses = Counter(map(id, chosen.values()))
-    agents = {name: copy.deepcopy(policy) if uses[id(policy)] > 1 else policy for name, policy in chosen.items()}
+    uses = [id(policy) for policy in chosen.values()]
+    agents = {name: copy.deepcopy(one) if uses.count(id(one)) > 1 else one for name, one in chosen.items()}
     observations, _ = env.reset(seed=seed)
-    source = (
-        np.random.SeedSequence(seed, spawn_key=(1,)) if policy_seed is None else np.random.SeedSequence(policy_seed)
-    )
-    for (name, policy), branch in zip(agents.items(), source.generate_state(len(agents), np.uint32), strict=True):
-        policy.reset(int(branch), env.action_space(name))
+    branch = () if policy_seed is not None else (1,)
+    source = np.random.SeedSequence(seed if policy_seed is None else policy_seed, spawn_key=branch)
+    for (name, policy), number in zip(agents.items(), source.generate_state(len(agents), np.uint32), strict=True):
+        policy.reset(int(number), env.action_space(name))
     returns, prices = dict.fromkeys(agents, 0.0), dict.fromkeys(agents, 0.0)
     rounds: list[RoundRecord] = []
-    infos_of_rounds, choices, seconds = [], [], []
+    choices, seconds = [], []
     chosen_before: dict[str, str] = {}  # the choices of the heads for the window that is seen now, in words
     while env.agents:
         began = time.perf_counter()
@@ -128,7 +100,6 @@ def play_game(
             prices[agent] += infos[agent].get("price", 0.0)
         if env.last_round is not None:  # None after the opening step, which is not a round
             rounds.append(env.last_round)
-            infos_of_rounds.append(infos[env.possible_agents[0]])
             choices.append(chosen_before)
             seconds.append(spent)
         chosen_before = {
@@ -136,42 +107,14 @@ def play_game(
             for agent, text in words.items()
             if text and agent in env.agents
         }
-    first, last = infos_of_rounds[0], infos_of_rounds[-1]
-    label = label or ", ".join(dict.fromkeys(_name(agents[name]) for name in agents if agent_role(name) == "observer"))
-    return GameResult(
-        returns=returns,
-        prices=prices,
-        J=float(last["J"]),
-        rounds=len(rounds),
-        success=bool(last["success"]),
-        first_hits=int(first["hits"]),
-        first_redundant=int(first["redundant"]),
-        redundant=int(sum(info["redundant"] for info in infos_of_rounds)),
-        record={
-            **_record_rounds(env, rounds),
-            "seconds": np.array(seconds),
-            "choices": choices if any(choices) else None,
-            "seed": int(seed),
-            "detector": label,
-        },
-    )
-
-
-def _name(policy: PolicyLike) -> str:
-    """The label of a policy's detector, or else the name of its class."""
-    detector = getattr(policy, "detector", None)
-    return type(policy).__name__ if detector is None else detector_label(detector)
-
-
-def _record_rounds(env: UsnetParallelEnv, rounds: list[RoundRecord]) -> dict[str, Any]:
-    def stack(*names: str, part: str | None = None) -> dict[str, Any]:
-        owners = [getattr(played, part) if part else played for played in rounds]
-        return {name: np.stack([getattr(owner, name) for owner in owners]) for name in names}
-
-    return {
-        **stack("position", "velocity", "seen", part="sighting"),
-        **stack("alive", "root", part="truth"),
-        **stack("candidates", "scores", "objective", "over_budget"),
+    observers = [policy for agent, policy in agents.items() if agent.startswith("observer")]
+    metrics = {name: np.array([played.metrics[name] for played in rounds]) for name in rounds[0].metrics}
+    record = {
+        **{name: np.stack([getattr(one.sighting, name) for one in rounds]) for name in WINDOW},
+        **{name: np.stack([getattr(one.truth, name) for one in rounds]) for name in ("alive", "root")},
+        **{name: np.stack([getattr(one, name) for one in rounds]) for name in ("candidates", "scores")},
+        "objective": metrics["J"],
+        "over_budget": metrics["over_budget"].astype(bool),
         "head": rounds[0].truth.head,
         "decoy": env.swarm.decoy,  # of the whole episode; a decoy of one window has itself as root in it
         "observers": env.list_observers(),
@@ -179,4 +122,24 @@ def _record_rounds(env: UsnetParallelEnv, rounds: list[RoundRecord]) -> dict[str
         "env_id": str(env.metadata["name"]),
         "config": describe_arguments(env.config) | describe_arguments(env.rules),
         "versions": versions(["pettingzoo"]),
+        "seconds": np.array(seconds),
+        "choices": choices if any(choices) else None,
+        "seed": int(seed),
+        "detector": label or ", ".join(dict.fromkeys(map(_name, observers))),
     }
+    return GameResult(
+        returns,
+        prices,
+        J=float(metrics["J"][-1]),
+        rounds=len(rounds),
+        success=bool(metrics["success"][-1]),
+        first_hits=int(metrics["hits"][0]),
+        first_redundant=int(metrics["redundant"][0]),
+        redundant=int(metrics["redundant"].sum()),
+        record=record,
+    )
+
+
+def _name(policy: Policy) -> str:
+    """The label of a policy's detector, or else the name of its class."""
+    return detector_label(policy.detector) if isinstance(policy, DetectorObserver) else type(policy).__name__

@@ -13,20 +13,15 @@ from usnet_env.arrays import Floats, Mask, Singles
 from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.parts import Registry
 from usnet_env.swarm import ObservationBatch, SwarmConfig
-from usnet_env.swarm.checks import check_part, check_returned
 from usnet_env.swarm.config import Few, Metres, Rate
-from usnet_env.swarm.formation import ARENA, FARTHEST
+from usnet_env.swarm.formation import ARENA
 from usnet_env.swarm.sensing import sense
 
 Number = Annotated[float, Field(ge=0, le=1e6)]
 
 
 class SensorConfig(Config):
-    """The number of observers of a swarm, and their sensors. Lengths in metres.
-
-    Raises:
-        ArgumentError: a value has a wrong type or is out of its range, or a list does not have K values.
-    """
+    """The number of observers of a swarm, and their sensors. Lengths in metres."""
 
     observers: Annotated[int, Field(ge=1, le=1000)] = Field(4, description="K")
     sensing_range: Number | Sequence[Number] = Field(
@@ -53,12 +48,12 @@ class SensorConfig(Config):
         return self
 
     def expand(self, name: str) -> tuple[float, ...]:
-        """Return the K values of ``sensing_range``, ``position_noise`` or ``miss_rate``."""
+        """The K values of ``sensing_range``, ``position_noise`` or ``miss_rate``."""
         value = getattr(self, name)
         return value if isinstance(value, tuple) else (value,) * self.observers
 
     def sensor_configs(self, config: SwarmConfig) -> list[SwarmConfig]:
-        """Return the swarm's configuration once for each observer, with that observer's noise and miss rate."""
+        """The swarm's configuration for each observer, with its noise and miss rate."""
         return [
             config.part(SwarmConfig, position_noise=noise, miss_rate=miss)
             for noise, miss in zip(self.expand("position_noise"), self.expand("miss_rate"), strict=True)
@@ -67,19 +62,12 @@ class SensorConfig(Config):
     def draw_positions(self, rng: np.random.Generator) -> Floats:
         """Draw the positions of the observers in an episode, ``(K, 3)`` in metres."""
         place = PLACEMENTS.find(self.placement)(rng, self.observers)
-        return check_returned("placement", place, (self.observers, 3), FARTHEST).astype(np.float64)
+        return np.asarray(place, np.float64).reshape(self.observers, 3)
 
 
 @dataclass(frozen=True)
 class Observer:
-    """One observer in an episode.
-
-    Args:
-        position: ``(3,)``, metres.
-        sensing_range: metres.
-        sensor: the swarm's configuration with the observer's noise, miss rate and sampling.
-        rng: the generator of the observer's noise.
-    """
+    """One observer in an episode; ``sensor`` is the swarm's configuration with its noise, miss rate and sampling."""
 
     position: Floats
     sensing_range: float
@@ -88,17 +76,7 @@ class Observer:
 
 
 def sense_window(observer: Observer, position: Singles, velocity: Singles, alive: Mask) -> ObservationBatch:
-    """Observe a window with one observer: :func:`usnet_env.swarm.sensing.sense`, limited to the UAVs in range.
-
-    Args:
-        observer: the observer.
-        position: ``(T_ob * k + 1, N, 3)`` float32, the true positions at every step of the window.
-        velocity: ``(T_ob * k, N, 3)`` float32, the true velocities.
-        alive: ``(N,)`` bool.
-
-    Returns:
-        The sighting without a leading axis. A UAV is in range if its true distance is at most the sensing range.
-    """
+    """Observe a window with one observer: the UAVs whose true distance is at most the sensing range."""
     sighting = sense(observer.sensor, position[None], velocity[None], alive[None], [observer.rng])
     distance = np.linalg.norm(position[:: observer.sensor.sample_every] - observer.position, axis=-1)
     seen = sighting.seen[0] & (distance <= observer.sensing_range)
@@ -112,17 +90,9 @@ def sense_window(observer: Observer, position: Singles, velocity: Singles, alive
 
 
 def merge_sightings(sightings: Sequence[ObservationBatch], sample_every: int) -> ObservationBatch:
-    """Merge the sightings of all observers: each sample is that of the first observer that saw the UAV.
+    """Merge the sightings of all observers, for pictures and records: those of the first observer that saw the UAV.
 
-    A velocity is that of the first observer that saw both of its ends. If none did, it is the difference of the merged
-    positions, divided by the number of steps between them.
-
-    Args:
-        sightings: K sightings without a leading axis.
-        sample_every: k, steps from one sample to the next.
-
-    Returns:
-        One sighting, for pictures and records; no agent receives it.
+    A velocity whose ends different observers saw is the difference of the merged positions.
     """
     first = sightings[0]
     position, velocity, seen = first.position, first.velocity, first.seen
@@ -138,7 +108,7 @@ def merge_sightings(sightings: Sequence[ObservationBatch], sample_every: int) ->
 
 
 def _grid(_rng: np.random.Generator, observers: int) -> Floats:
-    """Place the observers at the centres of K equal rectangles of the arena, at half its height."""
+    """The centres of K equal rectangles of the arena, at half its height."""
     rows = max(d for d in range(1, int(observers**0.5) + 1) if observers % d == 0)
     columns = observers // rows
     x = (np.arange(columns) + 0.5) / columns * ARENA[0]
@@ -148,20 +118,21 @@ def _grid(_rng: np.random.Generator, observers: int) -> Floats:
 
 
 def _uniform(rng: np.random.Generator, observers: int) -> Floats:
-    """Draw the positions uniformly in the arena, anew for each episode."""
+    """Uniform in the arena, anew for each episode."""
     return rng.uniform(0.0, ARENA, (observers, 3))
 
 
 Placement = Callable[[np.random.Generator, int], Floats]
 
 
-def _check_placement(function: Any, subject: str = "function") -> Any:
-    return check_part(subject, function, None, lambda same: same)
-
-
 #: All placements by name: functions ``(rng, K) -> (K, 3)``, positions in metres.
 PLACEMENTS = Registry[Placement](
-    "placement", "placement", "usnet.placements", __name__, _check_placement, {"grid": _grid, "uniform": _uniform}
+    "placement",
+    "placement",
+    "usnet.placements",
+    __name__,
+    lambda function, subject="": function,
+    {"grid": _grid, "uniform": _uniform},
 )
 
 #: Register a placement, so that ``placement=name`` selects it; see :meth:`usnet_env.parts.Registry.register`.
@@ -183,10 +154,6 @@ class Fusion:
     rule: Callable[[Floats, Mask], Mask]
     description: str = ""
 
-    def __post_init__(self) -> None:
-        if self.vote not in ("candidates", "scores"):
-            raise ArgumentError(f"vote must be 'candidates' or 'scores', got {quote(self.vote)}.")
-
 
 def _combine_any(votes: Floats, _seen: Mask) -> Mask:
     return np.asarray((votes > 0.5).any(axis=0))
@@ -196,8 +163,10 @@ def _combine_majority(votes: Floats, seen: Mask) -> Mask:
     return np.asarray(votes.sum(axis=0) > 0.5 * seen.sum(axis=0))
 
 
-def _check_fusion(rule: Any, subject: str = "rule") -> Fusion:
-    return check_part(subject, rule, Fusion)
+def _accept_fusion(rule: Any, subject: str = "rule") -> Fusion:
+    if not isinstance(rule, Fusion) or rule.vote not in ("candidates", "scores"):
+        raise ArgumentError(f"{subject} must be a Fusion of candidates or scores, got {quote(rule)}.")
+    return rule
 
 
 _OWN = {
@@ -207,7 +176,7 @@ _OWN = {
 }
 
 #: All fusion rules by name.
-FUSIONS = Registry("fusion rule", "fusion", "usnet.fusions", __name__, _check_fusion, _OWN)
+FUSIONS = Registry("fusion rule", "fusion", "usnet.fusions", __name__, _accept_fusion, _OWN)
 
 #: Register a fusion rule, so that ``fusion=name`` selects it; see :meth:`usnet_env.parts.Registry.register`.
 register_fusion = FUSIONS.register

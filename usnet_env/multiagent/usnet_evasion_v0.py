@@ -36,9 +36,8 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
     The swarm and the rounds are those of `USNET/MultiCluster-v0`. In addition, each head chooses before every window
     how to fly in it: its mobility, whether it flies with the followers' noise (jitter), how many of its nearest
     followers become decoys (they fly freely by the head's mobility for this window), and how many steps its followers
-    are delayed. Each choice disturbs the formation and therefore has a price. The observer names candidates, which are
-    destroyed; a destroyed head leaves the game. If every head always chooses 0, the flight equals that of
-    `USNET/MultiCluster-v0` with the same seed, bit for bit.
+    are delayed. Each choice has a price. The observer names candidates, which are destroyed; a destroyed head leaves
+    the game. If every head always chooses 0, the flight equals that of `USNET/MultiCluster-v0`, bit for bit.
 
     ## Agents
     `observer_0`, and `head_0` to `head_{M-1}` in the order of the heads' indices, which are random.
@@ -57,9 +56,8 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
     possible number.
 
     ## Observation Space
-    Observer: `Dict` of `position` `(T_ob + 1, N, 3)` m, `velocity` `(T_ob, N, 3)` m/step, `seen` `(T_ob + 1, N)`,
-    `alive` `(N,)`, `round` `(1,)` as in `USNET/MultiCluster-v0`, and `legal` `(N,)`: 1 for the living UAVs, 0 for all
-    UAVs in the opening.
+    Observer: `position`, `velocity`, `seen`, `alive` and `round` of `USNET/MultiCluster-v0`, and `legal` `(N,)`: 1 for
+    the living UAVs, 0 for all UAVs in the opening.
 
     Head: `Dict` of
 
@@ -79,18 +77,16 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
     Observer: the reward of P2, −(1 + `redundancy_price` · redundant / N) in each round and 0 in the opening. With price
     1 its return is −J_m.
 
-    Head: the negative reward of the observer, minus the price of the head's choice for the next window. So observer's
-    reward + head's reward + head's price = 0 in every step, for every head. A head that is destroyed in a step still
-    gets the reward of this step, and pays nothing.
+    Head: the negative reward of the observer, minus the price of the head's choice for the next window. A head that is
+    destroyed in a step still gets the reward of this step, and pays nothing.
 
     The price of a choice, in rounds, is the sum of `mobility_price` · s for another mobility, `jitter_price` · s for
     jitter, `decoy_price` · d / N for d decoys, and `delay_price` · delay · f. Here s is the share of the swarm in the
     head's cluster, including the head, and f is the share of the swarm that follows the
     head, without decoys.
 
-    `info` of every agent holds `hits`, `redundant`, `round`, `success`, `is_success`, `J`, `over_budget`,
-    `reward_round`, `reward_redundancy`, and `price`: for a head the price that it pays, for the observer the sum over
-    all heads.
+    `info` of every agent is that of `USNET/MultiCluster-v0` and `price`: for a head the price that it pays, for the
+    observer the sum over all heads.
 
     ## Starting State
     That of `USNET/MultiCluster-v0` with the same seed, before the first window.
@@ -154,22 +150,15 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         return {agent: self._observation(agent) for agent in self.agents}, infos
 
     def step(self, actions: Any) -> base.Step:
-        """Destroy the observer's candidates, apply the choices of the surviving heads, and fly the next window.
-
-        Heads that are destroyed in this step are in its results for the last time. Otherwise as the base class says.
-        """
+        """Destroy the observer's candidates, apply the choices of the surviving heads, and fly the next window."""
         checked = self._check_actions(actions)
         named = game.parse_candidates(checked[OBSERVER], (self.config.uavs,), f"action of {OBSERVER}")
         plan = Plan(*np.stack([self._check_choice(name, checked.get(name)) for name in self.heads], axis=1))
-        before = self._current_game()
-        opening = self._sighting is None
-        if opening:
-            state, metrics = before, game.initial_info(self.rules, before)
-            reward = 0.0
+        if self._sighting is None:  # the opening
+            state, reward = self._current_game(), 0.0
+            metrics = game.initial_info(self.rules, state)
         else:
-            state, rewards, metrics = game.play_round(self.rules, before, named[None])
-            reward = float(rewards[0])
-            self._keep_round(before, named, named.astype(np.float64), metrics)
+            state, reward, metrics = self._play_round(named, named.astype(np.float64))
         self._game = state
         prices = compute_prices(self.manoeuvres, state.swarm, plan)
         if state.terminated[0]:
@@ -198,14 +187,14 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         return observations, rewards, terminations, truncations, infos
 
     def _reveal_swarm(self, state: game.GameState) -> SwarmState:
-        """Return the true swarm in the window; followers that were decoys in it count as decoys without a head."""
+        """The true swarm in the window; followers that were decoys in it count as decoys without a head."""
         truth = super()._reveal_swarm(state)
         truth.decoy[self._decoys] = True
         truth.root[self._decoys] = self._decoys
         return truth
 
     def _check_choice(self, agent: str, action: Any) -> Indices:
-        """Check the four choices of a head, and return them; zeros for a head that has left the game."""
+        """The four choices of a head; zeros for a head that has left the game."""
         sizes = self.manoeuvres.choices
         if agent not in self.agents:
             return np.zeros(len(sizes), np.int64)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Any, ClassVar
 
 import numpy as np
@@ -11,10 +12,10 @@ from pydantic import Field
 from usnet_env.arrays import Floats, Observation
 from usnet_env.config import ArgumentError, list_arguments, quote, takes_arguments
 from usnet_env.envs import game
+from usnet_env.envs.usnet import OBSERVATION
 from usnet_env.multiagent import base
 from usnet_env.multiagent.sensors import FUSIONS, Observer, SensorConfig, merge_sightings, sense_window
 from usnet_env.swarm import ObservationBatch, SwarmConfig
-from usnet_env.swarm.checks import check_returned
 from usnet_env.swarm.config import MobilityArguments
 
 
@@ -24,7 +25,7 @@ class ObserversArguments(base.GameArguments, MobilityArguments, SensorConfig):
     fusion: str = Field("union", description="``union``, ``majority``, ``scores``, or a registered rule")
 
 
-@list_arguments()
+@list_arguments(observation=OBSERVATION)
 class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
     """Several observers, each of which sees a part of the swarm, find its heads together (cooperative).
 
@@ -43,15 +44,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
     values of the same type, the message.
 
     ## Observation Space
-    `Dict` of
-
-    | key | shape | dtype | unit | meaning |
-    | --- | --- | --- | --- | --- |
-    | `position` | `(T_ob + 1, N, 3)` | float32 | m | observed positions; 0 if unseen |
-    | `velocity` | `(T_ob, N, 3)` | float32 | m/step | observed velocities; 0 unless seen at both instants |
-    | `seen` | `(T_ob + 1, N)` | int8 | | 1 where the UAV was in range and detected |
-    | `alive` | `(N,)` | int8 | | 1 unless destroyed |
-    | `round` | `(1,)` | float32 | | number of the round, from 1 |
+    {observation}
     | `legal` | `(N,)` | int8 | | 1 for the living UAVs that this observer saw: only votes for them count |
     | `place` | `(3,)` | float32 | m | position of this observer |
     | `messages` | `(K, B)` | float32 | | messages of all observers in the previous round; only if `message_size` > 0 |
@@ -62,8 +55,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
     In each round every observer gets the reward of P2 for the fused candidates, −(1 + `redundancy_price` · redundant /
     N). With price 1 the return is −J_m.
 
-    `info` is the same for all observers: `hits`, `redundant`, `round`, `success`, `is_success`, `J`, `over_budget`,
-    `reward_round`, `reward_redundancy`.
+    `info` is that of `USNET/MultiCluster-v0`, the same for all observers.
 
     ## Starting State
     That of `USNET/MultiCluster-v0` with the same seed. The observers are placed on a grid over the arena
@@ -101,18 +93,11 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         if size:
             shape["messages"] = spaces.Box(0, 1, (observers, size), np.float32)
         names = [f"observer_{k}" for k in range(observers)]
-        super().__init__(
-            config,
-            rules,
-            arguments.render_mode,
-            {name: spaces.Dict(shape) for name in names},
-            {
-                name: spaces.MultiBinary(uavs + size)
-                if self.fusion.vote == "candidates"
-                else spaces.Box(0, 1, (uavs + size,), np.float32)
-                for name in names
-            },
-        )
+        vote: spaces.Space[Any] = spaces.Box(0, 1, (uavs + size,), np.float32)
+        if self.fusion.vote == "candidates":
+            vote = spaces.MultiBinary(uavs + size)
+        actions = {name: copy.deepcopy(vote) for name in names}
+        super().__init__(config, rules, arguments.render_mode, {name: spaces.Dict(shape) for name in names}, actions)
         self._observers: list[Observer] = []
         self._sightings: list[ObservationBatch] = []
         self._messages = np.zeros((observers, size), np.float32)
@@ -133,20 +118,18 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         """Combine the votes, destroy the candidates, score the round, and observe the next window."""
         checked = self._check_actions(actions)
         whole = np.stack([self._check_vote(agent, checked[agent]) for agent in self.possible_agents])
-        before = self._current_game()
         uavs = self.config.uavs
         seen = np.stack([sighting.seen.any(axis=0) for sighting in self._sightings])  # false for destroyed UAVs
         votes = whole[:, :uavs] * seen
-        candidates = check_returned("fusion", self.fusion.rule(votes, seen), (uavs,), 1).astype(bool)
-        state, reward, metrics = game.play_round(self.rules, before, candidates[None])
-        self._keep_round(before, candidates, votes.sum(axis=0), metrics)
+        candidates = np.asarray(self.fusion.rule(votes, seen), bool).reshape(uavs)
+        state, reward, metrics = self._play_round(candidates, votes.sum(axis=0))
         self._messages = whole[:, uavs:].astype(np.float32)
         self._sense_next_window(state)
         agents = self.agents
         terminated, truncated = bool(state.terminated[0]), bool(state.truncated[0])
         result = (
             self._observations(),
-            dict.fromkeys(agents, float(reward[0])),
+            dict.fromkeys(agents, reward),
             dict.fromkeys(agents, terminated),
             dict.fromkeys(agents, truncated),
             {agent: base.to_scalars(metrics) for agent in agents},
@@ -156,7 +139,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         return result
 
     def _sense_next_window(self, state: game.GameState) -> None:
-        """Fly the next window and observe it with each observer; after the end of the game all windows are empty."""
+        """Fly and observe the next window; after the end of the game all windows are empty."""
         self._game, truth = game.observe_windows(self._flight, state, [self._rng])
         if state.terminated[0]:
             self._sightings = [ObservationBatch.unseen(self.config, state.swarm.alive[0])] * len(self._observers)
@@ -177,7 +160,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         return observations
 
     def _check_vote(self, agent: str, action: Any) -> Floats:
-        """Check an action and convert it to numbers from 0 to 1: one for each UAV, then the message."""
+        """Convert an action to numbers from 0 to 1: one for each UAV, then the message."""
         length = self.config.uavs + self.sensor_config.message_size
         if self.fusion.vote == "candidates":
             return game.parse_candidates(action, (length,), f"action of {agent}").astype(np.float64)

@@ -8,13 +8,11 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from usnet_env.config import ArgumentError, Config, quote
-from usnet_env.swarm.follow import FOLLOW_STRATEGIES, check_strategy
+from usnet_env.swarm.follow import FOLLOW_STRATEGIES
 from usnet_env.swarm.formation import FARTHEST, FORMATIONS
 from usnet_env.swarm.kinematics import KINEMATICS, Kinematics
 from usnet_env.swarm.mobility import MOBILITIES, Mobility
 from usnet_env.swarm.strategy import FollowStrategy
-
-_MAX_SAMPLES = 100_000_000  # limit of (T_ob * sample_every + memory) * N: 2.4 GB of positions and velocities
 
 SWAP_RANGE = 20.0  # metres, the largest distance of two UAVs that exchange their identities
 NOISE_BOUND = 8.0  # observation noise is clipped at 8 standard deviations (one in 10^15 draws), so bounds are finite
@@ -118,7 +116,7 @@ class SwarmConfig(SensorArguments, SizeArguments, BystanderArguments, MobilityAr
     def _consistent(self) -> Self:
         strategy, sizes, followers = self.follow_strategy, self.cluster_sizes, self.followers
         _ = self.head_mobility, self.kinematics_model, FORMATIONS.find(self.formation)  # an unknown name is refused
-        if strategy is not None and check_strategy(strategy).lags > self.memory:
+        if strategy is not None and strategy.lags > self.memory:
             raise ArgumentError(
                 f"memory must be at least {strategy.lags} for follow={quote(self.follow)}, got {self.memory}."
             )
@@ -136,12 +134,6 @@ class SwarmConfig(SensorArguments, SizeArguments, BystanderArguments, MobilityAr
             raise ArgumentError(
                 f"miss_burst must be 0, or at least 1 and miss_rate / (1 - miss_rate) = {odds:.3g}, "
                 f"got {self.miss_burst:g}."
-            )
-        if (self.steps + self.memory) * self.uavs > _MAX_SAMPLES:
-            raise ArgumentError(
-                f"observation_steps must keep (memory + observation_steps * sample_every) * uavs at or below "
-                f"{_MAX_SAMPLES}, got {self.observation_steps} with uavs={self.uavs} and "
-                f"sample_every={self.sample_every}."
             )
         return self
 

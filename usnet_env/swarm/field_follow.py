@@ -1,9 +1,9 @@
 """Field models: follow strategies in which leadership is late, weak, indirect, changing, or absent.
 
-Each has its equation, its citation and its parameters, and a compiled loop; ``docs/field.md`` lists them. They are
-follow strategies like f1 to f7: ``follow="pigeons"`` selects one. A UAV copies its :attr:`SwarmState.source`, which
-may be another follower or a reference. Every follower has its own delay, gain and noise, drawn for each episode.
-The last two are controls: swarms that look like the others, in which no UAV leads or follows another.
+They are follow strategies like f1 to f7: ``follow="pigeons"`` selects one, and ``FIELD_MODELS`` in ``follow.py`` has
+them all. A UAV copies its :attr:`SwarmState.source`, which may be another follower or a reference. Every follower has
+its own delay, gain and noise, drawn for each episode. The last two are controls: swarms that look like the others, in
+which no UAV leads or follows another.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from usnet_env.arrays import Singles
 from usnet_env.swarm import field_kernels, kernels
-from usnet_env.swarm.field_kernels import ALWAYS, EACH_CLUSTER, EACH_FOLLOWER
+from usnet_env.swarm.field_kernels import ALWAYS
 from usnet_env.swarm.state import Roles
 from usnet_env.swarm.strategy import KAPPA, KAPPA_NOISE, KAPPA_RANGE, FollowInputs, FollowStrategy, TrajectoryBatch
 
@@ -27,22 +27,24 @@ class FieldStrategy(FollowStrategy):
     """A field model.
 
     Args:
+        equation: the equation as text, for lists and documentation pages.
+        citation: where the model comes from.
+        breaks: the assumption of detectors that it breaks.
+        parameters: the names of the arguments that matter to it.
         noise: kappa_n.
         delays: the smallest and largest delay of a follower, steps.
         gains: the smallest and largest gain of a follower: the weight of what it copies against its own velocity.
         noises: the smallest and largest noise of a follower, relative to ``noise``.
 
     Attributes:
-        citation: where the model comes from.
-        breaks: the assumption of detectors that it breaks.
-        parameters: the names of the arguments that matter to it.
         version: increases when the model's behaviour changes.
     """
 
-    citation: ClassVar[str] = ""
-    breaks: ClassVar[str] = ""
-    parameters: ClassVar[tuple[str, ...]] = ()
     version: ClassVar[int] = 1
+    equation: str = ""
+    citation: str = ""
+    breaks: str = ""
+    parameters: tuple[str, ...] = ()
     noise: float = KAPPA_NOISE
     delays: tuple[int, int] = (1, 1)
     gains: Pair = (1.0, 1.0)
@@ -54,7 +56,7 @@ class FieldStrategy(FollowStrategy):
         return max(self.delays)
 
     def draw_for(self, rng: np.random.Generator, uavs: int) -> Singles:
-        """Draw the table ``(COLUMNS, N)`` of every UAV's delay, gain, noise, salt and slot, flattened."""
+        """Draw the table ``(COLUMNS, N)`` of every UAV, flattened."""
         table = np.empty((field_kernels.COLUMNS, uavs), np.float32)
         table[field_kernels.DELAY] = rng.integers(self.delays[0], self.delays[1] + 1, uavs)
         table[field_kernels.GAIN] = rng.uniform(*self.gains, uavs)
@@ -70,11 +72,11 @@ class FieldStrategy(FollowStrategy):
         return np.zeros((3, uavs), np.float32)
 
     def direction(self, inputs: FollowInputs) -> Singles:
-        """Not defined: a field model depends on more than a follower and its head."""
+        """Not defined: a field model depends on more than a follower and its head, and has a compiled loop."""
         raise NotImplementedError(f"the field model {type(self).__name__} has no direction")
 
     def table(self, flight: TrajectoryBatch) -> Singles:
-        """The table ``(B, COLUMNS, N)`` of each episode."""
+        """The tables ``(B, COLUMNS, N)``."""
         return flight.parameters.reshape(flight.episodes, field_kernels.COLUMNS, -1)
 
 
@@ -91,6 +93,7 @@ class Links(FieldStrategy):
         block: length of a block of steps in which a follower answers or doesn't.
         share: probability of an answer in a block.
         idle_noise: noise of a follower that doesn't answer and flies on.
+        answers: who draws in each block whether to answer: nobody, each cluster, or each follower.
     """
 
     links: int = 1
@@ -99,12 +102,12 @@ class Links(FieldStrategy):
     block: int = 10
     share: float = 1.0
     idle_noise: float = 0.1
-    answers: ClassVar[int] = ALWAYS
+    answers: int = ALWAYS
 
     @property
     def lags(self) -> int:  # type: ignore[override]  # follows from the other fields
-        """The longest delay along all links."""
-        return self.links * max(self.delays)
+        """The longest delay along all links; the links of a Cucker-Smale flock have none."""
+        return 1 if self.strength else self.links * max(self.delays)
 
     def fly(self, flight: TrajectoryBatch) -> None:
         """Compiled loop."""
@@ -114,30 +117,9 @@ class Links(FieldStrategy):
 
 
 @dataclass(frozen=True)
-class UnequalDelays(Links):
-    """Every follower copies its head with its own delay, gain and noise."""
-
-    equation = "v_{i,t+1} = norm((1 − g_i) v_{i,t} + g_i v_{iL,t+1−d_i} + κ_i n)"
-    citation = "reaction times as in Nagy et al. 2010"
-    breaks = "one delay, gain and noise for all followers"
-    parameters = ("delays", "gains", "noises", "noise")
-    delays: tuple[int, int] = (1, 12)
-    gains: Pair = (0.5, 1.0)
-    noises: Pair = (0.5, 4.0)
-
-
-@dataclass(frozen=True)
 class Chain(Links):
-    """A chain of command: head, sub-heads and followers form a tree in which each copies the one above it.
+    """A chain of command: a tree of ``depth`` links in which each UAV copies the one above it."""
 
-    Args:
-        depth: number of links from the head to the last followers.
-    """
-
-    equation = "v_{i,t+1} = norm(v_{a(i),t} + κ_n n), a(i) above i in a tree of depth D"
-    citation = "hierarchical leadership (Shen 2007)"
-    breaks = "every follower copies a head directly"
-    parameters = ("depth", "noise")
     depth: int = 3
 
     def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
@@ -155,7 +137,7 @@ class Chain(Links):
 
 @dataclass(frozen=True)
 class Hierarchy(Links):
-    """A random hierarchy in each cluster: base of :class:`Pigeons` and :class:`CuckerSmale`."""
+    """A random hierarchy in each cluster."""
 
     def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
         """Order each cluster at random; each follower copies a UAV drawn from those before it, the head included."""
@@ -167,99 +149,18 @@ class Hierarchy(Links):
 
 
 @dataclass(frozen=True)
-class Pigeons(Hierarchy):
-    """A flock in a hierarchy, in which each pair has its delay; delays add up along the hierarchy."""
-
-    equation = (
-        "v_{i,t+1} = norm((1 − g_i) v_{i,t} + g_i mean_{k≤3} v_{a_k,t+1−d_ik} + κ_n n), d_ik = d_i + … + d_{a_{k−1}}"
-    )
-    citation = "Nagy et al. 2010, Nature 464:890"
-    breaks = "followers lead no UAV, and one delay for all"
-    parameters = ("links", "delays", "gains", "noise")
-    links: int = 3
-    delays: tuple[int, int] = (1, 3)
-    gains: Pair = (0.6, 0.9)
-
-
-@dataclass(frozen=True)
-class CuckerSmale(Hierarchy):
-    """A Cucker-Smale flock with hierarchical leadership: links weaken with the distance."""
-
-    equation = (
-        "v_{i,t+1} = norm(v_{i,t} + mean_{k≤8} K (1 + ‖p_{a_k} − p_i‖² / σ²)^{−0.4} (v_{a_k,t} − v_{i,t}) + κ_n n)"
-    )
-    citation = "Cucker & Smale 2007; Shen 2007, SIAM J. Appl. Math. 68:694"
-    breaks = "every follower copies a head directly, whatever the distance"
-    parameters = ("links", "strength", "scale", "noise")
-    links: int = 8
-    strength: float = 0.8
-    lags = 1  # the delays are not added up: every link has the delay 1
-
-
-@dataclass(frozen=True)
-class PartTime(Links):
-    """A head leads a share of the time; in the other blocks its followers fly on."""
-
-    equation = "v_{i,t+1} = norm(v_{iL,t} + κ_n n) if h(L, ⌊t / T⌋) < q, else norm(v_{i,t} + κ_o n)"
-    citation = "changing leadership as in Amornbunchornvej et al. 2018 (FLICA)"
-    breaks = "a head leads all the time"
-    parameters = ("share", "block", "idle_noise", "noise")
-    share: float = 0.4
-    answers = EACH_CLUSTER
-
-
-@dataclass(frozen=True)
-class PartialTurns(Links):
-    """Only some followers answer the turns of a head: each draws in every block whether it does."""
-
-    equation = "v_{i,t+1} = norm(v_{iL,t} + κ_n n) if h(i, ⌊t / T⌋) < q, else norm(v_{i,t} + κ_o n)"
-    citation = "partial responses to turns (Attanasi et al. 2014)"
-    breaks = "every follower follows in every step"
-    parameters = ("share", "block", "idle_noise", "noise")
-    block: int = 8
-    share: float = 0.5
-    answers = EACH_FOLLOWER
-
-
-@dataclass(frozen=True)
 class Kinds(FieldStrategy):
-    """f1 to f6 in one swarm: base of :class:`Mixed` and :class:`Switching`.
-
-    Args:
-        block: number of steps in which a cluster keeps its strategy.
-        reach: kappa_r of f6, metres.
-    """
+    """f1 to f6 in one swarm: a strategy of each follower, or with ``EACH_CLUSTER`` one of each cluster and block."""
 
     block: int = 30
     reach: float = KAPPA_RANGE
+    answers: int = ALWAYS
     lags = 3  # those of f3 and f5
-    answers: ClassVar[int] = ALWAYS
 
     def fly(self, flight: TrajectoryBatch) -> None:
         """Compiled loop."""
         answer = self.answers, self.block, np.float32(self.reach)
         field_kernels.fly_kinds(*answer, self.table(flight), flight.source, flight.clock, *flight.flown)
-
-
-@dataclass(frozen=True)
-class Mixed(Kinds):
-    """Every follower flies by one of f1 to f6, drawn for each episode."""
-
-    equation = "v_{i,t+1} = norm(f_{k(i)}(V_{iL,t}) + κ_n n), k(i) ∈ {1, …, 6}"
-    citation = "paper, Table II"
-    breaks = "one follow strategy in a swarm"
-    parameters = ("reach", "noise")
-
-
-@dataclass(frozen=True)
-class Switching(Kinds):
-    """Every cluster changes between f1 to f6, also within a window."""
-
-    equation = "v_{i,t+1} = norm(f_{k(L,⌊t / T⌋)}(V_{iL,t}) + κ_n n), k ∈ {1, …, 6}"
-    citation = "paper, Table II; switching regimes (Hamilton 1989)"
-    breaks = "one follow strategy in a window"
-    parameters = ("block", "reach", "noise")
-    answers = EACH_CLUSTER
 
 
 @dataclass(frozen=True)
@@ -304,10 +205,6 @@ class Frontness(Slots):
         offset: distance of the head from the middle of the formation in front or behind, metres.
     """
 
-    equation = "v_{i,t+1} = norm(v_{iL,t} + κ_p g / max(‖g‖, 10) + κ_n n), g = p_{iL} + R_L (o_i − f a e_x) − p_i"
-    citation = "frontness as in Amornbunchornvej et al. 2018; Reynolds 1987"
-    breaks = "heads fly in front"
-    parameters = ("place", "offset", "pull", "near", "spread", "smoothing", "noise")
     place: int | None = None
     offset: float = 40.0
 
@@ -326,10 +223,6 @@ class Reference(Slots):
     The references fly by the swarm's mobility.
     """
 
-    equation = "v_{i,t+1} = norm(v_{r,t} + κ_p g / max(‖g‖, 10) + κ_n n), g = p_r + R_r o_i − p_i, r a reference"
-    citation = "virtual structures (Lewis & Tan 1997; Ren & Beard 2004)"
-    breaks = "every cluster has a head"
-    parameters = ("pull", "near", "spread", "smoothing", "noise")
     has_heads = False
     has_references = True
 
@@ -345,10 +238,6 @@ class Reference(Slots):
 class Independent(FieldStrategy):
     """Every UAV flies on its own by the swarm's mobility; H_0 is empty."""
 
-    equation = "v_{i,t+1}: the mobility, for all i"
-    citation = "null model of independent tracks"
-    breaks = "some UAVs lead"
-    parameters = ()
     has_heads = False
     has_followers = False
 
@@ -370,10 +259,6 @@ class Shifted(FieldStrategy):
     of a cluster repeats another at a lag below T / m.
     """
 
-    equation = "v_{i,t+1} = norm(v_{iL,t} + v_{iL,t−1} + κ_n n), observed as v_{i,(t−s_i) mod T}"
-    citation = "circularly shifted surrogates (Quian Quiroga et al. 2002)"
-    breaks = "some UAVs lead"
-    parameters = ("noise",)
     has_heads = False
     shifts_tracks = True
     lags = 2  # those of f2

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from usnet_env.compiling import compiled
-from usnet_env.swarm.kernels import FOLLOWS, finish_step, move, norm
+from usnet_env.swarm.kernels import FOLLOWS, finish_step, gap, move, norm
 
 COLUMNS = 7  # of the table: delay, gain, noise, salt of the hashed draws, and the three coordinates of the slot
 DELAY, GAIN, NOISE, SALT, OFFSET = 0, 1, 2, 3, 4
@@ -83,24 +83,19 @@ def fly_links(
                 if strength > _ZERO:
                     vx, vy, vz = x, y, z
                     for k in range(count[i]):
-                        a, u = above[i, k], t - 1
-                        dx = position[b, t, a, 0] - position[b, t, i, 0]
-                        dy = position[b, t, a, 1] - position[b, t, i, 1]
-                        dz = position[b, t, a, 2] - position[b, t, i, 2]
+                        a = above[i, k]
+                        dx, dy, dz = gap(position, b, t, a, i)
                         near = (dx * dx + dy * dy + dz * dz) / (scale * scale)
                         weight = strength / (np.float32(count[i]) * np.float32((_ONE + near) ** np.float32(0.4)))
-                        x += weight * (velocity[b, u, a, 0] - vx)
-                        y += weight * (velocity[b, u, a, 1] - vy)
-                        z += weight * (velocity[b, u, a, 2] - vz)
+                        v = velocity[b, t - 1, a]
+                        x, y, z = x + weight * (v[0] - vx), y + weight * (v[1] - vy), z + weight * (v[2] - vz)
                 else:
                     gain = table[b, GAIN, i]
                     weight = gain / np.float32(count[i])
                     x, y, z = (_ONE - gain) * x, (_ONE - gain) * y, (_ONE - gain) * z
                     for k in range(count[i]):
-                        a, u = above[i, k], t - late[i, k]
-                        x += weight * velocity[b, u, a, 0]
-                        y += weight * velocity[b, u, a, 1]
-                        z += weight * velocity[b, u, a, 2]
+                        v = velocity[b, t - late[i, k], above[i, k]]
+                        x, y, z = x + weight * v[0], y + weight * v[1], z + weight * v[2]
                 finish_step(b, s, t, i, x, y, z, noise_scale, noise, velocity)
             move(b, t, position, velocity)
 
@@ -129,18 +124,13 @@ def fly_kinds(answers, block, reach, table, source, clock, motion, start, noise,
                 square = kind == 3 or kind == 4
                 lags = kind - 1 if square else (1 if kind == 5 else kind + 1)
                 for lag in range(lags):
-                    vx, vy, vz = (
-                        velocity[b, t - 1 - lag, h, 0],
-                        velocity[b, t - 1 - lag, h, 1],
-                        velocity[b, t - 1 - lag, h, 2],
-                    )
+                    v = velocity[b, t - 1 - lag, h]
                     if square:
-                        vx, vy, vz = vx * vx, vy * vy, vz * vz
-                    x, y, z = x + vx, y + vy, z + vz
+                        x, y, z = x + v[0] * v[0], y + v[1] * v[1], z + v[2] * v[2]
+                    else:
+                        x, y, z = x + v[0], y + v[1], z + v[2]
                 if kind == 5:
-                    dx = position[b, t - 1, h, 0] - position[b, t - 1, i, 0]
-                    dy = position[b, t - 1, h, 1] - position[b, t - 1, i, 1]
-                    dz = position[b, t - 1, h, 2] - position[b, t - 1, i, 2]
+                    dx, dy, dz = gap(position, b, t - 1, h, i)
                     distance = np.sqrt(dx * dx + dy * dy + dz * dz)
                     if distance > reach:
                         x, y, z = x + dx / distance, y + dy / distance, z + dz / distance
@@ -169,9 +159,8 @@ def fly_slots(lags, pull, near, table, source, motion, start, noise, position, v
                 if framed[h] != s:  # the course of each source once a step
                     x, y, z = _ZERO, _ZERO, _ZERO
                     for lag in range(lags):
-                        x += velocity[b, t - 1 - lag, h, 0]
-                        y += velocity[b, t - 1 - lag, h, 1]
-                        z += velocity[b, t - 1 - lag, h, 2]
+                        v = velocity[b, t - 1 - lag, h]
+                        x, y, z = x + v[0], y + v[1], z + v[2]
                     x, y, z = norm(x, y, z)
                     level = np.sqrt(x * x + y * y)
                     cx, cy = (x / level, y / level) if level > np.float32(1e-6) else (_ONE, _ZERO)
@@ -181,15 +170,12 @@ def fly_slots(lags, pull, near, table, source, motion, start, noise, position, v
                     framed[h] = s
                 row = frame[h]
                 along, across, up = table[b, OFFSET, i], table[b, OFFSET + 1, i], table[b, OFFSET + 2, i]
-                gx = along * row[0] + across * row[3] + up * row[5] + position[b, t, h, 0] - position[b, t, i, 0]
-                gy = along * row[1] + across * row[4] + up * row[6] + position[b, t, h, 1] - position[b, t, i, 1]
-                gz = along * row[2] + up * row[7] + position[b, t, h, 2] - position[b, t, i, 2]
+                led, place = position[b, t, h], position[b, t, i]
+                gx = along * row[0] + across * row[3] + up * row[5] + led[0] - place[0]
+                gy = along * row[1] + across * row[4] + up * row[6] + led[1] - place[1]
+                gz = along * row[2] + up * row[7] + led[2] - place[2]
                 weight = pull / max(np.sqrt(gx * gx + gy * gy + gz * gz), near)
-                u = t - np.int64(table[b, DELAY, i])
-                x, y, z = (
-                    velocity[b, u, h, 0] + weight * gx,
-                    velocity[b, u, h, 1] + weight * gy,
-                    velocity[b, u, h, 2] + weight * gz,
-                )
+                v = velocity[b, t - np.int64(table[b, DELAY, i]), h]
+                x, y, z = v[0] + weight * gx, v[1] + weight * gy, v[2] + weight * gz
                 finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], noise, velocity)
             move(b, t, position, velocity)

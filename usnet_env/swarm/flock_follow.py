@@ -15,7 +15,7 @@ from usnet_env.swarm.strategy import TrajectoryBatch
 
 @dataclass(frozen=True)
 class Flock(FieldStrategy):
-    """Repulsion, alignment and attraction among the UAVs of a cluster: base of the flocks.
+    """Repulsion, alignment and attraction among the UAVs of a cluster; a head ignores the others.
 
     A UAV without a neighbour in any range flies to the middle of its cluster.
 
@@ -61,27 +61,9 @@ class Flock(FieldStrategy):
 
 
 @dataclass(frozen=True)
-class Vicsek(Flock):
-    """A Vicsek flock with an informed head: followers take the mean velocity within a range; the head ignores them."""
-
-    equation = "v_{i,t+1} = norm(mean_{‖p_j − p_i‖ < r} v_{j,t} + κ_n n)"
-    citation = "Vicsek et al. 1995; one leader: Mwaffo et al. 2017"
-    breaks = "followers copy a head and no other UAV"
-    parameters = ("alignment", "noise")
-    noise: float = 0.1
-
-
-@dataclass(frozen=True)
 class Couzin(Flock):
     """A Couzin flock with an informed head, which ignores the others: repulsion, or else alignment and attraction."""
 
-    equation = (
-        "v_{i,t+1} = norm(−Σ_{d<r_r} d_ij / ‖d_ij‖ + κ_n n), or else "
-        "norm(mean_{d<r_o} v_{j,t} + w mean_{d<r_a} d_ij / ‖d_ij‖ + κ_n n)"
-    )
-    citation = "Couzin et al. 2002, 2005, Nature 433:513"
-    breaks = "followers copy a head and no other UAV"
-    parameters: ClassVar[tuple[str, ...]] = ("repulsion", "alignment", "attraction", "attract", "noise")
     repulsion: float = 5.0
     alignment: float = 40.0
     attraction: float = 100.0
@@ -92,17 +74,10 @@ class Couzin(Flock):
 class Informed(Couzin):
     """A Couzin flock with an informed minority: its heads fly in the flock, and also prefer a course that they know.
 
-    The course is that of a reference, which flies by the swarm's mobility. The other UAVs have no head of their own:
-    their ``root`` is -1.
-
-    Args:
-        share: share of the UAVs of a cluster that are informed; at least one is.
+    The course is that of a reference, which flies by the swarm's mobility. ``share`` of the UAVs are informed, at least
+    one; the others have no head of their own: their ``root`` is -1.
     """
 
-    equation = "informed i: v_{i,t+1} = norm(d_i / ‖d_i‖ + ω v_{r,t} + κ_n n), d_i as in couzin, r a reference"
-    citation = "Couzin et al. 2005, Nature 433:513"
-    breaks = "a head ignores the UAVs that it leads"
-    parameters = ("share", "preference", "repulsion", "alignment", "attraction", "attract", "noise")
     share: float = 0.2
     preference: float = 0.5
     has_references = True
@@ -125,10 +100,6 @@ class Predator(Couzin):
     One follower of each cluster is its predator. It is no head and has none.
     """
 
-    equation = "prey: couzin + w_f (p_i − p_q) / ‖·‖ within r_f; predator q: v_{q,t+1} = norm(p_nearest − p_q + κ_n n)"
-    citation = "Couzin et al. 2002; Lee et al. 2006 (predator and prey flocks)"
-    breaks = "the UAV that causes a turn leads, and a UAV that copies motion follows"
-    parameters = ("flight", "flee", "noise")
     flight: float = 60.0
     flee: float = 1.0
     chaser = flock_kernels.PREDATOR
@@ -146,10 +117,6 @@ class Predator(Couzin):
 class Shepherd(Couzin):
     """A driver behind each flock pushes it where the swarm's mobility wants it; H_0 is empty: a driver is no leader."""
 
-    equation = "flock: couzin + w_f (p_i − p_s) / ‖·‖ within r_f; driver s: v_{s,t+1} = norm(p̄ − b u − p_s + κ_n n)"
-    citation = "Strömbom et al. 2014, J. R. Soc. Interface 11:20140719"
-    breaks = "the UAV that causes a turn leads"
-    parameters = ("flight", "flee", "standoff", "noise")
     flight: float = 80.0
     flee: float = 1.5
     standoff: float = 40.0

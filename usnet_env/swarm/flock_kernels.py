@@ -77,14 +77,11 @@ def _sum_cells(x, y, z, width, repel, align, attract, begin, cell, p, v):
 
 
 @compiled(error_model="numpy")
-def _sum_all(size, repel, align, attract, plain, members, sums):
+def _sum_all(size, repel, align, attract, members, sums):
     """Fill ``sums`` for all UAVs of a small flock: alignment, attraction, and the three counts.
 
-    The inner loop is over the UAVs that get a term, not over the terms of a sum. So vector instructions need no other
-    order of additions, and the sums have the same bits on every processor. Rows of ``members`` and ``sums`` are
-    ``_SMALL`` apart, a constant, from which the compiler knows that they don't overlap.
-
-    ``repel``, ``align`` and ``attract`` are the squares of the ranges, m²; ``plain``: UAVs only align.
+    The inner loop is over the UAVs that get a term, so the sums have the same bits with all vector instructions. Rows
+    of ``members`` and ``sums`` are ``_SMALL`` apart, from which the compiler knows that they don't overlap.
     """
     sums[:] = _ZERO
     for d in range(size):
@@ -98,14 +95,13 @@ def _sum_all(size, repel, align, attract, plain, members, sums):
             sums[_OX + c] += o * ux
             sums[_OY + c] += o * uy
             sums[_OZ + c] += o * uz
-            if not plain:
-                q = _ONE if square < attract else _ZERO
-                sums[_REPELLED + c] += _ONE if square < repel else _ZERO
-                sums[_ATTRACTED + c] += q
-                q /= np.sqrt(square + _TINY)
-                sums[_AX + c] += q * dx
-                sums[_AY + c] += q * dy
-                sums[_AZ + c] += q * dz
+            q = _ONE if square < attract else _ZERO
+            sums[_REPELLED + c] += _ONE if square < repel else _ZERO
+            sums[_ATTRACTED + c] += q
+            q /= np.sqrt(square + _TINY)
+            sums[_AX + c] += q * dx
+            sums[_AY + c] += q * dy
+            sums[_AZ + c] += q * dz
 
 
 @compiled(error_model="numpy")
@@ -113,11 +109,8 @@ def _sum_repulsion(c, size, repel, members):
     """Sum the directions away from the UAVs of a small flock within the range of repulsion of UAV c."""
     rx, ry, rz = _ZERO, _ZERO, _ZERO
     for d in range(size):
-        dx, dy, dz = (
-            members[_X + d] - members[_X + c],
-            members[_Y + d] - members[_Y + c],
-            members[_Z + d] - members[_Z + c],
-        )
+        dx, dy = members[_X + d] - members[_X + c], members[_Y + d] - members[_Y + c]
+        dz = members[_Z + d] - members[_Z + c]
         square = dx * dx + dy * dy + dz * dz
         if square < repel:
             inverse = _ONE / np.sqrt(square + _TINY)
@@ -171,15 +164,14 @@ def fly_flock(
     """Followers fly by repulsion, or else by alignment and attraction, from the UAVs of their flock, and flee chasers.
 
     ``ranges`` are those of repulsion, alignment and attraction, metres; ``weights`` those of alignment and attraction.
-    ``chaser`` says what a bystander that follows is: ``NO_CHASER``, ``PREDATOR`` or ``DRIVER``. The numbers after it
-    are those of ``Flock``; the arrays after ``table`` ``(B, COLUMNS, N)`` are those of ``TrajectoryBatch``.
+    ``chaser`` says what a bystander that follows is.
     """
     episodes, steps, width, uavs = noise.shape[0], noise.shape[1], noise.shape[2], table.shape[2]
     label, order = np.empty(uavs, np.int64), np.empty(uavs, np.int64)
     first = np.empty(width + 1, np.int64)
     p, v = np.empty((3, uavs), np.float32), np.empty((3, uavs), np.float32)
     repel, align, attract = ranges[0] * ranges[0], ranges[1] * ranges[1], ranges[2] * ranges[2]
-    outer, plain = max(ranges[0], ranges[1], ranges[2]), max(repel, attract) == _ZERO
+    outer = max(ranges[0], ranges[1], ranges[2])
     cell, place = np.empty((3, uavs), np.int64), np.empty(uavs, np.int64)
     near_p, near_v = np.empty((3, uavs), np.float32), np.empty((3, uavs), np.float32)
     buckets = 1
@@ -212,7 +204,7 @@ def fly_flock(
                         for c in range(size):
                             few[_X + axis * _SMALL + c] = p[axis, low + c]
                             few[_UX + axis * _SMALL + c] = v[axis, low + c]
-                    _sum_all(size, repel, align, attract, plain, few, sums)
+                    _sum_all(size, repel, align, attract, few, sums)
                 for c in range(size):
                     i = order[low + c]
                     if motion[b, i] != FOLLOWS:
@@ -222,13 +214,12 @@ def fly_flock(
                             px[c], py[c], pz[c], outer, repel, align, attract, begin[: small + 1], cell, near_p, near_v
                         )
                     else:
-                        ox, oy, oz, ax, ay, az = (
-                            sums[_OX + c], sums[_OY + c], sums[_OZ + c], sums[_AX + c], sums[_AY + c], sums[_AZ + c]
-                        )  # fmt: skip
+                        ox, oy, oz = sums[_OX + c], sums[_OY + c], sums[_OZ + c]
+                        ax, ay, az = sums[_AX + c], sums[_AY + c], sums[_AZ + c]
                         repelled, aligned, attracted = sums[_REPELLED + c], sums[_ALIGNED + c], sums[_ATTRACTED + c]
-                        rx, ry, rz = (
-                            _sum_repulsion(c, size, repel, few) if repelled > np.float32(1.5) else (_ZERO, _ZERO, _ZERO)
-                        )
+                        rx, ry, rz = _ZERO, _ZERO, _ZERO
+                        if repelled > np.float32(1.5):
+                            rx, ry, rz = _sum_repulsion(c, size, repel, few)
                     if repelled > np.float32(1.5):  # the UAV itself is counted
                         x, y, z = norm(rx, ry, rz)
                     elif max(aligned, attracted) > np.float32(1.5):

@@ -14,23 +14,19 @@ from typing import Any
 import numpy as np
 
 from usnet_env.arrays import Singles
-from usnet_env.config import real_number, whole_number
+from usnet_env.config import ArgumentError, quote
 from usnet_env.parts import Registry
 from usnet_env.swarm import field_follow, flock_follow, kernels
-from usnet_env.swarm.checks import check_part, check_returned
 from usnet_env.swarm.field_follow import FieldStrategy
+from usnet_env.swarm.field_kernels import EACH_CLUSTER, EACH_FOLLOWER
 from usnet_env.swarm.strategy import KAPPA, KAPPA_NOISE, KAPPA_RANGE, FollowInputs, FollowStrategy, TrajectoryBatch
-
-MOST_LAGS = 1000  # the largest ``memory``
-MOST_NOISE = 1e6  # a follower's direction is then noise alone; in float32 its square is still finite
 
 
 @dataclass(frozen=True)
 class Lags(FollowStrategy):
     """f1 to f5: sum of the head's last velocities or of their squares (Table II, types 1 to 5).
 
-    v_{i,t+1} = norm(sum_{tau=0}^{lags-1} kappa_tau v_{iL,t-tau} + kappa_n n), where v * v
-    (axis-wise) replaces v if ``square``.
+    v * v (axis-wise) replaces v if ``square``.
     """
 
     lags: int = 1
@@ -87,11 +83,10 @@ class StayInRange(FollowStrategy):
 class Network(FollowStrategy):
     """f7: a random tanh network of the inputs of equation (1) (Table II, type 7; decision (c) on docs/game.md).
 
-    v_{i,t+1} = norm(MLP(P_{i,t+1}, V_{iL,t}, p_{iL,t-3}) + kappa_n n). It has one hidden layer of 16 units;
-    the weights are drawn for each episode. The positions enter as (p_{i,t+1} - p_{iL,t-3}) / ``position_scale`` and as
-    differences of consecutive own positions. Both are linear maps of the paper's inputs. Raw metres would saturate
-    every unit, and the output would not depend on the head. The gains give the head's velocities the largest weight
-    among the inputs of a hidden unit.
+    It has one hidden layer of 16 units; the weights are drawn for each episode. The positions enter as
+    (p_{i,t+1} - p_{iL,t-3}) / ``position_scale`` and as differences of consecutive own positions. Raw metres would
+    saturate every unit, and the output would not depend on the head. The gains give the head's velocities the largest
+    weight among the inputs of a hidden unit.
     """
 
     equation: str = "v_{i,t+1} = norm(MLP(P_{i,t+1}, V_{iL,t}, p_{iL,t-3}) + κ_n n)"
@@ -141,43 +136,141 @@ class FollowFunction(FollowStrategy):
     equation: str = ""
 
     def direction(self, inputs: FollowInputs) -> Singles:
-        """Call the function and check its result."""
-        return check_returned("follow", self.function(inputs), (len(inputs.own_position), 3)).astype(np.float32)
+        """Call the function."""
+        return np.asarray(self.function(inputs), np.float32).reshape(len(inputs.own_position), 3)
 
 
-def check_strategy(strategy: Any, subject: str = "strategy") -> FollowStrategy:
-    """Return a strategy, made of a function if it is one.
-
-    Raises:
-        ArgumentError: it is neither, or its ``lags`` or ``noise`` is out of range.
-    """
-    strategy = check_part(subject, strategy, FollowStrategy, FollowFunction)
-    whole_number("lags", strategy.lags, 1, MOST_LAGS)
-    real_number("noise", strategy.noise, 0, MOST_NOISE)
-    return strategy
+def accept_strategy(strategy: Any, subject: str = "strategy") -> FollowStrategy:
+    """Return a strategy, made of a function if it is one."""
+    if isinstance(strategy, FollowStrategy):
+        return strategy
+    if not callable(strategy):
+        raise ArgumentError(f"{subject} must be a FollowStrategy or a function, got {quote(strategy)}.")
+    return FollowFunction(strategy)
 
 
-#: The field models by name.
+#: The field models by name: the equation, the citation, the broken assumption, the parameters, and their values.
 FIELD_MODELS: dict[str, FieldStrategy] = {
-    "unequal_delays": field_follow.UnequalDelays(),
-    "mixed": field_follow.Mixed(),
-    "switching": field_follow.Switching(),
-    "chain": field_follow.Chain(),
-    "pigeons": field_follow.Pigeons(),
-    "cucker_smale": field_follow.CuckerSmale(),
-    "vicsek": flock_follow.Vicsek(),
-    "couzin": flock_follow.Couzin(),
-    "informed": flock_follow.Informed(),
-    "frontness": field_follow.Frontness(),
-    "part_time": field_follow.PartTime(),
-    "partial_turns": field_follow.PartialTurns(),
-    "predator": flock_follow.Predator(),
-    "shepherd": flock_follow.Shepherd(),
-    "reference": field_follow.Reference(),
+    "unequal_delays": field_follow.Links(
+        "v_{i,t+1} = norm((1 − g_i) v_{i,t} + g_i v_{iL,t+1−d_i} + κ_i n)",
+        "reaction times as in Nagy et al. 2010",
+        "one delay, gain and noise for all followers",
+        ("delays", "gains", "noises", "noise"),
+        delays=(1, 12),
+        gains=(0.5, 1.0),
+        noises=(0.5, 4.0),
+    ),
+    "mixed": field_follow.Kinds(
+        "v_{i,t+1} = norm(f_{k(i)}(V_{iL,t}) + κ_n n), k(i) ∈ {1, …, 6}",
+        "paper, Table II",
+        "one follow strategy in a swarm",
+        ("reach", "noise"),
+    ),
+    "switching": field_follow.Kinds(
+        "v_{i,t+1} = norm(f_{k(L,⌊t / T⌋)}(V_{iL,t}) + κ_n n), k ∈ {1, …, 6}",
+        "paper, Table II; switching regimes (Hamilton 1989)",
+        "one follow strategy in a window",
+        ("block", "reach", "noise"),
+        answers=EACH_CLUSTER,
+    ),
+    "chain": field_follow.Chain(
+        "v_{i,t+1} = norm(v_{a(i),t} + κ_n n), a(i) above i in a tree of depth D",
+        "hierarchical leadership (Shen 2007)",
+        "every follower copies a head directly",
+        ("depth", "noise"),
+    ),
+    "pigeons": field_follow.Hierarchy(
+        "v_{i,t+1} = norm((1 − g_i) v_{i,t} + g_i mean_{k≤3} v_{a_k,t+1−d_ik} + κ_n n), d_ik = d_i + … + d_{a_{k−1}}",
+        "Nagy et al. 2010, Nature 464:890",
+        "followers lead no UAV, and one delay for all",
+        ("links", "delays", "gains", "noise"),
+        links=3,
+        delays=(1, 3),
+        gains=(0.6, 0.9),
+    ),
+    "cucker_smale": field_follow.Hierarchy(
+        "v_{i,t+1} = norm(v_{i,t} + mean_{k≤8} K (1 + ‖p_{a_k} − p_i‖² / σ²)^{−0.4} (v_{a_k,t} − v_{i,t}) + κ_n n)",
+        "Cucker & Smale 2007; Shen 2007, SIAM J. Appl. Math. 68:694",
+        "every follower copies a head directly, whatever the distance",
+        ("links", "strength", "scale", "noise"),
+        links=8,
+        strength=0.8,
+    ),
+    "vicsek": flock_follow.Flock(
+        "v_{i,t+1} = norm(mean_{‖p_j − p_i‖ < r} v_{j,t} + κ_n n)",
+        "Vicsek et al. 1995; one leader: Mwaffo et al. 2017",
+        "followers copy a head and no other UAV",
+        ("alignment", "noise"),
+        noise=0.1,
+    ),
+    "couzin": flock_follow.Couzin(
+        "v_{i,t+1} = norm(−Σ_{d<r_r} d_ij / ‖d_ij‖ + κ_n n), or else "
+        "norm(mean_{d<r_o} v_{j,t} + w mean_{d<r_a} d_ij / ‖d_ij‖ + κ_n n)",
+        "Couzin et al. 2002, 2005, Nature 433:513",
+        "followers copy a head and no other UAV",
+        ("repulsion", "alignment", "attraction", "attract", "noise"),
+    ),
+    "informed": flock_follow.Informed(
+        "informed i: v_{i,t+1} = norm(d_i / ‖d_i‖ + ω v_{r,t} + κ_n n), d_i as in couzin, r a reference",
+        "Couzin et al. 2005, Nature 433:513",
+        "a head ignores the UAVs that it leads",
+        ("share", "preference", "repulsion", "alignment", "attraction", "attract", "noise"),
+    ),
+    "frontness": field_follow.Frontness(
+        "v_{i,t+1} = norm(v_{iL,t} + κ_p g / max(‖g‖, 10) + κ_n n), g = p_{iL} + R_L (o_i − f a e_x) − p_i",
+        "frontness as in Amornbunchornvej et al. 2018; Reynolds 1987",
+        "heads fly in front",
+        ("place", "offset", "pull", "near", "spread", "smoothing", "noise"),
+    ),
+    "part_time": field_follow.Links(
+        "v_{i,t+1} = norm(v_{iL,t} + κ_n n) if h(L, ⌊t / T⌋) < q, else norm(v_{i,t} + κ_o n)",
+        "changing leadership as in Amornbunchornvej et al. 2018 (FLICA)",
+        "a head leads all the time",
+        ("share", "block", "idle_noise", "noise"),
+        share=0.4,
+        answers=EACH_CLUSTER,
+    ),
+    "partial_turns": field_follow.Links(
+        "v_{i,t+1} = norm(v_{iL,t} + κ_n n) if h(i, ⌊t / T⌋) < q, else norm(v_{i,t} + κ_o n)",
+        "partial responses to turns (Attanasi et al. 2014)",
+        "every follower follows in every step",
+        ("share", "block", "idle_noise", "noise"),
+        block=8,
+        share=0.5,
+        answers=EACH_FOLLOWER,
+    ),
+    "predator": flock_follow.Predator(
+        "prey: couzin + w_f (p_i − p_q) / ‖·‖ within r_f; predator q: v_{q,t+1} = norm(p_nearest − p_q + κ_n n)",
+        "Couzin et al. 2002; Lee et al. 2006 (predator and prey flocks)",
+        "the UAV that causes a turn leads, and a UAV that copies motion follows",
+        ("flight", "flee", "noise"),
+    ),
+    "shepherd": flock_follow.Shepherd(
+        "flock: couzin + w_f (p_i − p_s) / ‖·‖ within r_f; driver s: v_{s,t+1} = norm(p̄ − b u − p_s + κ_n n)",
+        "Strömbom et al. 2014, J. R. Soc. Interface 11:20140719",
+        "the UAV that causes a turn leads",
+        ("flight", "flee", "standoff", "noise"),
+    ),
+    "reference": field_follow.Reference(
+        "v_{i,t+1} = norm(v_{r,t} + κ_p g / max(‖g‖, 10) + κ_n n), g = p_r + R_r o_i − p_i, r a reference",
+        "virtual structures (Lewis & Tan 1997; Ren & Beard 2004)",
+        "every cluster has a head",
+        ("pull", "near", "spread", "smoothing", "noise"),
+    ),
 }
 
 #: The swarms without a head and without followers by name.
-CONTROLS: dict[str, FieldStrategy] = {"independent": field_follow.Independent(), "shifted": field_follow.Shifted()}
+CONTROLS: dict[str, FieldStrategy] = {
+    "independent": field_follow.Independent(
+        "v_{i,t+1}: the mobility, for all i", "null model of independent tracks", "some UAVs lead"
+    ),
+    "shifted": field_follow.Shifted(
+        "v_{i,t+1} = norm(v_{iL,t} + v_{iL,t−1} + κ_n n), observed as v_{i,(t−s_i) mod T}",
+        "circularly shifted surrogates (Quian Quiroga et al. 2002)",
+        "some UAVs lead",
+        ("noise",),
+    ),
+}
 
 #: All follow strategies by name; ``"none"`` selects the control without followers.
 FOLLOW_STRATEGIES = Registry(
@@ -185,7 +278,7 @@ FOLLOW_STRATEGIES = Registry(
     "follow",
     "usnet.follow_strategies",
     __name__,
-    check_strategy,
+    accept_strategy,
     {
         "f1": Lags(1),
         "f2": Lags(2),
@@ -199,7 +292,6 @@ FOLLOW_STRATEGIES = Registry(
     },
     reserved=("none",),
 )
-
 
 #: The follow strategy of a name; see :meth:`usnet_env.parts.Registry.find`.
 follow_strategy = FOLLOW_STRATEGIES.find
@@ -220,13 +312,13 @@ def register_follow_strategy(
         name: a new name.
         strategy: a :class:`FollowStrategy`, or a function from :class:`FollowInputs` of n followers to their directions
             ``(n, 3)``; the simulator adds noise and normalises.
-        lags: for a function, the number of past head velocities that it uses, from 1 to 1000.
-        noise: for a function, kappa_n, from 0 to 10^6.
+        lags: for a function, the number of past head velocities that it uses.
+        noise: for a function, kappa_n.
         equation: for a function, its equation as text for lists.
         replace: replace another strategy of this name, for example to run a notebook cell again.
 
     Raises:
-        ArgumentError: another strategy has the name, or an argument has the wrong type or is out of range.
+        ArgumentError: another strategy has the name, or ``strategy`` is neither a strategy nor a function.
     """
     if callable(strategy) and not isinstance(strategy, FollowStrategy | type):
         strategy = FollowFunction(strategy, lags, noise, equation)

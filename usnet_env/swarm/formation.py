@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
 from usnet_env.arrays import Floats
 from usnet_env.parts import Registry
-from usnet_env.swarm.checks import check_part
 from usnet_env.swarm.state import Roles
 
 ARENA = (1000.0, 1000.0, 100.0)  # metres, the box of the paper's simulations
@@ -21,8 +19,7 @@ FARTHEST = max(ARENA) + AROUND_RADIUS  # metres, the largest initial coordinate
 def draw_corridors(rng: np.random.Generator, uavs: int) -> tuple[Floats, Floats]:
     """Draw civil traffic: positions ``(uavs, 3)`` in metres and directions ``(uavs, 3)`` in level, straight corridors.
 
-    Three corridors cross the arena at random places, headings and altitudes. The UAVs of a corridor fly in both
-    directions, at most 400 m from its middle, 5 m apart from its axis on average.
+    The UAVs of a corridor fly in both directions, at most 400 m from its middle, 5 m apart from its axis on average.
     """
     middle = rng.uniform(0.0, ARENA, (CORRIDORS, 3))
     heading = rng.uniform(-np.pi, np.pi, CORRIDORS)
@@ -51,18 +48,13 @@ def _around(rng: np.random.Generator, roles: Roles) -> Floats:
 
 Formation = Callable[[np.random.Generator, Roles], Floats]
 
-
-def _check_formation(function: Any, subject: str = "function") -> Any:
-    return check_part(subject, function, None, lambda same: same)
-
-
-#: All formations by name: functions ``(rng, roles) -> (N, 3)``, positions in metres.
+#: All formations by name: functions ``(rng, roles) -> (N, 3)``, positions in metres, at most 1060 m on each axis.
 FORMATIONS = Registry[Formation](
     "formation",
     "formation",
     "usnet.formations",
     __name__,
-    _check_formation,
+    lambda function, subject="": function,
     {"uniform": _uniform, "around": _around},
 )
 

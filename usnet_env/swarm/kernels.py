@@ -1,9 +1,8 @@
 """The compiled inner loops of the simulator: velocities of heads and followers, kinematics, and the re-merge.
 
 The same loop over episodes simulates one swarm and a batch, so episode b of a batch equals the single swarm bit for
-bit. Within an episode, time is the first axis: position ``(B, L + S + 1, N, 3)``, velocity ``(B, L + S, N, 3)``. The
-first L steps are the past that a follow strategy may use; the next S steps are simulated by the call. All arrays except
-the mobility state are float32. All constants are float32 too, so that the arithmetic stays in float32.
+bit. Position ``(B, L + S + 1, N, 3)`` and velocity ``(B, L + S, N, 3)`` begin with L steps of the past; the next S
+steps are simulated by the call. All arrays except the mobility state, and all constants, are float32.
 """
 
 from __future__ import annotations
@@ -34,6 +33,13 @@ def norm(x, y, z):
     """The vector (x, y, z) scaled to length 1."""
     size = _ONE / np.sqrt(x * x + y * y + z * z + _TINY)
     return x * size, y * size, z * size
+
+
+@compiled(error_model="numpy")
+def gap(position, b, t, i, j):
+    """The way from UAV j to UAV i at instant t."""
+    place, other = position[b, t, i], position[b, t, j]
+    return place[0] - other[0], place[1] - other[1], place[2] - other[2]
 
 
 @compiled(error_model="numpy")
@@ -131,8 +137,7 @@ def fly_free(code, numbers, free, start, normals, jitter, state, position, veloc
     """Velocities of the free UAVs ``(B, n)`` by mobility ``code``; writes ``state`` and ``velocity`` in place.
 
     ``numbers`` ``(6,)`` are the constants of the mobility, ``normals`` ``(B, S, n, k)`` its random numbers, and
-    ``jitter`` ``(B, S, N, 3)`` is the scaled noise that is added to the unit direction; length 0: no noise. ``state``
-    is ``(B, n, MOBILITY_STATE)``; positions are read at ``start`` only.
+    ``jitter`` ``(B, S, N, 3)`` is the scaled noise that is added to the unit direction; length 0: no noise.
     """
     episodes, steps, count = normals.shape[0], normals.shape[1], normals.shape[2]
     out = np.empty(3, np.float32)
@@ -175,8 +180,7 @@ def integrate(start, position, velocity):
 def fly_lags(kappa, square, noise_scale, root, motion, start, noise, position, velocity):
     """f1 to f5: v_{i,t+1} = norm(sum_tau kappa_tau v_{iL,t-tau}^p + kappa_n n), with p = 2 where ``square``.
 
-    The sum doesn't depend on the follower, so the loop computes it once per step and head. No velocity depends on the
-    positions, so these are integrated afterwards.
+    The loop computes the sum once per step and head.
     """
     episodes, steps, uavs = noise.shape[0], noise.shape[1], noise.shape[2]
     lags = len(kappa)
@@ -200,19 +204,14 @@ def fly_lags(kappa, square, noise_scale, root, motion, start, noise, position, v
 
 @compiled()
 def fly_range(kappa, pull, reach, noise_scale, root, motion, start, noise, position, velocity):
-    """f6: norm(kappa_0 v_{iL,t} + kappa_n n + 1{|d| > kappa_r} kappa_p d / |d|), d = p_{iL,t} - p_{i,t}.
-
-    Followers use the positions of the previous step, so the loop also updates the positions of all UAVs.
-    """
+    """f6: norm(kappa_0 v_{iL,t} + kappa_n n + 1{|d| > kappa_r} kappa_p d / |d|), d = p_{iL,t} - p_{i,t}."""
     for b in range(noise.shape[0]):
         followers = np.flatnonzero(motion[b] == FOLLOWS)
         for s in range(noise.shape[1]):
             t = start + s
             for i in followers:
                 h = root[b, i]
-                dx = position[b, t - 1, h, 0] - position[b, t - 1, i, 0]
-                dy = position[b, t - 1, h, 1] - position[b, t - 1, i, 1]
-                dz = position[b, t - 1, h, 2] - position[b, t - 1, i, 2]
+                dx, dy, dz = gap(position, b, t - 1, h, i)
                 distance = np.sqrt(dx * dx + dy * dy + dz * dz)
                 gain = pull / distance if distance > reach else _ZERO
                 x = kappa * velocity[b, t - 1, h, 0] + noise_scale * noise[b, s, i, 0] + gain * dx
@@ -224,10 +223,7 @@ def fly_range(kappa, pull, reach, noise_scale, root, motion, start, noise, posit
 
 @compiled()
 def _tanh(x):
-    """Hyperbolic tangent in float32 without a library call: (1 - e) / (1 + e), e = exp(-2|x|) by range reduction.
-
-    2^f on [-1/2, 1/2] is approximated by a polynomial of degree 6 with an error below float32 rounding.
-    """
+    """Hyperbolic tangent in float32 without a library call: (1 - e) / (1 + e), e = exp(-2|x|) by a polynomial."""
     magnitude = min(abs(x), np.float32(9.0))
     y = magnitude * np.float32(-2.8853900817779268)  # -2 / ln 2
     whole = np.float32(np.floor(y + np.float32(0.5)))
@@ -248,7 +244,7 @@ def _tanh(x):
 def fly_mlp(parameters, position_scale, noise_scale, root, motion, start, noise, position, velocity):
     """f7: norm(MLP(P_{i,t+1}, V_{iL,t}, p_{iL,t-3}) + kappa_n n), one network per episode.
 
-    A head's contribution to the hidden layer is the same for all its followers: it is computed once per step and head.
+    A head's contribution to the hidden layer is computed once per step.
     """
     episodes, steps, uavs = noise.shape[0], noise.shape[1], noise.shape[2]
     from_head = np.empty((uavs, MLP_HIDDEN), np.float32)
@@ -364,15 +360,8 @@ def remerge(head, alive, apart, position, root, source):
     """Assign every living follower of a destroyed head to the nearest remaining head; -1 if no head remains.
 
     A follower that copied a destroyed follower copies the nearest living one above it, and joins a head only if there
-    is none. A predator whose prey has lost its head chases the UAVs of the nearest head.
-
-    Args:
-        head: ``(B, N)`` bool.
-        alive: ``(B, N)`` bool.
-        apart: ``(B, N)`` bool, the decoys and bystanders.
-        position: ``(B, N, 3)`` float32, metres, the present positions.
-        root: ``(B, N)`` int64, updated in place.
-        source: ``(B, N)`` int64, the UAV that each UAV copies, updated in place.
+    is none. A predator whose prey has lost its head chases the UAVs of the nearest head. ``apart`` ``(B, N)`` are the
+    decoys and bystanders; ``root`` and ``source`` ``(B, N)`` are updated in place.
     """
     episodes, uavs = root.shape
     for b in range(episodes):

@@ -15,13 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usnet_env.arrays import Singles
-from usnet_env.config import real_number, whole_number
+from usnet_env.config import ArgumentError, quote
 from usnet_env.parts import Registry
 from usnet_env.swarm import kernels
-from usnet_env.swarm.checks import check_part, check_returned
-
-_FASTEST = 100.0  # metres per step
-_MOST_VALUES = 64
 
 
 class Kinematics:
@@ -32,7 +28,7 @@ class Kinematics:
         source: where the model comes from.
         breaks: the assumption of a detector that it breaks.
         version: increases when the model's behaviour changes.
-        top_speed: an upper bound of the speed, metres per step; at most 100.
+        top_speed: an upper bound of the speed, metres per step.
         values: number of values in the state of one UAV.
         normals: standard normal numbers that a UAV needs per step.
     """
@@ -62,29 +58,16 @@ class Kinematics:
         raise NotImplementedError(f"{type(self).__name__} must define steer.")
 
     def fly(
-        self,
-        t: int,
-        motion: NDArray[np.int8],
-        normals: Singles,
-        state: Singles,
-        position: Singles,
-        velocity: Singles,
+        self, t: int, motion: NDArray[np.int8], normals: Singles, state: Singles, position: Singles, velocity: Singles
     ) -> None:
-        """Fly step ``t`` of B swarms: replace the wanted directions by velocities and write the next positions.
+        """Fly step ``t`` of B swarms: replace the wanted directions ``velocity[:, t]`` by velocities.
 
-        Args:
-            t: the step; ``velocity[:, t]`` holds the wanted directions.
-            motion: ``(B, N)`` int8, as in ``TrajectoryBatch``.
-            normals: ``(B, N, normals)`` float32.
-            state: ``(B, N, values)`` float32, updated in place.
-            position: ``(B, >= t + 2, N, 3)`` float32, metres, updated in place.
-            velocity: ``(B, >= t + 1, N, 3)`` float32, metres per step, updated in place.
+        It writes ``state`` and the next positions, too; all arrays have a leading axis B.
         """
         living = motion != kernels.DESTROYED
         kept = state[living]
         wanted, before, place = velocity[:, t][living], velocity[:, t - 1][living], position[:, t][living]
         flown = self.steer(wanted, before, place, kept, normals[living])
-        flown = check_returned("kinematics", flown, wanted.shape, 1.001 * self.top_speed)
         state[living] = kept
         velocity[:, t] = 0.0
         velocity[:, t][living] = flown
@@ -101,13 +84,14 @@ class Unit(Kinematics):
 
 
 class _Compiled(Kinematics):
-    """A model with a compiled step; ``_code`` is its number and ``_numbers`` its constants."""
+    """A model with a compiled step; ``_code`` is its number and ``_constants`` the names of its constants."""
 
     _code: ClassVar[int]
+    _constants: ClassVar[tuple[str, ...]] = ()
 
     @property
     def _numbers(self) -> Singles:
-        return np.zeros(0, np.float32)
+        return np.array([getattr(self, name) for name in self._constants], np.float32)
 
     def fly(
         self, t: int, motion: NDArray[np.int8], normals: Singles, state: Singles, position: Singles, velocity: Singles
@@ -158,12 +142,7 @@ class VariedSpeed(_Compiled):
 
 @dataclass(frozen=True)
 class Lagged(_Compiled):
-    """A first-order lag: the velocity approaches the wanted one with a time constant of each UAV.
-
-    Args:
-        shortest: the smallest time constant, steps.
-        longest: the largest time constant, steps.
-    """
+    """A first-order lag: the velocity approaches the wanted one with a time constant of each UAV, in steps."""
 
     equation = "v_{t+1} = v_t + (u_{t+1} − v_t) / τ_i"
     source = "first-order velocity response (Beard & McLain 2012, §9)"
@@ -194,14 +173,11 @@ class Limited(_Compiled):
     breaks = "a UAV can turn at any rate"
     values = 1  # turn rate
     _code = kernels.LIMITED
+    _constants = ("slowest", "acceleration")
     least_turn: float = 0.15
     most_turn: float = 0.35
     slowest: float = 0.5
     acceleration: float = 0.05
-
-    @property
-    def _numbers(self) -> Singles:
-        return np.array([self.slowest, self.acceleration], np.float32)
 
     def start(self, rng: np.random.Generator, uavs: int) -> Singles:
         """Draw the turn rates."""
@@ -212,10 +188,7 @@ class Limited(_Compiled):
 class Layered(_Compiled):
     """Altitude layers: a UAV keeps the altitude of its layer and flies the wanted course in the plane.
 
-    Args:
-        layers: number of layers, the lowest at half a ``height``.
-        height: distance of two layers, metres.
-        climb: the largest vertical speed, metres per step.
+    ``layers`` layers are ``height`` metres apart, the lowest at half of it; ``climb`` is the largest vertical speed.
     """
 
     equation = "v_z = clip((h_i − z) / 10, ±c), v_xy = √(1 − v_z²) u_xy / ‖u_xy‖"
@@ -223,25 +196,19 @@ class Layered(_Compiled):
     breaks = "the three axes are alike"
     values = 1  # altitude
     _code = kernels.LAYERED
+    _constants = ("climb",)
     layers: int = 5
     height: float = 20.0
     climb: float = 0.3
-
-    @property
-    def _numbers(self) -> Singles:
-        return np.array([self.climb], np.float32)
 
     def start(self, rng: np.random.Generator, uavs: int) -> Singles:
         """Draw the layers."""
         return ((rng.integers(self.layers, size=(uavs, 1)) + 0.5) * self.height).astype(np.float32)
 
 
-def _check_kinematics(model: Any, subject: str = "model") -> Kinematics:
-    """Return a kinematics model with sizes within their limits."""
-    model = check_part(subject, model, Kinematics)
-    real_number("top_speed", model.top_speed, 0, _FASTEST)
-    for name in ("values", "normals"):
-        whole_number(name, getattr(model, name), 0, _MOST_VALUES)
+def _accept_kinematics(model: Any, subject: str = "model") -> Kinematics:
+    if not isinstance(model, Kinematics):
+        raise ArgumentError(f"{subject} must be a Kinematics, got {quote(model)}.")
     return model
 
 
@@ -251,7 +218,7 @@ KINEMATICS = Registry(
     "kinematics",
     "usnet.kinematics",
     __name__,
-    _check_kinematics,
+    _accept_kinematics,
     {
         "unit": Unit(),
         "varied_speed": VariedSpeed(),
@@ -260,7 +227,6 @@ KINEMATICS = Registry(
         "layered": Layered(),
     },
 )
-
 
 #: Register a model, so that ``kinematics=name`` selects it; see :meth:`usnet_env.parts.Registry.register`.
 register_kinematics = KINEMATICS.register

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from usnet_env.arrays import Floats, Singles
+from usnet_env.config import ArgumentError, quote
 from usnet_env.parts import Registry
 from usnet_env.swarm import kernels
-from usnet_env.swarm.checks import check_part, check_returned
 from usnet_env.swarm.formation import ARENA
 
 
@@ -46,14 +46,7 @@ class Mobility(ABC):
 
 @dataclass(frozen=True)
 class CompiledMobility(Mobility):
-    """A mobility with a compiled step, ``kernels.fly_free``.
-
-    Args:
-        code: the number of the mobility in ``kernels``.
-        normals: standard normal numbers that a UAV needs per step.
-        numbers: up to 6 constants of the mobility.
-        description: one line for lists and documentation pages.
-    """
+    """A mobility with a compiled step: its number in ``kernels``, normal numbers per step, and up to 6 constants."""
 
     code: int
     normals: int
@@ -101,21 +94,29 @@ class MobilityFunction(Mobility):
     """A mobility that calls a function; made by :func:`register_mobility`."""
 
     function: Callable[[np.random.Generator, Singles, int, Floats], Singles]
-    description: str = ""
+
+    @property
+    def description(self) -> str:  # type: ignore[override]  # follows from the function
+        """The first line of the function's docstring."""
+        return (self.function.__doc__ or "").partition("\n")[0]
 
     def start(self, rng: np.random.Generator, uavs: int) -> Floats:
         """Zeros: the function sets its own state in its first call."""
         return np.zeros((uavs, kernels.MOBILITY_STATE))
 
     def fly(self, state: Floats, position: Singles, steps: int, rng: np.random.Generator) -> Singles:
-        """Call the function and check its result."""
+        """Call the function."""
         directions = self.function(rng, position, steps, state)
-        return check_returned("mobility", directions, (steps, len(position), 3)).astype(np.float32)
+        return np.asarray(directions, np.float32).reshape(steps, len(position), 3)
 
 
-def _check_mobility(model: Any, subject: str = "model") -> Mobility:
+def _accept_mobility(model: Any, subject: str = "model") -> Mobility:
     """Return a mobility, made of a function if it is one."""
-    return check_part(subject, model, Mobility, MobilityFunction)
+    if isinstance(model, Mobility):
+        return model
+    if not callable(model):
+        raise ArgumentError(f"{subject} must be a Mobility or a function, got {quote(model)}.")
+    return MobilityFunction(model)
 
 
 _OWN: dict[str, Mobility] = {
@@ -148,29 +149,9 @@ _OWN: dict[str, Mobility] = {
 }
 
 #: All mobilities by name.
-MOBILITIES = Registry("mobility", "mobility", "usnet.mobilities", __name__, _check_mobility, _OWN)
+MOBILITIES = Registry("mobility", "mobility", "usnet.mobilities", __name__, _accept_mobility, _OWN)
 
-
-def register_mobility(
-    name: str,
-    model: Mobility | Callable[[np.random.Generator, Singles, int, Floats], Singles],
-    *,
-    description: str = "",
-    replace: bool = False,
-) -> None:
-    """Register a mobility, so that ``mobility=name`` selects it.
-
-    Args:
-        name: a new name.
-        model: a :class:`Mobility`, or a function ``(rng, position (n, 3), steps, state (n, 8)) -> (steps, n, 3)`` of
-            directions of flight; ``state`` starts as zeros, and the function may change it in place to keep values
-            between rounds.
-        description: for a function, one line for lists.
-        replace: replace another mobility of this name, for example to run a notebook cell again.
-
-    Raises:
-        ArgumentError: another mobility has the name, or an argument has another type.
-    """
-    if callable(model) and not isinstance(model, Mobility | type):
-        model = MobilityFunction(model, description)
-    MOBILITIES.register(name, model, replace=replace)
+#: Register a mobility, so that ``mobility=name`` selects it; see :meth:`usnet_env.parts.Registry.register`. It is a
+#: :class:`Mobility`, or a function ``(rng, position (n, 3), steps, state (n, 8)) -> (steps, n, 3)`` of directions of
+#: flight. ``state`` starts as zeros, and the function may change it in place to keep values between rounds.
+register_mobility = MOBILITIES.register

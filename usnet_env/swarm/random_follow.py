@@ -2,7 +2,7 @@
 
 A strategy is a sum of one to three terms of the head's past velocities, followed by an output map. Every drawn strategy
 has at least one part that no row of Table II has: a cube, a signed root, a product of axes, a small network or a
-rotation. Lag weights are unequal; saturation and formation offsets are optional.
+rotation.
 """
 
 from __future__ import annotations
@@ -20,15 +20,9 @@ OUTPUT_MAPS = ("none", "rotate", "saturate", "rotate+saturate")
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """One summand: a function of the head's velocity ``lag`` steps ago.
+    """One summand: ``weight`` times a function ``kind`` of the head's velocity ``lag`` steps ago.
 
-    Args:
-        kind: the function: ``linear`` w v, ``cube`` w v^3 (scaled to the size of v), ``root`` w sign(v) sqrt|v|,
-            ``product`` of two axes w (v_y v_z, v_z v_x, v_x v_y), or ``network``, a random tanh network of v and the
-            velocity one step earlier.
-        lag: steps back in time; 0 is v_{iL,t}.
-        weight: w.
-        layer: for ``network``, the weights ``(6, 8)`` and ``(8, 3)``.
+    ``layer`` has the weights ``(6, 8)`` and ``(8, 3)`` of a network of that velocity and the one before it.
     """
 
     kind: str
@@ -53,16 +47,9 @@ class Term:
 
 @dataclass(frozen=True, eq=False)
 class RandomFollowStrategy(FollowStrategy):
-    """A random strategy: norm(R g(sum of terms) + pull towards the head + kappa_n n), R a rotation, g a saturation.
+    """A random strategy: norm(R g(sum of terms) + pull + kappa_n n) with g(x) = tanh(s x) / s on each axis.
 
-    Args:
-        terms: the summands.
-        rotation: ``(3, 3)`` or ``None``.
-        saturation: s of g(x) = tanh(s x) / s on each axis, or ``None``.
-        offset: ``(3,)`` metres; the follower is pulled towards the head's position plus this offset. ``None``: no pull.
-        pull: weight of the pull.
-        lags: number of past head velocities that the strategy may use.
-        noise: kappa_n.
+    The follower is pulled towards the head's position plus ``offset``. ``None`` leaves out a part.
     """
 
     equation = "v_{i,t+1} = norm(R g(Σ_k w_k h_k(v_{iL,t−τ_k})) + κ_p g_i / max(‖g_i‖, 1) + κ_n n)"
@@ -107,16 +94,9 @@ def _draw_term(rng: np.random.Generator, kind: str) -> Term:
 
 
 def random_follow_strategy(rng: np.random.Generator) -> RandomFollowStrategy:
-    """Draw a follow strategy that is none of f1 to f7.
-
-    Args:
-        rng: generator of the draw; the strategy itself has no further randomness.
-
-    Returns:
-        A strategy for ``SwarmConfig(follow=strategy)``.
-    """
+    """Draw a follow strategy for ``SwarmConfig(follow=strategy)``, which has no further randomness but its noise."""
     kinds = [str(kind) for kind in rng.choice(TERM_KINDS, size=int(rng.integers(1, 4)))]
-    terms = [_draw_term(rng, kind) for kind in kinds]
+    terms = tuple(_draw_term(rng, kind) for kind in kinds)
     output = str(rng.choice(OUTPUT_MAPS))
     if "rotate" not in output and all(kind == "linear" for kind in kinds):
         # Without a rotation, a positive sum of lags (saturated or not) would be close to f1, f2 or f3.
@@ -124,10 +104,6 @@ def random_follow_strategy(rng: np.random.Generator) -> RandomFollowStrategy:
     offset, pull = None, 0.0
     if rng.random() < 0.25:
         offset, pull = rng.normal(0.0, 30.0, 3).astype(np.float32), float(rng.uniform(0.2, 0.6))
-    return RandomFollowStrategy(
-        terms=tuple(terms),
-        rotation=_draw_rotation(rng) if "rotate" in output else None,
-        saturation=float(rng.uniform(1.0, 3.0)) if "saturate" in output else None,
-        offset=offset,
-        pull=pull,
-    )
+    rotation = _draw_rotation(rng) if "rotate" in output else None
+    saturation = float(rng.uniform(1.0, 3.0)) if "saturate" in output else None
+    return RandomFollowStrategy(terms, rotation, saturation, offset, pull)

@@ -11,6 +11,8 @@ import numpy as np
 from usnet_env.arrays import Indices, Mask, Singles
 from usnet_env.swarm.config import NOISE_BOUND, SWAP_RANGE, SwarmConfig
 
+Generators = Sequence[np.random.Generator]
+
 
 @dataclass(frozen=True)
 class ObservationBatch:
@@ -40,12 +42,20 @@ class ObservationBatch:
         )
 
 
+def draw_normals(rngs: Generators, *shape: int) -> Singles:
+    """Standard normal numbers ``(B, *shape)`` float32, those of an episode from its own generator."""
+    drawn = np.empty((len(rngs), *shape), np.float32)
+    for row, rng in zip(drawn, rngs, strict=True):
+        rng.standard_normal(out=row, dtype=np.float32)
+    return drawn
+
+
 def sense(
     config: SwarmConfig,
     position: Singles,
     velocity: Singles,
     alive: Mask,
-    rngs: Sequence[np.random.Generator],
+    rngs: Generators,
     clutter: Indices | None = None,
 ) -> ObservationBatch:
     """Observe B swarms.
@@ -65,9 +75,6 @@ def sense(
         alive: ``(B, N)`` bool.
         rngs: one generator per episode.
         clutter: ``(B, c)`` int64, the indices of false tracks.
-
-    Returns:
-        The observed windows.
     """
     k = config.sample_every
     differenced = k > 1 or config.position_noise > 0 or config.swap_rate > 0
@@ -76,9 +83,7 @@ def sense(
     # Drawn in this order, and used below: an exchange of identities depends on which false tracks are present.
     swaps = [rng.random(position.shape[1:3]) < config.swap_rate for rng in rngs] if config.swap_rate > 0 else []
     if config.position_noise > 0:
-        noise: Singles = np.empty(position.shape, np.float32)
-        for row, rng in zip(noise, rngs, strict=True):
-            rng.standard_normal(out=row, dtype=np.float32)
+        noise = draw_normals(rngs, *position.shape[1:])
     seen = np.broadcast_to(alive[:, None], position.shape[:3]).copy()
     if config.miss_rate > 0:
         for row, rng in zip(seen, rngs, strict=True):
@@ -120,22 +125,10 @@ def sense(
     return ObservationBatch(position, velocity, seen, alive.copy())
 
 
-def shift_tracks(
-    position: Singles, velocity: Singles, source: Indices, rngs: Sequence[np.random.Generator]
-) -> tuple[Singles, Singles]:
+def shift_tracks(position: Singles, velocity: Singles, source: Indices, rngs: Generators) -> tuple[Singles, Singles]:
     """Roll the steps of each UAV's track in time by a shift of its own; the track begins where it did.
 
-    The shifts of m UAVs with the same source are T / m steps apart, in random order; of T steps, at least
-    floor(T / m) lie between two of them.
-
-    Args:
-        position: ``(B, T + 1, N, 3)`` float32, metres.
-        velocity: ``(B, T, N, 3)`` float32, metres per step.
-        source: ``(B, N)`` int64, the UAV that each UAV copies; its own index if there is none.
-        rngs: one generator per episode.
-
-    Returns:
-        The shifted positions and velocities.
+    The shifts of m UAVs with the same source are T / m steps apart, in random order.
     """
     steps = velocity.shape[1]
     shift = np.empty(source.shape, np.int64)
@@ -179,11 +172,7 @@ def _appear(rng: np.random.Generator, instants: int, tracks: int) -> Mask:
 def _swap(position: Singles, present: Mask, swaps: Mask, alive: Mask) -> Indices:
     """Whose track each identity shows, ``(T_ob + 1, N)`` int64; a UAV switches at most once in an instant.
 
-    Args:
-        position: ``(T_ob + 1, N, 3)`` metres.
-        present: ``(T_ob + 1, N)`` bool; a false track switches only where it is present.
-        swaps: ``(T_ob + 1, N)`` bool, the identities that switch if another one is near.
-        alive: ``(N,)`` bool.
+    ``swaps`` ``(T_ob + 1, N)`` marks the identities that switch if another one is near and present.
     """
     holder = np.arange(len(alive))  # the true UAV of each identity
     shown = np.empty(swaps.shape, np.int64)

@@ -1,18 +1,14 @@
 """The simulator: pure functions from a state and random generators to the next state and the observed window.
 
-A batch has a leading axis B and one generator per episode. All random numbers of an episode come from its own
-generator, in an order that does not depend on the batch. So episode b of a batch equals the single swarm with the same
-seed, bit for bit. A free UAV is one that follows no UAV: a head, decoy or bystander, and every UAV with
-``follow="none"``.
-
-With the kinematics ``unit`` one call simulates all steps of a window. With any other, a step at a time is simulated:
-first what the UAVs want, by the same mobilities and follow strategies, then what they fly.
+A batch has a leading axis B. All random numbers of an episode come from its own generator, so episode b of a batch
+equals the single swarm with the same seed, bit for bit. A free UAV is one that follows no UAV: a head, decoy or
+bystander, and every UAV with ``follow="none"``. With other kinematics than ``unit`` a step at a time is simulated:
+first what the UAVs want, then what they fly.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,25 +16,21 @@ from numpy.typing import NDArray
 
 from usnet_env.arrays import Floats, Indices, Singles
 from usnet_env.swarm import kernels
-from usnet_env.swarm.checks import check_returned
 from usnet_env.swarm.config import SwarmConfig
-from usnet_env.swarm.formation import FARTHEST, FORMATIONS, draw_corridors
+from usnet_env.swarm.formation import FORMATIONS, draw_corridors
 from usnet_env.swarm.kinematics import Unit
 from usnet_env.swarm.mobility import MOBILITIES, CompiledMobility, Mobility
-from usnet_env.swarm.sensing import ObservationBatch, sense, shift_tracks
+from usnet_env.swarm.sensing import Generators, ObservationBatch, draw_normals, sense, shift_tracks
 from usnet_env.swarm.state import Roles, SwarmState
 from usnet_env.swarm.strategy import TrajectoryBatch
 
-Generators = Sequence[np.random.Generator]
+Laws = list[tuple[Mobility, slice]]  # the mobilities, each with its columns of ``SwarmState.free``
 
-_CHUNK_BYTES = 1 << 20  # size of one chunk of noise: small enough to stay in the processor cache until it is used
+JITTER = 0.05  # kappa_n of the head jitter with follow="none", which has no follow strategy to define it
 
 
 def random_cluster_sizes(rng: np.random.Generator, clusters: int, followers: int) -> Indices:
-    """Draw the number of followers of each cluster, ``(clusters,)`` int64, each at least 2.
-
-    The remaining ``followers - 2 * clusters`` are split at random; all splits are equally likely (stars and bars).
-    """
+    """Draw the followers of each cluster, ``(clusters,)`` int64, at least 2; all splits are equally likely."""
     rest = followers - 2 * clusters
     bars = np.sort(rng.choice(rest + clusters - 1, clusters - 1, replace=False)) if clusters > 1 else np.empty(0, int)
     edges = np.concatenate([[-1], bars, [rest + clusters - 1]])
@@ -46,7 +38,7 @@ def random_cluster_sizes(rng: np.random.Generator, clusters: int, followers: int
 
 
 def draw_roles(rng: np.random.Generator, config: SwarmConfig) -> Roles:
-    """Draw the roles. Indices are permuted at random, so an index carries no information about the role."""
+    """Draw the roles, with indices permuted at random."""
     sizes = config.cluster_sizes or random_cluster_sizes(rng, config.clusters, config.followers)
     counts = (config.clusters, config.decoys, config.followers, config.bystanders, config.traffic, config.clutter)
     order = rng.permutation(config.uavs)
@@ -62,13 +54,6 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
     """Start B swarms, one per generator, and simulate T_0 steps, which are the past of the first round.
 
     In these T_0 steps followers move in random directions: they have no past of their head to follow yet.
-
-    Args:
-        config: the swarm.
-        rngs: one generator per episode.
-
-    Returns:
-        The state after T_0 steps.
     """
     swarms = [_draw_swarm(config, rng) for rng in rngs]
     drawn = {name: np.stack([swarm[name] for swarm in swarms]) for name in swarms[0]}
@@ -77,9 +62,9 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
     position = np.zeros((episodes, memory + 1, all_uavs, 3), np.float32)
     position[:, 0] = place
     velocity /= np.sqrt((velocity * velocity).sum(axis=-1, keepdims=True))
-    flights = _draw_flights(_laws(config, drawn["free"].shape[1]), memory, rngs)
-    no_jitter = np.empty((0, memory, all_uavs, 3), np.float32)
-    _fly_free(flights, drawn["free"], drawn["mobility_state"], position, velocity, 0, slice(None), rngs, no_jitter)
+    laws = _find_laws(config, drawn["free"].shape[1])
+    normals, no_jitter = _draw_for(laws, memory, rngs), np.empty((0, memory, all_uavs, 3), np.float32)
+    _fly_free(laws, normals, drawn["free"], drawn["mobility_state"], position, velocity, 0, rngs, no_jitter)
     kernels.integrate(0, position, velocity)
     return SwarmState(
         alive=np.ones((episodes, uavs), bool),
@@ -93,17 +78,11 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
 
 
 def _draw_swarm(config: SwarmConfig, rng: np.random.Generator) -> dict[str, NDArray[Any]]:
-    """Draw one swarm of N UAVs and R references before its past is flown.
-
-    Returns:
-        Arrays of :class:`SwarmState` by name, without a leading axis; and ``place`` ``(N + R, 3)``, metres, and
-        ``velocity`` ``(T_0, N + R, 3)``, directions of any length.
-    """
+    """Draw arrays of :class:`SwarmState` by name, and ``place`` and ``velocity`` of N UAVs and R references."""
     strategy, kinematics, uavs = config.follow_strategy, config.kinematics_model, config.uavs
     references = config.clusters if strategy is not None and strategy.has_references else 0
     drawn = draw_roles(rng, config)
-    place = FORMATIONS.find(config.formation)(rng, drawn)
-    place = np.array(check_returned("formation", place, (uavs, 3), FARTHEST), np.float64)
+    place = np.array(FORMATIONS.find(config.formation)(rng, drawn), np.float64).reshape(uavs, 3)
     roles = drawn if strategy is None else strategy.arrange(rng, drawn)
     if strategy is not None and strategy.has_followers:
         by_mobility = drawn.decoy | (drawn.head & (references == 0))
@@ -117,7 +96,7 @@ def _draw_swarm(config: SwarmConfig, rng: np.random.Generator) -> dict[str, NDAr
             *map(np.flatnonzero, (alone, drawn.traffic, drawn.clutter)),
         ]
     )
-    states = [law.mobility.start(rng, law.count) for law in _laws(config, len(free))]
+    states = [mobility.start(rng, part.stop - part.start) for mobility, part in _find_laws(config, len(free))]
     mobility_state = np.concatenate(states, dtype=np.float64)
     if config.traffic:
         end = len(free) - config.clutter
@@ -140,15 +119,10 @@ def _draw_swarm(config: SwarmConfig, rng: np.random.Generator) -> dict[str, NDAr
 
 
 def advance(config: SwarmConfig, state: SwarmState, rngs: Generators) -> tuple[SwarmState, ObservationBatch]:
-    """Simulate the next round: T_0 unobserved steps, then the observed window of T_ob samples.
+    """Simulate the next round of B swarms: T_0 unobserved steps, then the observed window of T_ob samples.
 
-    Args:
-        config: the same configuration as in :func:`start`.
-        state: B swarms, each with at least one living head unless no UAV leads it.
-        rngs: one generator per episode.
-
-    Returns:
-        The state at the end of the window, and the observed windows.
+    Each swarm has at least one living head unless no UAV leads it. It returns the state at the end of the window, and
+    the windows.
     """
     episodes, uavs = state.alive.shape
     memory, steps = config.memory, config.steps
@@ -162,22 +136,13 @@ def advance(config: SwarmConfig, state: SwarmState, rngs: Generators) -> tuple[S
     np.put_along_axis(motion, state.free, np.int8(kernels.FREE), axis=1)
     motion[:, :uavs][~state.alive] = kernels.DESTROYED
     # Random numbers are drawn for destroyed UAVs too, so the draws of the others do not depend on which UAVs live.
-    chunk = max(1, _CHUNK_BYTES // (steps * all_uavs * 12))
-    noise = np.empty((min(chunk, episodes), steps, all_uavs, 3), np.float32)
-    for first in range(0, episodes, chunk):
-        part = slice(first, min(first + chunk, episodes))
-        flight = TrajectoryBatch(
-            position[part],
-            velocity[part],
-            noise[: part.stop - first],
-            motion[part],
-            state.root[part],
-            state.parameters[part],
-            state.source[part],
-            state.bystander[part],
-            state.clock[part],
-        )
-        _fly(config, flight, state.free[part], mobility_state[part], kinematic_state[part], rngs[part])
+    if config.follow_strategy is not None or config.head_jitter:
+        noise = draw_normals(rngs, steps, all_uavs, 3)
+    else:
+        noise = np.empty((episodes, steps, all_uavs, 3), np.float32)
+    swarm = state.root, state.parameters, state.source, state.bystander, state.clock
+    flight = TrajectoryBatch(position, velocity, noise, motion, *swarm)
+    _fly(config, flight, state.free, mobility_state, kinematic_state, rngs)
     end = memory + steps
     window = 2 * memory  # the window starts after the past and the unobserved steps
     flown = position[:, window:, :uavs], velocity[:, window:, :uavs]
@@ -208,29 +173,26 @@ def _fly(
     """Simulate the episodes of ``flight`` and write its positions and velocities, and both states, in place."""
     strategy, kinematics = config.follow_strategy, config.kinematics_model
     position, velocity, noise, motion = flight.position, flight.velocity, flight.noise, flight.motion
-    if strategy is not None or config.head_jitter:
-        for row, rng in zip(noise, rngs, strict=True):
-            rng.standard_normal(out=row, dtype=np.float32)
     jitter = noise[:0]
     if config.head_jitter:
         jitter = noise * np.float32(strategy.noise if strategy is not None else JITTER)
-    flights = _draw_flights(_laws(config, free.shape[1]), flight.steps, rngs)
+    laws = _find_laws(config, free.shape[1])
+    normals = _draw_for(laws, flight.steps, rngs)
     # Their velocity is assigned, not multiplied: the sign of a zero would show which of them were free.
     memory, gone = config.memory, motion == kernels.DESTROYED
     if isinstance(kinematics, Unit):
-        _fly_free(flights, free, mobility_state, position, velocity, memory, slice(None), rngs, jitter)
+        _fly_free(laws, normals, free, mobility_state, position, velocity, memory, rngs, jitter)
         velocity[:, memory:].swapaxes(1, 2)[gone] = 0.0
         if strategy is None:
             kernels.integrate(memory, position, velocity)
         else:
             strategy.fly(flight)
         return
-    normals = np.empty((*noise.shape[:3], kinematics.normals), np.float32)
-    for row, rng in zip(normals, rngs, strict=True):
-        rng.standard_normal(out=row, dtype=np.float32)
+    pushes = draw_normals(rngs, *noise.shape[1:3], kinematics.normals)
     for s in range(flight.steps):
         t, now = memory + s, slice(s, s + 1)
-        _fly_free(flights, free, mobility_state, position, velocity, t, now, rngs, jitter[:, now])
+        drawn = [numbers[:, now] for numbers in normals]
+        _fly_free(laws, drawn, free, mobility_state, position, velocity[:, : t + 1], t, rngs, jitter[:, now])
         velocity[:, t][gone] = 0.0
         if strategy is not None:
             strategy.fly(
@@ -242,73 +204,47 @@ def _fly(
                     clock=flight.clock + s,
                 )
             )
-        kinematics.fly(t, motion, normals[:, s], kinematic_state, position, velocity)
+        kinematics.fly(t, motion, pushes[:, s], kinematic_state, position, velocity)
 
 
-JITTER = 0.05  # kappa_n of the head jitter with follow="none", which has no follow strategy to define it
-
-
-@dataclass(frozen=True)
-class _Law:
-    """The free UAVs in the columns ``columns`` of ``free`` fly by ``mobility``; ``jitters``: with the head jitter."""
-
-    mobility: Mobility
-    columns: slice
-    jitters: bool
-
-    @property
-    def count(self) -> int:
-        return int(self.columns.stop - self.columns.start)
-
-
-def _laws(config: SwarmConfig, free: int) -> list[_Law]:
+def _find_laws(config: SwarmConfig, free: int) -> Laws:
     """How the free UAVs fly: heads, decoys and references first, then bystanders, traffic and false tracks."""
     others = {"smooth_turn": config.bystanders, "straight": config.traffic, "gauss_markov": config.clutter}
     first = free - sum(others.values())
-    laws = [_Law(config.head_mobility, slice(0, first), True)]
+    laws: Laws = [(config.head_mobility, slice(0, first))]
     for name, count in others.items():
-        if count:
-            laws.append(_Law(MOBILITIES[name], slice(first, first + count), False))
+        laws.append((MOBILITIES[name], slice(first, first + count)))
         first += count
     return laws
 
 
-Flights = list[tuple[_Law, Singles]]
-
-
-def _draw_flights(laws: list[_Law], steps: int, rngs: Generators) -> Flights:
-    """Draw the random numbers ``(B, S, n, k)`` of every compiled mobility; 0 for any other."""
-    flights = []
-    for law in laws:
-        normals = np.empty((0, 0, 0, 0), np.float32)
-        if isinstance(law.mobility, CompiledMobility):
-            normals = np.empty((len(rngs), steps, law.count, law.mobility.normals), np.float32)
-            for row, rng in zip(normals, rngs, strict=True):
-                rng.standard_normal(out=row, dtype=np.float32)
-        flights.append((law, normals))
-    return flights
+def _draw_for(laws: Laws, steps: int, rngs: Generators) -> list[Singles]:
+    """Draw the random numbers ``(B, S, n, k)`` of every mobility; k is 0 for one that is not compiled."""
+    widths = [mobility.normals if isinstance(mobility, CompiledMobility) else 0 for mobility, _ in laws]
+    return [
+        draw_normals(rngs, steps, part.stop - part.start, width) for (_, part), width in zip(laws, widths, strict=True)
+    ]
 
 
 def _fly_free(
-    flights: Flights,
+    laws: Laws,
+    normals: list[Singles],
     free: Indices,
     mobility_state: Floats,
     position: Singles,
     velocity: Singles,
     first: int,
-    steps: slice,
     rngs: Generators,
     jitter: Singles,
 ) -> None:
-    """Write the velocities of the free UAVs in place, from step ``first`` on, with the draws of the steps ``steps``."""
-    for law, drawn in flights:
-        mobility, columns, state = law.mobility, free[:, law.columns], mobility_state[:, law.columns]
-        added = jitter if law.jitters else jitter[:0]
+    """Write the velocities of the free UAVs from step ``first`` on; those of the first law fly with the jitter."""
+    count = velocity.shape[1] - first
+    for (mobility, part), drawn in zip(laws, normals, strict=True):
+        columns, state, added = free[:, part], mobility_state[:, part], jitter if part.start == 0 else jitter[:0]
         if isinstance(mobility, CompiledMobility):
-            constants, normals = mobility.constants(), drawn[:, steps]
-            kernels.fly_free(mobility.code, constants, columns, first, normals, added, state, position, velocity)
+            constants = mobility.constants()
+            kernels.fly_free(mobility.code, constants, columns, first, drawn, added, state, position, velocity)
             continue
-        count = velocity.shape[1] - first if steps == slice(None) else 1
         for b, rng in enumerate(rngs):
             wanted = _normalise(mobility.fly(state[b], position[b, first, columns[b]], count, rng).astype(np.float32))
             if len(added):

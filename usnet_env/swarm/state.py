@@ -97,16 +97,17 @@ class SwarmState:
 
     def __post_init__(self) -> None:
         position, velocity = self.past_position, self.past_velocity
-        for name, default in (
-            ("bystander", lambda: np.zeros_like(self.decoy)),
-            ("source", self.root.copy),
-            ("clock", lambda: np.zeros(self.alive.shape[:-1], np.int64)),
-            ("kinematic_state", lambda: np.zeros((*self.alive.shape, 0), np.float32)),
-            ("reference_position", lambda: np.zeros((*position.shape[:-2], 0, 3), np.float32)),
-            ("reference_velocity", lambda: np.zeros((*velocity.shape[:-2], 0, 3), np.float32)),
-        ):
+        defaults = {
+            "bystander": np.zeros_like(self.decoy),
+            "source": self.root,
+            "clock": np.zeros(self.alive.shape[:-1], np.int64),
+            "kinematic_state": np.zeros((*self.alive.shape, 0), np.float32),
+            "reference_position": position[..., :0, :],
+            "reference_velocity": velocity[..., :0, :],
+        }
+        for name, default in defaults.items():
             if getattr(self, name) is None:
-                object.__setattr__(self, name, default())
+                object.__setattr__(self, name, default)
 
     @property
     def position(self) -> Singles:
@@ -150,15 +151,8 @@ class SwarmState:
 def destroy(state: SwarmState, candidates: Mask) -> SwarmState:
     """Destroy the candidates; followers of a destroyed head join the nearest remaining head (re-merge, paper §II-A).
 
-    A follower that copied another follower copies the nearest one above it that is left; if none is left up to the
-    head, it joins the nearest remaining head itself, and the followers that copy it stay behind it.
-
-    Args:
-        state: B swarms.
-        candidates: ``(B, N)`` bool.
-
-    Returns:
-        The state after the re-merge.
+    ``candidates`` is ``(B, N)`` bool. A follower that copied another follower copies the nearest one above it that is
+    left; if none is left up to the head, it joins the nearest remaining head itself.
     """
     alive = state.alive & ~candidates
     root, source = state.root.copy(), state.source.copy()

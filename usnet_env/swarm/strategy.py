@@ -27,8 +27,8 @@ class FollowInputs:
         head_position: ``(n, T_0 + 1, 3)`` metres: p_{iL,t+1}, ..., p_{iL,t-T_0+1}. Equation (1) has the last of them
             only; the others follow from it and the velocities.
         parameters: ``(P,)``, the parameters of this episode from :meth:`FollowStrategy.draw`.
-        follower: ``(n,)`` int64, which follower a row is: its number among all followers of the swarm, from 0 in the
-            order of their indices. It stays the same when other UAVs are destroyed. By default 0, ..., n - 1.
+        follower: ``(n,)`` int64, which follower a row is: its number among all followers of the swarm, in the order of
+            their indices. It stays the same when other UAVs are destroyed. By default 0, ..., n - 1.
     """
 
     own_position: Singles
@@ -45,9 +45,6 @@ class FollowInputs:
 @dataclass(frozen=True)
 class TrajectoryBatch:
     """B swarms with a past of L steps and S steps to simulate; ``position`` and ``velocity`` are filled in place.
-
-    Behind the N UAVs of a swarm stand its R references, points that fly like heads and that no sensor sees. Only field
-    models have them; otherwise R is 0.
 
     Args:
         position: ``(B, L + S + 1, N + R, 3)`` float32, metres; the first L + 1 instants are given.
@@ -68,9 +65,9 @@ class TrajectoryBatch:
     motion: NDArray[np.int8]
     root: Indices
     parameters: Singles
-    source: Indices = field(default_factory=lambda: np.empty((0, 0), np.int64))
-    bystander: Mask = field(default_factory=lambda: np.empty((0, 0), bool))
-    clock: Indices = field(default_factory=lambda: np.empty(0, np.int64))
+    source: Indices
+    bystander: Mask
+    clock: Indices
 
     @property
     def flown(self) -> tuple[NDArray[np.int8], int, Singles, Singles, Singles]:
@@ -89,8 +86,7 @@ class TrajectoryBatch:
 class FollowStrategy(ABC):
     """A follow strategy f. A follower's next velocity is norm(direction + kappa_n n), n ~ N(0, I).
 
-    To add a strategy, subclass this and define :meth:`direction`, or pass a function to
-    :func:`register_follow_strategy`.
+    To add one, define :meth:`direction` in a subclass, or pass a function to :func:`register_follow_strategy`.
 
     Attributes:
         equation: the equation as text, for lists and documentation pages.
@@ -127,10 +123,7 @@ class FollowStrategy(ABC):
         """Direction of flight ``(n, 3)`` before noise and normalisation; row i depends only on row i of the inputs."""
 
     def fly(self, trajectories: TrajectoryBatch) -> None:
-        """Simulate all followers: fill ``velocity`` and ``position`` from step ``trajectories.start`` on.
-
-        This is the general loop over episodes and steps; f1 to f7 override it with compiled loops.
-        """
+        """Simulate all followers: the general loop, which f1 to f7 override with compiled loops."""
         lags = trajectories.start
         for b in range(trajectories.episodes):
             position, velocity = trajectories.position[b], trajectories.velocity[b]
