@@ -10,7 +10,7 @@ import usnet_env
 
 
 def circling(rng: np.random.Generator, position: np.ndarray, steps: int, state: np.ndarray) -> np.ndarray:
-    """Level circles; each UAV has its own turn rate.
+    """Level circles of 5 to 20 m radius; each UAV has its own turn rate.
 
     Args:
         rng: the episode's generator; use no other source of random numbers.
@@ -29,7 +29,7 @@ def circling(rng: np.random.Generator, position: np.ndarray, steps: int, state: 
     return np.stack([np.cos(heading), np.sin(heading), np.zeros_like(heading)], axis=-1)
 
 
-usnet_env.register_mobility("circling", circling, description="level circles of 5 to 20 m radius")
+usnet_env.register_mobility("circling", circling)
 
 if __name__ == "__main__":
     env = gym.make("USNET/SingleCluster-v0", mobility="circling", observation_steps=200)
