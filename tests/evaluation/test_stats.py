@@ -72,14 +72,13 @@ def test_the_interval_of_a_large_sample_is_the_limit_of_the_bootstrap(monkeypatc
     assert computed.high == pytest.approx(drawn.high, abs=0.1 * width)
 
 
-@pytest.mark.parametrize(("n", "share"), [(5, 0.82), (10, 0.90), (40, 0.94)])
-def test_the_interval_covers_the_mean_about_as_often_as_it_says(n, share, monkeypatch):
-    """Of few values less often: no bootstrap knows the spread of a small sample."""
+@pytest.mark.parametrize("n", [5, 10, 40])
+def test_the_interval_covers_the_mean_as_often_as_it_says(n, monkeypatch):
+    """Also of few values, of which the plain bootstrap interval covers 82 % (n = 5) and 90 % (n = 10)."""
     monkeypatch.setattr(stats, "_RESAMPLES", 1_000)
     rng = np.random.default_rng(n)
-    intervals = [mean_interval(rng.normal(size=n)) for _ in range(300)]
-    covered = sum(interval.low <= 0 <= interval.high for interval in intervals)
-    assert abs(covered / 300 - share) < 3 * np.sqrt(share * (1 - share) / 300)
+    intervals = [mean_interval(rng.normal(size=n)) for _ in range(1_000)]
+    assert 0.90 <= np.mean([interval.low <= 0 <= interval.high for interval in intervals]) <= 0.98
 
 
 @pytest.mark.parametrize("values", [[], [float("nan")], [float("inf")], [[1.0]]])
@@ -147,7 +146,7 @@ def slow_bootstrap(tasks, statistic, resamples):
     return np.quantile(found, [0.025, 0.975], axis=0)
 
 
-@given(st.lists(NUMBERS, min_size=1, max_size=40))
+@given(st.lists(st.floats(-1e6, 1e6, allow_subnormal=False).map(lambda x: round(x, 6)), min_size=1, max_size=40))
 def test_the_interquartile_mean_is_scipy_s_and_the_slow_one(values):
     ours = interquartile_mean([values]).mean
     assert ours == pytest.approx(slow_middle_mean(values), rel=1e-9, abs=1e-6)

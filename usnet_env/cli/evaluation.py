@@ -44,7 +44,7 @@ Examples:
 )
 @click.option("--set", "settings", multiple=True, metavar="KEY=VALUE …", help="Arguments of the environment.")
 @click.option("--episodes", type=WholeNumber(1, 1_000_000), help="For each detector; 100, or the suite's.")
-@click.option("--seed", type=WholeNumber(0, 2**63 - 1), help="Seed of all episodes; 0, or the suite's.")
+@click.option("--seed", type=WholeNumber(0, 2**192 - 1), help="Seed of all episodes; 0, or the suite's.")
 @click.option("--workers", type=WholeNumber(1, 4_096), default=1, help="Number of processes; 1.")
 @click.option("--backend", type=click.Choice(["serial", "processes", "ray"]), help="Where the workers run.")
 @click.option("--time-limit", type=PositiveNumber(), metavar="SECONDS", help="For one answer of a detector.")

@@ -36,7 +36,7 @@ class RunArguments(Config):
     """The plain arguments of a run."""
 
     episodes: Annotated[int, Field(ge=1, le=1_000_000)]
-    seed: Annotated[int, Field(ge=0, lt=2**63)]
+    seed: Annotated[int, Field(ge=0, lt=2**192)]  # published rows use a suite's seed + (a 128-bit number << 32)
     workers: Annotated[int, Field(ge=1, le=4_096)] = 1
     progress: bool = False
     backend: Literal["serial", "processes", "ray"] | None = None

@@ -105,7 +105,7 @@ def rate_interval(values: Sample, groups: Groups | None = None) -> Interval:
 def mean_interval(values: Sample, confidence: float = CONFIDENCE, groups: Groups | None = None) -> Interval:
     """Compute the mean of a sample, with the bias-corrected and accelerated (BCa) bootstrap interval of scipy.
 
-    Of more than 5,000 values it is the interval of the normal limit. If all values are equal, it is [mean, mean]:
+    Its level is expanded for few values (Hesterberg, The American Statistician 69, 2015, section 4.3). Of more than 5,000 values it is the interval of the normal limit. If all values are equal, it is [mean, mean]:
     resampling cannot show more spread than the sample has. One value has no interval; [mean, mean] stands for it.
 
     Args:
@@ -131,6 +131,18 @@ def mean_interval(values: Sample, confidence: float = CONFIDENCE, groups: Groups
     return Interval(mean, *(mean + scale * end for end in ends))
 
 
+def _expand(confidence: float, values: int, samples: int = 1) -> float:
+    """The level at which a bootstrap interval of few values covers as often as asked: it is too narrow otherwise.
+
+    Hesterberg, What teachers should know about the bootstrap, The American Statistician 69, 2015, section 4.3.
+    """
+    from scipy.special import ndtr, stdtrit
+
+    free = max(values - samples, 1)
+    tail = float(ndtr(-math.sqrt(values / free) * stdtrit(free, (1 + confidence) / 2)))
+    return 1 - 2 * max(tail, 1e-12)  # a level of 1 has no quantile
+
+
 def _bootstrap(samples: Sequence[Floats], statistic: Callable[..., Any], confidence: float) -> tuple[float, float]:
     """The ends of scipy's BCa interval; each sample is resampled on its own, always with the same random numbers."""
     from scipy.stats import bootstrap
@@ -140,7 +152,7 @@ def _bootstrap(samples: Sequence[Floats], statistic: Callable[..., Any], confide
         statistic,
         n_resamples=_RESAMPLES,
         batch=max(1, _DRAWS_AT_ONCE // sum(map(len, samples))),
-        confidence_level=confidence,
+        confidence_level=_expand(confidence, sum(map(len, samples)), len(samples)),
         method="BCa",
         vectorized=True,
         random_state=np.random.default_rng(0),
@@ -242,7 +254,7 @@ def performance_profile(strata: Sequence[Sample], thresholds: Sample, lower_is_b
         drawn = rng.multinomial(n, counts / n, size=_PROFILE_RESAMPLES)  # how many of n draws are between two edges
         shares += (1 - np.cumsum(counts)[:-1] / n) / len(samples)
         resampled += (1 - np.cumsum(drawn, axis=1)[:, :-1] / n) / len(samples)
-    tail = (1 - CONFIDENCE) / 2
+    tail = (1 - _expand(CONFIDENCE, sum(map(len, samples)), len(samples))) / 2
     ends = np.empty((3, len(at)))
     ends[:, order] = shares, *np.quantile(resampled, [tail, 1 - tail], axis=0)
     return Profile(at, *ends)
