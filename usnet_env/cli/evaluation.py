@@ -117,7 +117,7 @@ def _show_result(result: EvaluationResult, form: str) -> None:
         return
     show(result.table() if form == "all" else result.ranking())
     if form == "all" and len(result.cells) > 1:
-        show(result.cell_table())
+        show(result.table("exact"))
     click.echo(result.conclusion())
 
 

@@ -1,13 +1,12 @@
-"""The evaluator: every detector plays the same episodes in every cell, and each episode becomes a row."""
+"""Play detectors against the same swarms: cells x detectors x episodes -> rows."""
 
 from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, closing
 from os import PathLike
-from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import gymnasium as gym
@@ -18,12 +17,11 @@ from usnet_env.config import ArgumentError, Config, describe_arguments, named_va
 from usnet_env.evaluation.agents import TRIVIAL, Agent, as_agent, label_detectors
 from usnet_env.evaluation.child import ChildDetector
 from usnet_env.evaluation.environments import check_environment, make_environment
-from usnet_env.evaluation.errors import EvaluationError
 from usnet_env.evaluation.folder import COLUMNS, RunFolder
 from usnet_env.evaluation.play import TRACK_METRICS, Row, detector_step, episode_seeds, play_episode, row_keys
 from usnet_env.evaluation.result import EvaluationResult
 from usnet_env.evaluation.suites import Cell, Suite, load_suite
-from usnet_env.evaluation.tasks import map_tasks
+from usnet_env.evaluation.tasks import EvaluationError, map_tasks
 from usnet_env.files import as_path
 from usnet_env.progress import progress_bar
 
@@ -35,8 +33,8 @@ Limit = Annotated[float, Field(gt=0, le=1e9)]
 class RunArguments(Config):
     """The plain arguments of a run."""
 
-    episodes: Annotated[int, Field(ge=1, le=1_000_000)]
-    seed: Annotated[int, Field(ge=0, lt=2**192)]  # published rows use a suite's seed + (a 128-bit number << 32)
+    episodes: Annotated[int, Field(ge=1, le=1_000_000)] = 100
+    seed: Annotated[int, Field(ge=0, lt=2**192)] = 0  # published rows use a suite's seed + (a 128-bit number << 32)
     workers: Annotated[int, Field(ge=1, le=4_096)] = 1
     progress: bool = False
     backend: Literal["serial", "processes", "ray"] | None = None
@@ -44,13 +42,6 @@ class RunArguments(Config):
     isolate: bool = False
     time_limit: Limit | None = None
     memory_limit: Limit | None = None
-
-    def __init__(self, **values: Any) -> None:
-        super().__init__(**values)
-        if self.backend == "serial" and self.workers > 1:
-            raise ArgumentError(f"workers must be 1 if backend is 'serial', got {self.workers}.")
-        if self.memory_limit is not None and not sys.platform.startswith("linux"):
-            raise ArgumentError(f"memory_limit must be None on a system other than Linux, got {self.memory_limit:g}.")
 
     @property
     def isolated(self) -> bool:
@@ -68,7 +59,7 @@ class Task(NamedTuple):
 
 
 class DetectorPlayer:
-    """Plays tasks in one process. Each agent is made and warmed up before its first episode in a cell.
+    """Plays tasks in one process, with the agent of one detector in one cell at a time, which is warmed up first.
 
     Args:
         cells: the environments by name.
@@ -85,68 +76,55 @@ class DetectorPlayer:
         env: gym.Env[Any, Any] | None = None,
     ) -> None:
         self.cells, self.detectors, self.how, self._given = cells, detectors, how, env
-        self._forget()
-
-    def _forget(self) -> None:
-        self._cell = ""
-        self._env: gym.Env[Any, Any] | None = None
-        self._agents: dict[str, Agent] = {}
-        self._broken: dict[str, EvaluationError] = {}
-
-    def __reduce__(self) -> Any:
-        return DetectorPlayer, (self.cells, self.detectors, self.how)
+        self._env: Any = env
+        self._agent: Agent = None
+        self._place: tuple[str, str] | None = None  # the cell and the label of the agent
+        self._broken: EvaluationError | None = None  # its constructor or its warm-up has failed
 
     def __call__(self, task: Task) -> Row:
         """Play one episode; that of a detector that fails is a row with its reason in ``error``."""
-        env = self._enter(task.cell)
         try:
-            return play_episode(env, self._find_agent(env, task), *task)
+            if self._place != task[:2]:
+                self._prepare(task)
+            if self._broken is not None:
+                raise self._broken
+            return play_episode(self._env, self._agent, *task)
         except EvaluationError as error:
-            agent = self._agents.get(task.label)
-            if isinstance(agent, ChildDetector) and not agent.running:
-                del self._agents[task.label]  # a new one is warmed up as the first one was
-            env.reset(seed=task.seeds[0])
-            game: Any = env.unwrapped
-            return {**row_keys(*task, game.swarm.head), "error": error.reason}
+            if isinstance(self._agent, ChildDetector) and not self._agent.running and self._broken is None:
+                self._place = None  # a new one is made, and warmed up as the first one was
+            self._env.reset(seed=task.seeds[0])
+            return {**row_keys(*task, self._env.unwrapped.swarm.head), "error": error.reason}
 
-    def _enter(self, cell: str) -> gym.Env[Any, Any]:
-        if self._env is None or cell != self._cell:
+    def _prepare(self, task: Task) -> None:
+        """Make the agent, and the environment if the cell is another one than before."""
+        self._close_agent()
+        if self._given is None and (self._place is None or self._place[0] != task.cell):
             self.close()
-            self._cell, settings = cell, self.cells[cell]
-            self._env = make_environment(settings.env, settings.arguments) if self._given is None else self._given
-        return self._env
+            self._env = make_environment(self.cells[task.cell].env, self.cells[task.cell].arguments)
+        self._place, self._broken = task[:2], None
+        try:
+            with detector_step(task.label, "its constructor"):
+                detector, how = self.detectors[task.label], self.how
+                isolated = how.isolated
+                self._agent = (
+                    ChildDetector(detector, how.time_limit, how.memory_limit) if isolated else as_agent(detector)
+                )
+            observation, _ = self._env.reset(seed=task.seeds[0])
+            with detector_step(task.label, "its warm-up"):
+                self._agent.warm_up(observation)
+        except EvaluationError as error:
+            self._broken = error
 
-    def _find_agent(self, env: gym.Env[Any, Any], task: Task) -> Agent:
-        label = task.label
-        if label in self._broken:
-            raise self._broken[label]
-        if label not in self._agents:
-            try:
-                with detector_step(label, "its constructor"):
-                    self._agents[label] = self._make_agent(label)
-                observation, _ = env.reset(seed=task.seeds[0])
-                with detector_step(label, "its warm-up"):
-                    self._agents[label].warm_up(observation)
-            except EvaluationError as error:
-                self._broken[label] = error
-                raise
-        return self._agents[label]
-
-    def _make_agent(self, label: str) -> Agent:
-        if not self.how.isolated:
-            return as_agent(self.detectors[label])
-        child = ChildDetector(self.detectors[label], self.how.time_limit, self.how.memory_limit)
-        child.start()
-        return child
+    def _close_agent(self) -> None:
+        if isinstance(self._agent, ChildDetector):
+            self._agent.close()
+        self._agent = None
 
     def close(self) -> None:
-        """End the child processes, and close the environment that was made here."""
-        for agent in self._agents.values():
-            if isinstance(agent, ChildDetector):
-                agent.close()
+        """End the child process, and close the environment that was made here."""
+        self._close_agent()
         if self._env is not None and self._given is None:
             self._env.close()
-        self._forget()
 
 
 def evaluate(
@@ -163,7 +141,7 @@ def evaluate(
     time_limit: float | None = None,
     memory_limit: float | None = None,
     isolate: bool = False,
-    backend: str | None = None,
+    backend: Literal["serial", "processes", "ray"] | None = None,
 ) -> EvaluationResult:
     """Play the same episodes with every detector, and score them.
 
@@ -204,16 +182,9 @@ def evaluate(
         EvaluationError: a worker process was ended, or a row could not be written; the same call resumes.
     """
     how = RunArguments(
-        episodes=episodes,
-        seed=seed,
-        workers=workers,
-        progress=progress,
-        backend=backend,
-        trivial=trivial,
-        isolate=isolate,
-        time_limit=time_limit,
-        memory_limit=memory_limit,
-    )
+        episodes=episodes, seed=seed, workers=workers, progress=progress, backend=backend, trivial=trivial,
+        isolate=isolate, time_limit=time_limit, memory_limit=memory_limit,
+    )  # fmt: skip
     arguments = named_values("env_kwargs", env_kwargs)
     if isinstance(env, str):
         return _evaluate_cells({env: Cell(env=env, arguments=arguments)}, detector, how, out)
@@ -275,7 +246,8 @@ def _evaluate_cells(
     env: gym.Env[Any, Any] | None = None,
 ) -> EvaluationResult:
     """Check everything that can be refused, then play."""
-    folder = None if out is None else as_path("out", out)
+    if how.memory_limit is not None and not sys.platform.startswith("linux"):
+        raise ArgumentError(f"memory_limit must be None on a system other than Linux, got {how.memory_limit:g}.")
     detectors = label_detectors(detector, how.trivial, how.isolated)
     of_tracks = hasattr(getattr(env, "unwrapped", None), "score_answer")
     for name, cell in (cells if suite is None else suite.cells).items() if env is None else ():
@@ -289,36 +261,33 @@ def _evaluate_cells(
         "suite": None if suite is None else suite.label,
         "cells": {name: cell.model_dump() for name, cell in cells.items()},
         "detectors": list(detectors),
-        "episodes": how.episodes,
-        "seed": how.seed,
     }
-    return play_run(DetectorPlayer(cells, detectors, how, env), config, how, folder, TRACK_METRICS if of_tracks else ())
+    return play_run(DetectorPlayer(cells, detectors, how, env), config, how, out, TRACK_METRICS if of_tracks else ())
 
 
 def play_run(
     play: Callable[[Task], Row],
-    config: Mapping[str, Any],
+    config: dict[str, Any],
     how: RunArguments,
-    folder: Path | None,
-    metrics: Sequence[str] | Mapping[str, Any] = (),
+    out: str | PathLike[str] | None,
+    metrics: Iterable[str] = (),
 ) -> EvaluationResult:
     """Play the missing episodes of a run: cells x detectors x episodes -> rows.
 
     Args:
         play: plays a task and returns its row. Its method ``close`` is called at the end, in this process.
-        config: the arguments of the run, with ``cells``, ``detectors``, ``episodes`` and ``seed``.
-        how: where and how tasks are played.
-        folder: where rows are kept; ``None``: nowhere.
+        config: the arguments of the run, with ``cells`` and ``detectors``.
+        how: how many tasks are played, where and how.
+        out: the folder where rows are kept; ``None``: nowhere.
         metrics: columns that rows have besides :data:`COLUMNS`.
     """
     columns = [*COLUMNS[:-1], *metrics, "error"]
-    config = json.loads(json.dumps(config, default=_describe))
+    config = json.loads(json.dumps(config | {"episodes": how.episodes, "seed": how.seed}, default=_describe))
     with ExitStack() as stack:
         stack.callback(getattr(play, "close", lambda: None))
-        kept = None if folder is None else stack.enter_context(closing(RunFolder(folder, config, columns)))
+        kept = None if out is None else stack.enter_context(closing(RunFolder(as_path("out", out), config, columns)))
         known = pd.DataFrame(columns=columns) if kept is None else kept.rows
-        finished = known[known["error"] == ""]
-        done = set(zip(finished["cell"], finished["detector"], finished["episode"], strict=True))
+        done = set(known.loc[known["error"] == "", ["cell", "detector", "episode"]].itertuples(index=False, name=None))
         tasks = [
             Task(cell, label, episode, episode_seeds(how.seed, episode))
             for cell in config["cells"]
@@ -328,19 +297,16 @@ def play_run(
         ]
         total = len(config["cells"]) * len(config["detectors"]) * how.episodes
         show = stack.enter_context(progress_bar("episodes", how.progress))
-        show(total - len(tasks), total)
         rows: list[tuple[Any, ...]] = []
-        played = stack.enter_context(
-            closing(map_tasks(play, tasks, workers=how.workers, backend=how.backend, ordered=False))
-        )
+        played = stack.enter_context(closing(map_tasks(play, tasks, workers=how.workers, backend=how.backend)))
         for number, row in enumerate(played, total - len(tasks) + 1):
             if kept is None:
                 rows.append(tuple(row.get(name) for name in columns))
             else:
                 kept.append(row)
             show(number, total)
-    if folder is not None:
-        return EvaluationResult.load(folder)
+    if out is not None:
+        return EvaluationResult.load(out)
     return EvaluationResult(pd.DataFrame(rows, columns=columns), config)
 
 

@@ -17,6 +17,7 @@ from usnet_env.config import ArgumentError, Config, unknown_name
 from usnet_env.files import as_path
 
 _FOLDER = files("usnet_env.evaluation") / "suites"
+_NAMES = sorted(entry.name.removesuffix(".yaml") for entry in _FOLDER.iterdir() if entry.name.endswith(".yaml"))
 
 
 class Cell(Config):
@@ -47,11 +48,7 @@ class Suite(Config):
 
 def list_suites() -> dict[str, Suite]:
     """The suites of this package, by name."""
-    return {name: load_suite(name) for name in _list_names()}
-
-
-def _list_names() -> list[str]:
-    return sorted(entry.name.removesuffix(".yaml") for entry in _FOLDER.iterdir() if entry.name.endswith(".yaml"))
+    return {name: load_suite(name) for name in _NAMES}
 
 
 def load_suite(suite: str | PathLike[str]) -> Suite:
@@ -66,7 +63,7 @@ def load_suite(suite: str | PathLike[str]) -> Suite:
     path = as_path("suite", suite)
     source: Any = path if path.suffix in (".yaml", ".yml") else _FOLDER / f"{suite}.yaml"
     if source is not path and not source.is_file():
-        raise unknown_name("suite", str(suite), _list_names())
+        raise unknown_name("suite", str(suite), _NAMES)
     try:
         content = dict(yaml.safe_load(source.read_bytes()))
         shared, env = content.pop("arguments", None) or {}, content.pop("env", "USNET/MultiCluster-v0")
