@@ -154,10 +154,11 @@ def label_detectors(detector: Any, trivial: bool, isolated: bool) -> dict[str, A
         for given in detector if isinstance(detector, list | tuple) else [detector]:
             named = isinstance(given, str) or hasattr(given, "detect")
             label = detector_label(given) if named else type(given).__name__
-            if label in found and isinstance(given, str):
-                raise ArgumentError(f"detector must name each detector once, got {label!r} twice.")
-            labels = [label, *(f"{label} #{number}" for number in range(2, len(found) + 2))]
-            found[next(free for free in labels if free not in found)] = given
+            if label in found:
+                raise ArgumentError(
+                    f"detector must be a mapping of labels if two are {label!r}, got {quote(detector)}."
+                )
+            found[label] = given
     if not found or not all(label and label.isprintable() for label in found):
         raise ArgumentError(f"detector must have at least one label of printable characters, got {quote(list(found))}.")
     found |= {name: name for name in TRIVIAL if trivial and name not in found}

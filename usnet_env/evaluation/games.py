@@ -57,10 +57,7 @@ def evaluate_games(
     out: str | PathLike[str] | None = None,
     **how: Any,
 ) -> EvaluationResult:
-    """Play the same games with several teams of policies, and score them.
-
-    As :func:`usnet_env.evaluate` does with detectors: game i of every team has the same swarm and the same seed of the
-    policies, rows are kept in ``out``, and an interrupted run resumes.
+    """Play the same games with several teams of policies, and score them, as :func:`usnet_env.evaluate` does.
 
     Args:
         game: ``"usnet_observers_v0"``, ``"usnet_evasion_v0"``, or a function that makes a game in Parallel form.
@@ -72,9 +69,8 @@ def evaluate_games(
         how: ``episodes``, ``seed``, ``workers``, ``progress`` and ``backend``, as of :func:`usnet_env.evaluate`.
 
     Returns:
-        The result. Besides the metrics of :data:`usnet_env.evaluation.METRICS`, its rows have ``return_<role>``, the
-        sum of the rewards of a game, and ``price_<role>``, the sum of the prices paid: means over the agents of a role.
-        A game in which a policy raises an exception is a row with the reason in ``error``.
+        The result. Its rows also have ``return_<role>``, the sum of the rewards of a game, and ``price_<role>``, the
+        sum of the prices paid: means over the agents of a role.
 
     Raises:
         ArgumentError: an argument was refused, or an agent has no policy.

@@ -56,17 +56,13 @@ def episode_seeds(seed: int, episode: int) -> tuple[int, int]:
 
 
 @contextmanager
-def detector_step(label: str, where: str, episode: int | None = None) -> Iterator[None]:
-    """Run a step of a detector; whatever it raises becomes an :class:`EvaluationError`.
-
-    ``SystemExit`` is an error here as well: a detector must not end the program, least of all with status 0.
-    """
+def detector_step(label: str, where: str) -> Iterator[None]:
+    """Run a step of a detector; whatever it raises becomes an :class:`EvaluationError`."""
     try:
         yield
-    except (Exception, SystemExit) as error:
+    except (Exception, SystemExit) as error:  # a detector must not end the program, least of all with status 0
         reason = f"{where}: {describe_failure(error)}"
-        place = "" if episode is None else f"episode {episode}, "
-        raise EvaluationError(f"detector {label!r} failed in {place}{reason}.", reason) from error
+        raise EvaluationError(f"detector {label!r} failed in {reason}.", reason) from error
 
 
 def play_episode(
@@ -91,10 +87,10 @@ def play_episode(
     number = count(1)
 
     def answer(observation: Any, truth: SwarmState) -> Answer:
-        with detector_step(label, f"round {next(number)}", episode):
+        with detector_step(label, f"round {next(number)}"):
             return agent.answer(observation)
 
-    with detector_step(label, "its reset", episode):
+    with detector_step(label, "its reset"):
         agent.reset(seeds[1])
     rounds = list(play_rounds(env, answer, seeds[0]))
     game: Any = env.unwrapped

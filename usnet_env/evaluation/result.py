@@ -30,10 +30,9 @@ class Comparison:
     Args:
         a, b: labels of the two detectors.
         metric: what is compared.
-        episodes: number of episodes that both have played, n.
+        episodes: number of episodes that both have played.
         difference: the mean over them of a's value minus b's value.
-        low, high: its simultaneous 95 % interval: a bootstrap interval of the level 1 - 0.05 / k (Bonferroni); of one
-            episode, which has no interval, both are the difference.
+        low, high: its bootstrap interval of the level 1 - 0.05 / k (Bonferroni); one episode has none.
         p: the p-value of the paired randomisation test, adjusted for k comparisons (Holm, 1979).
         comparisons: number of pairs that were asked for together, k.
     """
@@ -73,13 +72,10 @@ class EvaluationResult:
         self.cells = list(dict.fromkeys([*self.config.get("cells", {}), *rows["cell"].unique()]))
         self.detectors = list(dict.fromkeys([*self.config.get("detectors", []), *rows["detector"].unique()]))
         kinds = {name: object if name in TEXTS else np.int64 if name in KEYS else np.float64 for name in rows.columns}
-        places = [pd.Index(order).get_indexer(rows[name]) for name, order in self._orders.items()]
+        orders = {"detector": self.detectors, "cell": self.cells}
+        places = [pd.Index(order).get_indexer(rows[name]) for name, order in orders.items()]
         order = np.lexsort([rows["episode"].to_numpy(np.int64), *places])
         self.rows = rows.astype(kinds).iloc[order].reset_index(drop=True)
-
-    @property
-    def _orders(self) -> dict[str, list[str]]:
-        return {"detector": self.detectors, "cell": self.cells}
 
     @classmethod
     def load(cls, folder: str | PathLike[str]) -> EvaluationResult:
@@ -96,9 +92,7 @@ class EvaluationResult:
         """One entry for each detector, with the keys ``detector``, ``episodes``, ``failed`` and ``metrics``.
 
         ``metrics`` has ``{"mean", "low", "high"}`` by the name of each metric: its mean over all episodes of all cells
-        in which the detector did not fail, and its 95 % interval; episodes of several cells with the same seed of the
-        swarm are one group. A metric that an episode may lack uses only the episodes that have it, and is absent if
-        there is none.
+        that have it, and its 95 % interval; episodes of several cells with the same seed of the swarm are one group.
         """
         entries = []
         for label, rows in self._by_detector():
@@ -146,37 +140,22 @@ class EvaluationResult:
         return f"{name}, {numbers}{of} episode{'s' * (asked != 1)} of each detector"
 
     def __getitem__(self, detector: str) -> dict[str, Any]:
-        """Return the metrics of the detector with this label; empty if it failed in all episodes.
-
-        Raises:
-            KeyError: no row has that label.
-        """
+        """Return the metrics of the detector with this label; empty if it failed in all episodes."""
         return {entry["detector"]: entry["metrics"] for entry in self.summary}[detector]
 
     def __iter__(self) -> Iterator[str]:
         """The labels of the detectors."""
         return (entry["detector"] for entry in self.summary)
 
-    def __len__(self) -> int:
-        return len(self.summary)
-
     def table(self, metrics: Sequence[str] | str | None = None) -> Table:
-        """Create a table for a terminal, with a column for each detector.
-
-        Args:
-            metrics: names of the lines; by default all metrics that at least one detector has. A single name: it has a
-                line for each cell.
-        """
+        """Create a table for a terminal: a column for each detector, a line for each metric, or cell for one name."""
         header, lines = self._grid(metrics, "{}\n{}–{}")
         if not isinstance(metrics, str):
             header, *lines = (list(column) for column in zip(header, *lines, strict=True))
         return tables.make_table(f"{self._title}: mean and 95 % interval", header, lines)
 
     def ranking(self) -> Table:
-        """Create a table for a terminal of 80 columns: the detectors by J (in recorded tracks F1), best first.
-
-        An arrow after a heading points to the better values; where all values are equal, a mean has no interval.
-        """
+        """Create a table for a terminal of 80 columns: the detectors by J (in recorded tracks F1), best first."""
         return tables.make_table(f"{self._title}: means, best first", *tables.list_ranking(self.summary))
 
     def conclusion(self) -> str:
@@ -226,32 +205,24 @@ class EvaluationResult:
     ) -> Comparison | list[Comparison]:
         """Compare a detector with another one, or with several, episode by episode: all played against the same swarms.
 
-        Episodes are paired cell by cell. Cells whose swarms have the same seed depend on each other: their differences
-        are one group, which is resampled, and changes its sign, as a whole. An episode in which one of the two has no
-        value is left out.
-
-        With k others, the intervals have the level 1 - 0.05 / k and the p-values are adjusted by Holm's method, so that
-        the chance of any false difference among them is at most 5 %.
+        Cells whose swarms have the same seed depend on each other: their differences are one group, which is resampled,
+        and changes its sign, as a whole. With k others, the intervals have the level 1 - 0.05 / k and the p-values are
+        adjusted by Holm's method, so that the chance of any false difference among them is at most 5 %.
 
         Args:
             a: label of a detector.
             b: label of another one, a list of labels, or ``None`` for all others.
             metric: what is compared.
 
-        Returns:
-            One comparison, or a list of them.
-
         Raises:
             ArgumentError: there is no such detector or metric, or two detectors share no episode.
         """
         self._check_metric(metric)
-        others = [label for label in self.detectors if label != a] if b is None else [b] if isinstance(b, str) else b
+        others = [label for label in self if label != a] if b is None else [b] if isinstance(b, str) else b
         for label in (a, *others):
-            if label not in self.detectors:
-                raise unknown_name("detector", label, self.detectors)
-        wide = self.rows.pivot(index=["cell", "swarm_seed"], columns="detector", values=metric).reindex(
-            columns=self.detectors
-        )
+            if label not in list(self):
+                raise unknown_name("detector", label, self)
+        wide = self.rows.pivot(index=["cell", "swarm_seed"], columns="detector", values=metric)
         pairs = {other: (wide[a] - wide[other]).dropna() for other in others}
         for other in others:
             if pairs[other].empty:
@@ -269,8 +240,7 @@ class EvaluationResult:
     def interquartile_means(self, metric: str = "J") -> dict[str, Interval]:
         """The mean of the middle half of all episodes of each detector, with its 95 % interval; each cell is a stratum.
 
-        It is less sensitive to a few bad episodes than the mean. Values are not normalised: the metric should have the
-        same scale in all cells.
+        Values are not normalised: the metric should have the same scale in all cells.
         """
         return {label: stats.interquartile_mean(strata) for label, strata in self._strata(metric).items()}
 
@@ -284,7 +254,7 @@ class EvaluationResult:
         strata, values = self._strata(metric), self.rows[metric].dropna()
         at = np.linspace(values.min(), values.max(), 101) if thresholds is None else thresholds
         lower = metric in LOWER_IS_BETTER or metric.startswith("price")
-        lower |= metric == "J" and tables.objective(self.summary).sign == 1
+        lower |= metric == "J" and tables.objective(self.summary)[2] == 1
         return {label: stats.performance_profile(parts, at, lower) for label, parts in strata.items()}
 
     def _strata(self, metric: str) -> dict[str, list[pd.Series[float]]]:

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, closing
 from os import PathLike
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import gymnasium as gym
 import pandas as pd
@@ -27,21 +27,19 @@ from usnet_env.progress import progress_bar
 
 __all__ = ["TRIVIAL", "RunArguments", "Task", "evaluate", "evaluate_suite", "map_tasks", "play_run"]
 
-Limit = Annotated[float, Field(gt=0, le=1e9)]
-
 
 class RunArguments(Config):
     """The plain arguments of a run."""
 
-    episodes: Annotated[int, Field(ge=1, le=1_000_000)] = 100
-    seed: Annotated[int, Field(ge=0, lt=2**192)] = 0  # published rows use a suite's seed + (a 128-bit number << 32)
-    workers: Annotated[int, Field(ge=1, le=4_096)] = 1
+    episodes: int = Field(default=100, ge=1, le=1_000_000)
+    seed: int = Field(default=0, ge=0, lt=2**192)  # published rows use a suite's seed + (a 128-bit number << 32)
+    workers: int = Field(default=1, ge=1, le=4_096)
     progress: bool = False
     backend: Literal["serial", "processes", "ray"] | None = None
     trivial: bool = False
     isolate: bool = False
-    time_limit: Limit | None = None
-    memory_limit: Limit | None = None
+    time_limit: float | None = Field(default=None, gt=0, le=1e9)
+    memory_limit: float | None = Field(default=None, gt=0, le=1e9)
 
     @property
     def isolated(self) -> bool:
@@ -61,11 +59,7 @@ class Task(NamedTuple):
 class DetectorPlayer:
     """Plays tasks in one process, with the agent of one detector in one cell at a time, which is warmed up first.
 
-    Args:
-        cells: the environments by name.
-        detectors: names of detectors as :func:`usnet_env.make_detector` takes them, or objects, by their labels.
-        how: the arguments of the run.
-        env: the environment of all tasks; ``None``: that of each cell is made.
+    An environment that is given is that of all tasks; otherwise that of each cell is made.
     """
 
     def __init__(
@@ -104,11 +98,8 @@ class DetectorPlayer:
         self._place, self._broken = task[:2], None
         try:
             with detector_step(task.label, "its constructor"):
-                detector, how = self.detectors[task.label], self.how
-                isolated = how.isolated
-                self._agent = (
-                    ChildDetector(detector, how.time_limit, how.memory_limit) if isolated else as_agent(detector)
-                )
+                detector, limits = self.detectors[task.label], (self.how.time_limit, self.how.memory_limit)
+                self._agent = ChildDetector(detector, *limits) if self.how.isolated else as_agent(detector)
             observation, _ = self._env.reset(seed=task.seeds[0])
             with detector_step(task.label, "its warm-up"):
                 self._agent.warm_up(observation)
@@ -147,8 +138,7 @@ def evaluate(
 
     The seeds of the swarm and of the detector in episode i come from two separate branches of (``seed``, i). So every
     detector plays against the same swarms, for any number of workers. Each episode starts with the detector's
-    ``reset``; the detector receives windows and nothing else. Before its first episode each detector answers one window
-    that is neither timed nor scored (warm-up).
+    ``reset``; the detector receives windows and nothing else. A first answer is neither timed nor scored (warm-up).
 
     An episode in which a detector raises an exception, gives a wrong answer, exceeds a limit or ends its child process
     is a row with the reason in its column ``error`` and without metrics. The other episodes and detectors go on.
@@ -156,8 +146,7 @@ def evaluate(
     Args:
         env: a registered id, or an environment object (which allows one worker only, and is not closed).
         detector: a name as :func:`usnet_env.make_detector` takes it, a detector, an object with the ``predict`` method
-            of Stable-Baselines3 (called with the observation and ``deterministic=True``), a list of these, or a mapping
-            of the labels that they get in rows and tables, such as ``{"my PPO": model}``.
+            of Stable-Baselines3, a list of these, or a mapping of the labels that they get: ``{"my PPO": model}``.
         episodes: number of episodes for each detector.
         seed: seed of the whole evaluation.
         env_kwargs: arguments of the environment.
@@ -171,8 +160,7 @@ def evaluate(
         memory_limit: largest memory in megabytes (10^6 bytes) that one answer, or one ``reset``, may allocate;
             ``None``: no limit. Linux only. With one of the two limits, each detector plays in a child process.
         isolate: play each detector in a child process, so that an accident there ends no run.
-        backend: where episodes are played: ``"serial"``, in this process; ``"processes"``, in child processes;
-            ``"ray"``, on the nodes of a Ray cluster; see :func:`map_tasks`.
+        backend: where episodes are played, as of :func:`map_tasks`: ``"serial"``, ``"processes"`` or ``"ray"``.
 
     Returns:
         Rows, summary and tables: of all detectors and episodes that ``out`` holds.
@@ -215,16 +203,9 @@ def evaluate_suite(
         detector: as of :func:`usnet_env.evaluate`.
         cells: names of the cells to play; ``None`` for all.
         episodes: number of episodes of each cell; ``None`` for that of the suite.
-        seed: seed of the episodes; ``None`` for that of the suite's published tables.
+        seed: seed of the episodes; ``None`` for that of the suite.
         out: folder of the run; as of :func:`usnet_env.evaluate`. A call with other cells extends the run.
-        how: further arguments of :func:`usnet_env.evaluate`.
-
-    Returns:
-        The rows of all cells, with their tables.
-
-    Raises:
-        ArgumentError: an argument was refused, by the suite or by :func:`usnet_env.evaluate`.
-        EvaluationError: as of :func:`usnet_env.evaluate`.
+        how: further arguments of :func:`usnet_env.evaluate`, which says what is returned and raised.
     """
     chosen = suite if isinstance(suite, Suite) else load_suite(suite)
     for name in cells or ():
@@ -275,10 +256,10 @@ def play_run(
     """Play the missing episodes of a run: cells x detectors x episodes -> rows.
 
     Args:
-        play: plays a task and returns its row. Its method ``close`` is called at the end, in this process.
+        play: plays a task and returns its row. Its method ``close``, if any, is called at the end, in this process.
         config: the arguments of the run, with ``cells`` and ``detectors``.
-        how: how many tasks are played, where and how.
-        out: the folder where rows are kept; ``None``: nowhere.
+        how: how many tasks are played, and where.
+        out: the folder where rows are kept.
         metrics: columns that rows have besides :data:`COLUMNS`.
     """
     columns = [*COLUMNS[:-1], *metrics, "error"]

@@ -61,9 +61,8 @@ def _mean_by_group(sample: Floats, groups: Sample | None) -> Floats:
 def rate_interval(values: Sample, groups: Sample | None = None) -> Interval:
     """Compute the share of ones in a sample of zeros and ones, with Wilson's score interval.
 
-    Values of one group depend on each other. Then n is the effective number of values: n divided by the design effect
-    (Kish, Survey Sampling, 1965, section 8.2), the ratio of the variance of the mean over groups to that over
-    independent values, if that is above 1. If all values are equal, n is the number of groups.
+    Values of one group depend on each other: n is then the number of values divided by the design effect (Kish, Survey
+    Sampling, 1965, section 8.2). If all values are equal, n is the number of groups.
 
     Args:
         values: ``(n,)`` of 0 and 1.
@@ -142,13 +141,10 @@ def _bootstrap(samples: Sequence[Floats], statistic: Callable[..., Any], confide
 
 
 def paired_test(differences: Sample) -> float:
-    """The two-sided p-value of paired differences under the hypothesis that each is as likely with the other sign.
+    """The two-sided p-value of paired differences ``(n,)`` if each is as likely with the other sign.
 
     The randomisation test of Fisher (The Design of Experiments, 1935, section 21) of the mean, as scipy computes it:
     exact for up to 13 differences, with 9,999 random changes of signs for more, and the normal limit for over 5,000.
-
-    Args:
-        differences: ``(n,)``.
     """
     sample = _check_sample(differences)
     if len(sample) == 1 or not sample.any():
@@ -197,11 +193,7 @@ def performance_profile(strata: Sequence[Sample], thresholds: Sample, lower_is_b
     """The share of episodes that are better than each threshold, averaged over the tasks, with percentile intervals.
 
     The run-score distribution of Agarwal et al. (2021, section 4.2), with 2,000 resamples of the stratified bootstrap.
-
-    Args:
-        strata: the values of each task, ``(n_s,)`` for task s.
-        thresholds: ``(t,)``.
-        lower_is_better: whether values below a threshold are better, or those above it.
+    The values of task s are ``strata[s]``, ``(n_s,)``; thresholds are ``(t,)``.
     """
     rng, at = np.random.default_rng(0), _check_sample(thresholds)
     samples = [_check_sample(values) for values in strata]

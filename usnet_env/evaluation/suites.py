@@ -1,14 +1,10 @@
-"""Suites: lists of environments that detectors are compared on, each kept in a YAML file with a version.
-
-A file of ``usnet_env/evaluation/suites`` never changes without a new version, so a result on ``controls`` version 1
-means the same wherever it was measured. A file of your own works the same way.
-"""
+"""Suites: lists of environments that detectors are compared on, each kept in a YAML file with a version."""
 
 from __future__ import annotations
 
 from importlib.resources import files
 from os import PathLike
-from typing import Annotated, Any
+from typing import Any
 
 import yaml
 from pydantic import Field
@@ -31,14 +27,12 @@ class Suite(Config):
     """A list of settings, and the seeds of their episodes."""
 
     name: str = Field(description="name of the file, without its suffix")
-    version: Annotated[int, Field(ge=1, le=10_000)] = Field(description="it grows with every change of the file")
+    version: int = Field(ge=1, le=10_000, description="it grows with every change of the file")
     purpose: str = Field(description="what the suite is for, in one sentence")
-    episodes: Annotated[int, Field(ge=1, le=1_000_000)] = Field(description="episodes of a cell in published tables")
-    seed: Annotated[int, Field(ge=1000, lt=2**63)] = Field(description="seed of published tables")
-    tuning_seed: Annotated[int, Field(ge=0, lt=1000)] = Field(
-        description="seed for tuning a detector; the swarms of the two seeds have nothing in common"
-    )
-    cells: Annotated[dict[str, Cell], Field(min_length=1)] = Field(description="the settings by name")
+    episodes: int = Field(ge=1, le=1_000_000, description="episodes of a cell in published tables")
+    seed: int = Field(ge=1000, lt=2**63, description="seed of published tables")
+    tuning_seed: int = Field(ge=0, lt=1000, description="seed for tuning a detector, whose swarms are other ones")
+    cells: dict[str, Cell] = Field(min_length=1, description="the settings by name")
 
     @property
     def label(self) -> str:

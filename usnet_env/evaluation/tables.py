@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from usnet_env.evaluation.play import LOWER_IS_BETTER, METRICS, TRACK_METRICS
 
@@ -21,40 +21,35 @@ _LATEX = str.maketrans(
 )
 
 
-class FirstMetric(NamedTuple):
-    """The metric by which detectors are ranked: its column, its name, and 1 if low values are good, otherwise -1."""
-
-    column: str
-    name: str
-    sign: int
-
-
 def printable(text: str) -> str:
     """The text without characters that would control a terminal."""
     return "".join(sign if sign.isprintable() else "�" for sign in text)
 
 
-def objective(summary: Summary) -> FirstMetric:
+def objective(summary: Summary) -> tuple[str, str, int]:
     """J_m of P2, which is at least 1 and is to be low; or J_s of P1, which is at most 0 and is to be high."""
     values = [entry["metrics"]["J"]["mean"] for entry in summary if entry["metrics"]]
-    return FirstMetric("J", "J_s", -1) if values and max(values) <= 0 else FirstMetric("J", "J_m", 1)
+    return ("J", "J_s", -1) if values and max(values) <= 0 else ("J", "J_m", 1)
 
 
-def first_metric(summary: Summary) -> FirstMetric:
-    """J; in recorded tracks F1, since J of their one round does not count the heads that are missed."""
+def first_metric(summary: Summary) -> tuple[str, str, int]:
+    """The metric by which detectors are ranked: its column, its name, and 1 if low values are good, otherwise -1.
+
+    In recorded tracks it is F1, since J of their one round does not count the heads that are missed.
+    """
     of_tracks = any(name in entry["metrics"] for entry in summary for name in TRACK_METRICS)
-    return FirstMetric("f1_first", "F1", -1) if of_tracks else objective(summary)
+    return ("f1_first", "F1", -1) if of_tracks else objective(summary)
 
 
 def rank(summary: Summary) -> list[Mapping[str, Any]]:
     """The entries of the summary: those without a failure first, then by the first metric, then by F1."""
-    best = first_metric(summary)
+    column, _, sign = first_metric(summary)
 
     def place(entry: Mapping[str, Any]) -> tuple[float, ...]:
         if not entry["metrics"]:
             return (2.0,)
         means = {name: interval["mean"] for name, interval in entry["metrics"].items()}
-        return float(entry["failed"] > 0), best.sign * means[best.column], -means["f1_first"]
+        return float(entry["failed"] > 0), sign * means[column], -means["f1_first"]
 
     return sorted(summary, key=place)
 
@@ -75,9 +70,9 @@ def format_interval(interval: Mapping[str, float] | None, pattern: str = "{} ({}
 
 def heading(summary: Summary, metric: str) -> str:
     """The heading of a metric, with the arrow that points to the better values."""
-    best = objective(summary)
     if metric == "J":
-        return f"{best.name}{'↓' if best.sign == 1 else '↑'}"
+        _, name, sign = objective(summary)
+        return f"{name}{'↓' if sign == 1 else '↑'}"
     if metric not in METRICS and metric not in TRACK_METRICS:
         return metric
     name = _NAMES.get(metric, metric.removesuffix("_first").replace("_", " "))
@@ -89,11 +84,7 @@ def list_lines(
 ) -> tuple[list[str], Lines]:
     """The heading and the lines of a table with a line for each detector and a column for each metric.
 
-    Args:
-        summary: the entries, in the order of the lines.
-        metrics: the columns.
-        pattern: how a mean and its interval are written.
-        means: metrics whose interval is left out; then the number of episodes is, too.
+    A mean and its interval are written in the pattern, those of ``means`` without the interval.
     """
     counts = [*["episodes"] * (not means), *["failed"] * any(entry["failed"] for entry in summary)]
     columns = {name: "{}" if name in means else pattern for name in metrics}
@@ -110,7 +101,7 @@ def list_lines(
 
 def list_ranking(summary: Summary) -> tuple[list[str], Lines]:
     """The heading and the lines of a table with the best detector first, which fits into 80 columns."""
-    first = first_metric(summary).column
+    first, *_ = first_metric(summary)
     names = ["redundancy", "exact", "seconds_per_round"]
     names[2:2] = TRACK_METRICS if first != "J" else ["f1_first"]  # recorded tracks have one round
     return list_lines(rank(summary), [first, *["rounds"] * (first == "J"), *names], "{} ({}–{})", ["rounds", *names])
@@ -151,8 +142,8 @@ def conclude(summary: Summary) -> str:
     Others are not separated from it if their 95 % interval overlaps its interval. Detectors that failed in an episode
     are left out, and named in a second sentence.
     """
-    metric = first_metric(summary)
-    found = {entry["detector"]: entry["metrics"][metric.column] for entry in rank(summary) if not entry["failed"]}
+    column, metric, sign = first_metric(summary)
+    found = {entry["detector"]: entry["metrics"][column] for entry in rank(summary) if not entry["failed"]}
     text = "No detector has played all episodes."
     if found:
         best, *others = found
@@ -161,9 +152,9 @@ def conclude(summary: Summary) -> str:
         near = [
             name for name in others if name not in names and found[name]["low"] <= high and low <= found[name]["high"]
         ]
-        extreme = "lowest" if metric.sign == 1 else "highest"
-        text = f"{' and '.join(names)} {'have' if names[1:] else 'has'} the {extreme} {metric.name}: "
-        text = text if others else f"{best} has a {metric.name} of "
+        extreme = "lowest" if sign == 1 else "highest"
+        text = f"{' and '.join(names)} {'have' if names[1:] else 'has'} the {extreme} {metric}: "
+        text = text if others else f"{best} has a {metric} of "
         text += format_interval(found[best], "{} (95 % interval {}–{})")
         text += " in every episode" * (low == high)
         text += f", which overlaps with that of {', '.join(near)}." if near else "."

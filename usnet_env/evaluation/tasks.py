@@ -39,12 +39,7 @@ _received: dict[str, Callable[[Any], Any]] = {}  # the function that this worker
 
 
 class EvaluationError(RuntimeError):
-    """A detector failed in an episode that was played alone, or a run could not go on.
-
-    Args:
-        sentence: what happened.
-        reason: where the detector failed and why, as a row keeps it: ``"round 2: ZeroDivisionError: …"``.
-    """
+    """A detector failed, or a run could not go on; the reason is what a row keeps: ``"round 2: KeyError: …"``."""
 
     def __init__(self, sentence: str, reason: str = "") -> None:
         super().__init__(sentence)
@@ -79,10 +74,9 @@ def map_tasks(
     Args:
         function: what to call with each task. If it has state, each worker has a copy that lasts for the whole call.
         tasks: the tasks.
-        workers: number of processes.
-        backend: ``"serial"``: this process; ``"processes"``: child processes; ``"ray"``: the nodes of a Ray cluster, at
-            the address in the environment variable ``RAY_ADDRESS``, or on this machine. A single worker is this
-            process, whatever the backend. ``None``: ``"processes"``.
+        workers: number of processes; 1 is this process.
+        backend: ``"serial"``: this process; ``"processes"`` or ``None``: child processes; ``"ray"``: the nodes of a Ray
+            cluster, at the address in the environment variable ``RAY_ADDRESS``, or this machine.
 
     Yields:
         The results in the order of the tasks, as they come; those of Ray come in groups.
@@ -90,7 +84,6 @@ def map_tasks(
     Raises:
         EvaluationError: a worker process was ended.
         MissingExtraError: Ray is not installed.
-        Exception: what the function raised.
     """
     if workers == 1 or backend == "serial":
         yield from map(function, tasks)
@@ -102,9 +95,8 @@ def map_tasks(
         yield from _run_on_ray(calls, workers) if backend == "ray" else _run_in_processes(calls, workers)
     except BrokenProcessPool:
         raise EvaluationError(
-            "a worker process was ended, by a signal, for want of memory, or by what it played. Finished rows are kept "
-            "if there is a folder: the same call plays the others. With a limit or in isolation, a detector that ends "
-            "its process has failed, and the others go on."
+            "a worker process was ended, by a signal, for want of memory, or by what it played. The same call resumes "
+            "a run that has a folder. In isolation, a detector that ends its process has failed, and the others go on."
         ) from None
 
 
