@@ -89,8 +89,9 @@ class All:
 register_detector("all-of-this-script", All)
 register_follow_strategy("test-mirror", lambda inputs: -inputs.head_velocity[:, 0], lags=1)
 settings = {"follow": "test-mirror", "clusters": 2, "uavs": 10, "observation_steps": 10}
+detectors = {"name": "all-of-this-script", "object": All()}
 for how in ({}, {"workers": 2}, {"isolate": True}):
-    result = evaluate("USNET/MultiCluster-v0", {"name": "all-of-this-script", "object": All()}, episodes=3, env_kwargs=settings, **how)
+    result = evaluate("USNET/MultiCluster-v0", detectors, episodes=3, env_kwargs=settings, **how)
     print([entry["metrics"]["J"]["mean"] for entry in result.summary], result.failures)
 """
 

@@ -121,14 +121,7 @@ class PolicyAgent:
 
 
 def as_agent(detector: Any) -> Agent:
-    """Wrap a detector, or an object with ``predict``, as an agent.
-
-    Args:
-        detector: the object, or the name of a detector, which is made, as :func:`usnet_env.make_detector` takes it.
-
-    Raises:
-        ArgumentError: the object is neither of the two, or it is a class instead of an object.
-    """
+    """Wrap a detector, its name, or an object with ``predict``, as an agent; anything else is refused."""
     if isinstance(detector, str):
         detector = make_detector(detector)
     if not isinstance(detector, type):

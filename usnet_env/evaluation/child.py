@@ -26,9 +26,8 @@ class ChildDetector:
 
     Args:
         detector: a name as :func:`usnet_env.make_detector` takes it, or an object.
-        seconds: largest wall time of one call; ``None``: no limit. A process that exceeds it is killed.
-        megabytes: memory in 10^6 bytes that one call may allocate beyond what the process holds; ``None``: no limit.
-            Linux only.
+        seconds: largest wall time of one call. A process that exceeds it is killed.
+        megabytes: memory in 10^6 bytes that one call may allocate beyond what the process holds. Linux only.
 
     Raises:
         EvaluationError: also by each call: the detector raised an exception, exceeded a limit, or ended its process.
@@ -118,11 +117,7 @@ def serve() -> None:
 
 @contextlib.contextmanager
 def limit_memory(megabytes: float | None) -> Iterator[None]:
-    """Limit what this process may allocate in the block beyond what it holds; ``None``: no limit. Linux only.
-
-    Raises:
-        MemoryError: the block needed more.
-    """
+    """Limit what this process may allocate in the block beyond what it holds; ``None``: no limit. Linux only."""
     if megabytes is None:
         yield
         return

@@ -19,12 +19,7 @@ def usnet_ids() -> list[str]:
 
 
 def make_environment(env_id: str, env_kwargs: Mapping[str, Any]) -> gym.Env[Any, Any]:
-    """Create the environment of this id, with or without its module: ``"usnet_env:USNET/MultiCluster-v0"``.
-
-    Raises:
-        ArgumentError: there is no such module or id, the environment refuses an argument, or no detector can be scored
-            there.
-    """
+    """Create the environment of this id, with or without its module: ``"usnet_env:USNET/MultiCluster-v0"``."""
     module, _, name = env_id.rpartition(":")
     try:
         import_module(module or __name__)
@@ -32,17 +27,15 @@ def make_environment(env_id: str, env_kwargs: Mapping[str, Any]) -> gym.Env[Any,
         raise ArgumentError(f"env must name a module that can be imported, got {quote(env_id)}: {error}.") from None
     if name not in gym.registry:
         raise unknown_name("env", env_id, usnet_ids())
+    if "render_mode" in env_kwargs:
+        raise ArgumentError("render_mode must be left out: an evaluation draws no pictures.")
     env: gym.Env[Any, Any] = gym.make(name, disable_env_checker=True, **env_kwargs)
     check_environment(env)
     return env
 
 
 def check_environment(env: Any) -> None:
-    """Refuse what has no ``swarm`` and ``problem`` to score an answer, or recorded tracks whose leaders are unknown.
-
-    Raises:
-        ArgumentError: no detector can be scored in this environment.
-    """
+    """Refuse what has no ``swarm`` and ``problem`` to score an answer, or recorded tracks whose leaders are unknown."""
     if not isinstance(env, gym.Env) or not all(hasattr(type(env.unwrapped), name) for name in ("swarm", "problem")):
         raise ArgumentError(f"env must be a USNET environment ({', '.join(usnet_ids())}), got {quote(env)}.")
     if not getattr(env.unwrapped, "labelled", True):

@@ -27,12 +27,7 @@ COLUMNS = (*KEYS, *METRICS, "error")
 
 
 class RunFolder:
-    """A folder that is open for further rows.
-
-    Args:
-        folder: the folder; it is created, or holds an earlier part of the same run.
-        config: the arguments of the run, as JSON holds them.
-        columns: the columns of the rows.
+    """A folder that is open for further rows; it is created, or holds an earlier part of the same run.
 
     Raises:
         ArgumentError: the folder holds a run with other arguments, or it can't be written.
@@ -56,15 +51,11 @@ class RunFolder:
             self._rows.writeheader()
 
     def append(self, row: Row) -> None:
-        """Write a row, so that it is in the file when this process is killed.
-
-        Raises:
-            EvaluationError: it can't be written, for example because the disk is full.
-        """
+        """Write a row, so that it is in the file when this process is killed."""
         try:
             self._rows.writerow(row)
             self._file.flush()
-        except OSError as error:
+        except OSError as error:  # the disk is full
             raise EvaluationError(f"{self.path} can't be written: {error.strerror}; the same call resumes.") from None
 
     def close(self) -> None:
@@ -80,22 +71,18 @@ def _read_whole_lines(path: Path) -> bytes:
 
 
 def read_run(folder: Path) -> tuple[dict[str, Any], pd.DataFrame]:
-    """Read what ``run.json`` holds, and the rows; a last line that was not written to its end is left out.
-
-    Raises:
-        ArgumentError: the folder holds no run, or a broken file.
-    """
+    """Read what ``run.json`` holds, and the rows; what is no folder of a run is refused."""
     try:
         about = json.loads((folder / RUN).read_text(encoding="utf-8"))
         whole = _read_whole_lines(folder / ROWS) or ",".join(COLUMNS).encode()
         names = whole.partition(b"\n")[0].decode().split(",")
         rows = pd.read_csv(
             io.BytesIO(whole),
-            dtype={name: "category" if name in TEXTS else np.int64 if name in KEYS else np.float64 for name in names},
+            dtype={name: object if name in TEXTS else np.int64 if name in KEYS else np.float64 for name in names},
             keep_default_na=False,
             na_values={name: [""] for name in names if name not in TEXTS},
             float_precision="round_trip",
-        ).astype(dict.fromkeys(TEXTS, object))
+        )
         if not {"cells", "detectors", "episodes"} <= about["arguments"].keys():
             raise KeyError("arguments")
         rows = rows[[*COLUMNS[:-1], *(name for name in names if name not in COLUMNS), "error"]]
