@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 
-from usnet_env import ArgumentError, Detection, Window
+from usnet_env import Detection, Window
 
 
 def untimed(result):
@@ -81,19 +81,24 @@ class Recorder(Base):
         return Recorder()
 
 
-class Failing(Base):
-    """Raises in the third episode."""
+class Answering(Base):
+    """Returns or raises what it is told to."""
 
-    def __init__(self):
-        self.episodes = 0
-
-    def reset(self, seed=None):
-        self.episodes += 1
+    def __init__(self, answer):
+        self.answer = answer
 
     def detect(self, window):
-        if self.episodes == 3:
-            raise ZeroDivisionError("nothing\nto divide by")
-        return Detection(window.alive, window.alive)
+        if isinstance(self.answer, BaseException):
+            raise self.answer
+        return self.answer
+
+
+class Predicting:
+    def __init__(self, answer):
+        self.answer = answer
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        return self.answer, state
 
 
 class FailingWithOne(Base):
@@ -101,16 +106,6 @@ class FailingWithOne(Base):
 
     def detect(self, window):
         raise ZeroDivisionError("no luck")
-
-
-class WrongLength(Base):
-    def detect(self, window):
-        return Detection(np.zeros(window.uavs - 1), np.zeros(window.uavs - 1))
-
-
-class NoDetection(Base):
-    def detect(self, window):
-        return window.alive
 
 
 ENDS = {
@@ -135,27 +130,6 @@ class Ending(AllAlive):
             return Detection(np.zeros(window.uavs), np.zeros(window.uavs))
         ENDS[self.how]()
         return super().detect(window)
-
-
-class Printing(AllAlive):
-    """Prints in every round."""
-
-    def detect(self, window):
-        print("looking at round", window.round)
-        os.write(1, b"and once more\n")
-        return super().detect(window)
-
-
-class Demanding(AllAlive):
-    """Refuses its argument in ``reset``, as detectors do."""
-
-    def __init__(self, clusters=3):
-        self.clusters = clusters
-
-    def reset(self, seed=None):
-        if not isinstance(self.clusters, int):
-            raise ArgumentError(f"clusters must be a whole number, got {self.clusters!r}.")
-        super().reset(seed)
 
 
 class Mortal(RandomThird):
@@ -202,8 +176,3 @@ class MaskedPolicy:
         action = np.zeros(len(allowed), np.int8)
         action[np.flatnonzero(allowed[:, 1])[0]] = 1
         return action, state
-
-
-class WrongPolicy:
-    def predict(self, observation, state=None, episode_start=None, deterministic=False):
-        return np.full(len(observation["alive"]), 0.5), state

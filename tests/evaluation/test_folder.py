@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import errno
 import json
-import os
 
 import numpy as np
-import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pandas.testing import assert_frame_equal
-from sample_detectors import AllAlive, Followed, NoUav, RandomThird, untimed
+from sample_detectors import Followed, RandomThird, untimed
 
 from usnet_env import ArgumentError, evaluate
-from usnet_env.evaluation import EvaluationError, EvaluationResult
+from usnet_env.evaluation import EvaluationResult
 from usnet_env.evaluation.folder import COLUMNS, RunFolder, read_run
 
 MULTI = "USNET/MultiCluster-v0"
@@ -91,26 +88,6 @@ def test_a_line_that_was_torn_anywhere_is_played_again(tmp_path, whole):
     assert_frame_equal(untimed(play(tmp_path)), untimed(whole))
 
 
-@pytest.mark.parametrize("how", ["raised", "short"])
-def test_a_full_disk_is_one_sentence_and_the_run_resumes(tmp_path, whole, monkeypatch, how):
-    write, rows = os.write, []
-
-    def fill(file, data):
-        rows.append(data)
-        if len(rows) < 5:  # the header, and three rows
-            return write(file, data)
-        if how == "short":
-            return write(file, data[:20])
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    with monkeypatch.context() as full:
-        full.setattr(os, "write", fill)
-        with pytest.raises(EvaluationError, match=r"rows\.csv can't be written: No space left on device"):
-            play(tmp_path)
-    assert len(EvaluationResult.load(tmp_path).rows) == 3
-    assert_frame_equal(untimed(play(tmp_path)), untimed(whole))
-
-
 def test_more_episodes_and_detectors_extend_a_run_and_its_rows_stay(tmp_path, whole):
     first = play(tmp_path, {"third": RandomThird()}, episodes=2)
     joined = play(tmp_path, {"followed": Followed(2)})
@@ -177,27 +154,3 @@ def test_any_rows_survive_the_file(tmp_path_factory, values):
         assert {name: read[name] for name in row if name not in ("purity_first", "error")} == {
             name: value for name, value in row.items() if name not in ("purity_first", "error")
         }
-
-
-def test_a_million_rows_are_read_and_summarised_in_little_memory(tmp_path):
-    """A tenth of it here: what grows faster than the rows shows in a tenth, too."""
-    import tracemalloc
-
-    count = 100_000
-    frame = pd.DataFrame(dict.fromkeys(COLUMNS, np.arange(count) % 7))
-    frame = frame.assign(
-        cell="c", detector=np.where(np.arange(count) % 2, "a", "b"), error="", episode=np.arange(count)
-    )
-    RunFolder(tmp_path, {"cells": {"c": {}}, "detectors": ["a", "b"], "episodes": count, "seed": 0}, COLUMNS).close()
-    frame.to_csv(tmp_path / "rows.csv", index=False)
-    tracemalloc.start()
-    result = EvaluationResult.load(tmp_path)
-    assert [entry["episodes"] for entry in result.summary] == [count // 2] * 2
-    assert tracemalloc.get_traced_memory()[1] < 200e6
-    tracemalloc.stop()
-
-
-def test_the_rows_of_a_constant_detector_are_read_as_they_were_written(tmp_path):
-    result = play(tmp_path, {"all": AllAlive(), "NA": NoUav()})
-    assert list(EvaluationResult.load(tmp_path)) == ["all", "NA"]
-    assert EvaluationResult.load(tmp_path)["NA"]["J"] == result["NA"]["J"]

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import binomtest, norm, trim_mean
+from scipy.stats import binomtest, norm
 
 from usnet_env.config import ArgumentError
 from usnet_env.evaluation import stats
 from usnet_env.evaluation.stats import holm, interquartile_mean, mean_interval, paired_test, rate_interval
 
-NUMBERS = st.floats(-1e6, 1e6)
 TASKS = [np.random.default_rng(task).gamma(2, size=n) + task for task, n in enumerate((30, 45, 60))]
 
 
@@ -29,11 +28,6 @@ def test_a_rate_s_interval_holds_it_and_stays_within_0_and_1(values):
     interval = rate_interval(values)
     assert 0 <= interval.low <= interval.mean <= interval.high <= 1
     assert interval.low < interval.high  # even where all are equal, n says how sure that is
-
-
-@given(NUMBERS, st.integers(1, 20))  # one value has no interval: [mean, mean] stands for it
-def test_equal_values_have_no_width(value, n):
-    assert mean_interval([value] * n) == (value, value, value)
 
 
 def slow_bca(sample, level):
@@ -72,14 +66,13 @@ def test_the_interval_of_a_large_sample_is_the_limit_of_the_bootstrap(monkeypatc
     assert computed.high == pytest.approx(drawn.high, abs=0.1 * width)
 
 
-@pytest.mark.parametrize(("n", "share"), [(5, 0.82), (10, 0.90), (40, 0.94)])
-def test_the_interval_covers_the_mean_about_as_often_as_it_says(n, share, monkeypatch):
-    """Of few values less often: no bootstrap knows the spread of a small sample."""
+@pytest.mark.parametrize("n", [5, 10, 40])
+def test_the_interval_covers_the_mean_as_often_as_it_says(n, monkeypatch):
+    """Also of few values, of which the plain bootstrap interval covers 82 % (n = 5) and 90 % (n = 10)."""
     monkeypatch.setattr(stats, "_RESAMPLES", 1_000)
     rng = np.random.default_rng(n)
-    intervals = [mean_interval(rng.normal(size=n)) for _ in range(300)]
-    covered = sum(interval.low <= 0 <= interval.high for interval in intervals)
-    assert abs(covered / 300 - share) < 3 * np.sqrt(share * (1 - share) / 300)
+    intervals = [mean_interval(rng.normal(size=n)) for _ in range(1_000)]
+    assert 0.90 <= np.mean([interval.low <= 0 <= interval.high for interval in intervals]) <= 0.98
 
 
 @pytest.mark.parametrize("values", [[], [float("nan")], [float("inf")], [[1.0]]])
@@ -87,14 +80,6 @@ def test_no_interval_without_finite_numbers(values):
     for function in (mean_interval, rate_interval, paired_test):
         with pytest.raises(ArgumentError, match="values"):
             function(values)
-
-
-@given(st.lists(st.booleans(), min_size=2, max_size=40), st.integers(2, 8))
-def test_copies_of_a_value_in_one_group_add_nothing(hits, copies):
-    groups = np.repeat(np.arange(len(hits)), copies)
-    copied = np.repeat(np.array(hits, float), copies)
-    assert rate_interval(copied, groups) == pytest.approx(rate_interval(np.array(hits, float)), abs=1e-12)
-    assert mean_interval(copied, groups=groups) == pytest.approx(mean_interval(np.array(hits, float)), abs=1e-9)
 
 
 def test_intervals_of_groups_hold_where_those_of_single_values_are_too_narrow(monkeypatch):
@@ -147,30 +132,12 @@ def slow_bootstrap(tasks, statistic, resamples):
     return np.quantile(found, [0.025, 0.975], axis=0)
 
 
-@given(st.lists(NUMBERS, min_size=1, max_size=40))
-def test_the_interquartile_mean_is_scipy_s_and_the_slow_one(values):
-    ours = interquartile_mean([values]).mean
-    assert ours == pytest.approx(slow_middle_mean(values), rel=1e-9, abs=1e-6)
-    assert ours == pytest.approx(trim_mean(values, 0.25), rel=1e-9, abs=1e-6)
-
-
 def test_the_interval_of_the_interquartile_mean_is_near_that_of_the_slow_stratified_bootstrap():
     ours = interquartile_mean(TASKS)
     low, high = slow_bootstrap(TASKS, lambda tasks: slow_middle_mean(np.concatenate(tasks)), 2_000)
     assert ours.low == pytest.approx(low, abs=0.15 * (high - low))
     assert ours.high == pytest.approx(high, abs=0.15 * (high - low))
     assert interquartile_mean([[1.0, 2.0, 3.0], [5.0]]).mean == 2.5
-
-
-def test_the_interval_of_the_interquartile_mean_of_many_values_is_its_limit(monkeypatch):
-    large = [np.random.default_rng(task).gamma(2, size=3_000) for task in range(2)]
-    computed = interquartile_mean(large)
-    monkeypatch.setattr(stats, "_MOST_RESAMPLED", 6_000)
-    monkeypatch.setattr(stats, "_RESAMPLES", 500)
-    drawn = interquartile_mean(large)
-    width = drawn.high - drawn.low
-    assert computed.low == pytest.approx(drawn.low, abs=0.15 * width)
-    assert computed.high == pytest.approx(drawn.high, abs=0.15 * width)
 
 
 @pytest.mark.parametrize("sign", [1, -1])

@@ -17,10 +17,7 @@ from usnet_env.cli.options import PositiveNumber, WholeNumber, parse_pairs
 from usnet_env.cli.output import print_message, show
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from usnet_env.evaluation import EvaluationResult
-    from usnet_env.replay import EpisodeRecord
 
 _MOST_RECORDED = 20  # of the worst episodes of a detector
 _SAME = 1e-9  # of two values of a metric
@@ -117,7 +114,7 @@ def _show_result(result: EvaluationResult, form: str) -> None:
         return
     show(result.table() if form == "all" else result.ranking())
     if form == "all" and len(result.cells) > 1:
-        show(result.cell_table())
+        show(result.table("exact"))
     click.echo(result.conclusion())
 
 
@@ -152,64 +149,42 @@ def report(folder: Path, form: str | None, labels: tuple[str, ...], metric: str)
 
 
 def record_episodes(
-    result: EvaluationResult,
-    wanted: str,
-    detectors: Sequence[str],
-    env_id: str,
-    env_kwargs: dict[str, Any],
-    out: str,
+    result: EvaluationResult, wanted: str, detectors: Sequence[str], env_id: str, env_kwargs: dict[str, Any], out: str
 ) -> int:
     """Play chosen episodes of a run again, from the seeds in their rows, and write their episode files.
 
-    An episode that differs from its row is not written: a message names its detector. What is wanted is ``"every=10"``
-    or ``"worst"``: the 20 worst episodes of each detector whose round 1 was not exact.
-
-    Returns:
-        How many files were written.
+    What is wanted is ``"every=10"`` or ``"worst"``: the 20 worst episodes of each detector whose round 1 was not exact.
+    An episode that differs from its row is not written: a message names its detector. Returns the number of files.
     """
     import gymnasium as gym
 
-    from usnet_env.evaluation.run import TRIVIAL
+    from usnet_env.evaluation import TRIVIAL
+    from usnet_env.evaluation.play import record_metrics
+    from usnet_env.evaluation.tables import first_metric
     from usnet_env.plugins import detector_label, make_detector
     from usnet_env.replay import record_episode
 
     names = {detector_label(name): name for name in (*TRIVIAL, *detectors)}
-    written, differing = 0, dict.fromkeys(names, 0)
-    for row in _choose_rows(result, wanted).to_dict("records"):
+    rows = result.rows[(result.rows["error"] == "") & result.rows["detector"].isin(names)]  # no others of the folder
+    if every := _EVERY.match(wanted):
+        rows = rows[rows["episode"] % int(every[1]) == 0]
+    else:
+        metric, _, sign = first_metric(result.summary)
+        rows = rows[rows["exact"] == 0].sort_values(metric, ascending=sign == -1, kind="stable")
+        rows = rows.groupby("detector", sort=False).head(_MOST_RECORDED)
+    differing = dict.fromkeys(names, 0)
+    for row in rows.to_dict("records"):
         label = row["detector"]
-        if label not in names:  # of an earlier command
-            continue
         with closing(gym.make(env_id, **env_kwargs)) as env:
             seeds = row["swarm_seed"], row["detector_seed"]
             record = record_episode(env, make_detector(names[label]), *seeds, label=label)
-        if _differs(record, row):
+        found = record_metrics(record)
+        if any(abs(found[name] - row[name]) > _SAME for name in ("J", "rounds", "redundancy", "f1_first", "ap_first")):
             differing[label] += 1
             continue
         name = re.sub(r"[^\w.=-]+", "_", label).strip("_")
         record.save(Path(out, "episodes", f"{name}-{row['episode']}.npz"))
-        written += 1
     for label, count in differing.items():
         if count:
             print_message(f"{label} is not deterministic: played again, it answered {count} episodes differently.")
-    return written
-
-
-def _choose_rows(result: EvaluationResult, wanted: str) -> pd.DataFrame:
-    """The rows whose episodes are recorded."""
-    from usnet_env.evaluation.tables import first_metric
-
-    rows = result.rows[result.rows["error"] == ""]
-    if every := _EVERY.match(wanted):
-        return rows[rows["episode"] % int(every[1]) == 0]
-    metric = first_metric(result.summary)
-    worst = rows[rows["exact"] == 0].sort_values(metric.column, ascending=metric.sign == -1, kind="stable")
-    return worst.groupby("detector", sort=False).head(_MOST_RECORDED)
-
-
-def _differs(record: EpisodeRecord, row: dict[Any, Any]) -> bool:
-    """Whether the record has another score than the row in any metric, except the seconds and those of clusters."""
-    from usnet_env.evaluation.play import record_metrics
-
-    found = {name: value for name, value in record_metrics(record).items() if value is not None}
-    names = found.keys() - {"seconds_per_round", "purity_first", "head_in_cluster_first"}
-    return any(abs(found[name] - row[name]) > _SAME for name in names)
+    return len(rows) - sum(differing.values())

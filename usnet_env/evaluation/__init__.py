@@ -1,11 +1,11 @@
 """The evaluator: it plays all detectors against the same swarms and reports each metric with a 95 % interval."""
 
-from usnet_env.evaluation.errors import EvaluationError
 from usnet_env.evaluation.games import evaluate_games
 from usnet_env.evaluation.play import METRICS
 from usnet_env.evaluation.result import Comparison, EvaluationResult
 from usnet_env.evaluation.run import TRIVIAL, evaluate, evaluate_suite
 from usnet_env.evaluation.suites import Cell, Suite, list_suites, load_suite
+from usnet_env.evaluation.tasks import EvaluationError
 
 __all__ = [
     "METRICS",

@@ -6,13 +6,12 @@ import copy
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import count
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.config import ArgumentError, plain_text, quote, unknown_name
+from usnet_env.config import ArgumentError, named_values, quote
 from usnet_env.detection import Detection, fit_window
 from usnet_env.parts import named_parameters, parse_label
 from usnet_env.plugins import DETECTORS, detector_label, make_detector
@@ -78,19 +77,17 @@ class DetectorAgent:
 
 
 class PolicyAgent:
-    """Any object with the ``predict`` method of Stable-Baselines3, called with ``deterministic=True``.
+    """An object with the ``predict`` method of Stable-Baselines3, called with ``deterministic=True``.
 
-    A policy returns no scores, so its candidates serve as scores (0 and 1). It has no ``reset``, so its own random
-    numbers are not seeded here. A policy whose ``predict`` has the argument ``action_masks`` receives the mask of the
-    UAVs that are alive. A model that was trained behind ``VecNormalize`` receives normalised observations, with the
-    means and variances that it had at the end of its training.
+    Its candidates serve as scores. Its own random numbers are not seeded here. An argument ``action_masks`` receives
+    the mask of the UAVs that are alive. A model that was trained behind ``VecNormalize`` receives normalised
+    observations, with the means and variances that it had at the end of its training.
     """
 
     def __init__(self, policy: Any) -> None:
         self.policy = policy
         self._masked = "action_masks" in named_parameters(policy.predict)
-        find = getattr(policy, "get_vec_normalize_env", None)
-        normaliser = find() if callable(find) else None
+        normaliser = getattr(policy, "get_vec_normalize_env", lambda: None)()
         self._normaliser = normaliser if getattr(normaliser, "norm_obs", True) else None
         self.reset(0)
 
@@ -102,10 +99,13 @@ class PolicyAgent:
     def answer(self, observation: Any) -> Answer:
         """Return the policy's action; only the call of ``predict`` is timed."""
         seen = observation if self._normaliser is None else self._normaliser.normalize_obs(observation)
-        masks = {"action_masks": _action_masks(observation)} if self._masked else {}
+        given: dict[str, Any] = {}
+        if self._masked:  # (2 N,): 0 is allowed for every UAV, 1 for those that are alive
+            alive = np.asarray(observation["alive"], bool)
+            given["action_masks"] = np.stack([np.ones(len(alive), bool), alive], axis=1).ravel()
         begin = time.perf_counter()
         action, self._state = self.policy.predict(
-            seen, state=self._state, episode_start=np.array([self._start]), deterministic=True, **masks
+            seen, state=self._state, episode_start=np.array([self._start]), deterministic=True, **given
         )
         seconds = time.perf_counter() - begin
         self._start = False
@@ -120,21 +120,8 @@ class PolicyAgent:
         PolicyAgent(self.policy).answer(observation)
 
 
-def _action_masks(observation: Any) -> NDArray[np.bool_]:
-    """The mask ``(2 N,)`` of the allowed values of each bit: 0 for every UAV, 1 for those that are alive."""
-    alive = np.asarray(observation["alive"], bool)
-    return np.stack([np.ones(len(alive), bool), alive], axis=1).ravel()
-
-
 def as_agent(detector: Any) -> Agent:
-    """Wrap a detector, or an object with ``predict``, as an agent.
-
-    Args:
-        detector: the object, or the name of a detector, which is made, as :func:`usnet_env.make_detector` takes it.
-
-    Raises:
-        ArgumentError: the object is neither of the two, or it is a class instead of an object.
-    """
+    """Wrap a detector, its name, or an object with ``predict``, as an agent; anything else is refused."""
     if isinstance(detector, str):
         detector = make_detector(detector)
     if not isinstance(detector, type):
@@ -148,51 +135,34 @@ def as_agent(detector: Any) -> Agent:
 
 
 def label_detectors(detector: Any, trivial: bool, isolated: bool) -> dict[str, Any]:
-    """Give each detector its own label; what can't be a detector is refused.
+    """Give each detector its own label; refuse what can't be a detector, and a name or argument that no detector has.
 
-    Args:
-        detector: as of :func:`usnet_env.evaluate`.
-        trivial: whether the policies of :data:`TRIVIAL` join.
-        isolated: whether detectors that are given by name are made in their own processes only.
+    A constructor that fails is no wrong argument: the detector's rows have the reason. ``isolated`` says that detectors
+    that are given by name are made in their own processes only.
     """
     found: dict[str, Any] = {}
     if isinstance(detector, Mapping):
-        found = {plain_text("label", label): given for label, given in detector.items()}
+        found = named_values("detector", detector)
     else:
         for given in detector if isinstance(detector, list | tuple) else [detector]:
             named = isinstance(given, str) or hasattr(given, "detect")
-            first = label = detector_label(given) if named else type(given).__name__
-            for number in count(2):
-                if label not in found or isinstance(given, str):
-                    break
-                label = f"{first} #{number}"
+            label = detector_label(given) if named else type(given).__name__
             if label in found:
-                raise ArgumentError(f"detector must name each detector once, got {label!r} twice.")
+                raise ArgumentError(
+                    f"detector must be a mapping of labels if two are {label!r}, got {quote(detector)}."
+                )
             found[label] = given
     if not found or not all(label and label.isprintable() for label in found):
         raise ArgumentError(f"detector must have at least one label of printable characters, got {quote(list(found))}.")
-    for name in TRIVIAL if trivial else ():
-        found.setdefault(name, name)
+    found |= {name: name for name in TRIVIAL if trivial and name not in found}
     for given in found.values():
-        _check_detector(given, isolated)
-    return found
-
-
-def _check_detector(detector: Any, isolated: bool) -> None:
-    """Refuse what is no detector, and a name or an argument that no detector has.
-
-    A constructor that fails is no wrong argument: the detector's rows have the reason.
-    """
-    if isinstance(detector, str):
-        name, _ = parse_label(detector, {})
-        if name not in DETECTORS and ":" not in name:
-            raise unknown_name("detector", name, [*DETECTORS, "module:Class"])
-        if isolated:
-            return  # it is made in its own process only
-    try:
-        as_agent(detector)
-    except (ArgumentError, ImportError) as error:
-        if error.__cause__ is None or isinstance(error.__cause__, ImportError):
+        try:
+            if not isolated or not isinstance(given, str):
+                as_agent(given)
+            elif ":" not in (name := parse_label(given, {})[0]):
+                DETECTORS.find(name)
+        except (ArgumentError, ImportError):
             raise
-    except (Exception, SystemExit):  # the constructor of another package may raise anything
-        return
+        except (Exception, SystemExit):  # the constructor of another package may raise anything
+            continue
+    return found

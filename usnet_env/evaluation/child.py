@@ -1,57 +1,39 @@
-"""A detector in a child process, which guards a run against accidents: a crash, an endless loop, too much memory.
-
-Parent and child exchange arrays as ``npz`` bytes. What comes from the child is never unpickled.
-"""
+"""A detector in a child process, which guards a run against accidents: a crash, an endless loop, too much memory."""
 
 from __future__ import annotations
 
 import contextlib
 import os
+import pickle
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator
+from dataclasses import replace
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from typing import Any
 
-import numpy as np
-
-from usnet_env.detection import Detection
 from usnet_env.evaluation.agents import Answer, as_agent
-from usnet_env.evaluation.errors import ChildError, describe_failure
-from usnet_env.evaluation.tasks import become_worker, dumps, limit_memory, loads, pack, unpack
-from usnet_env.window import Window
+from usnet_env.evaluation.tasks import EvaluationError, become_worker, describe_failure, dumps, loads
 
-_ALONE = "observation"  # the name of an observation that is no mapping
-
-Arrays = Mapping[str, Any]
+_MEGABYTE = 1_000_000
 
 
 class ChildDetector:
-    """A detector or a policy in a process of its own, as a detector and as an agent.
-
-    The process starts with the first call, and again after it has ended. It gets a copy of the detector. The seconds of
-    an answer include the way there and back.
+    """A copy of a detector or a policy in a process of its own, as an agent.
 
     Args:
         detector: a name as :func:`usnet_env.make_detector` takes it, or an object.
-        seconds: largest wall time of one call; ``None``: no limit. A process that exceeds it is killed.
-        megabytes: memory in 10^6 bytes that one call may allocate beyond what the process holds; ``None``: no limit.
-            Linux only.
+        seconds: largest wall time of one call. A process that exceeds it is killed.
+        megabytes: memory in 10^6 bytes that one call may allocate beyond what the process holds. Linux only.
 
     Raises:
-        ChildError: by each call: the detector raised an exception, exceeded a limit, or ended its process.
+        EvaluationError: also by each call: the detector raised an exception, exceeded a limit, or ended its process.
     """
 
     def __init__(self, detector: Any, seconds: float | None = None, megabytes: float | None = None) -> None:
-        self._payload = np.frombuffer(dumps(detector), np.uint8)
-        self._seconds, self._megabytes = seconds, megabytes
-        self._process: subprocess.Popen[bytes] | None = None
-
-    def start(self) -> None:
-        """Start the process, and make the detector there."""
         self._connection, theirs = Pipe()
         command = "import sys; sys.path[:] = sys.argv[2:]; from usnet_env.evaluation import child; child.serve()"
         with theirs:
@@ -61,99 +43,94 @@ class ChildDetector:
                 pass_fds=[theirs.fileno()],
                 env={"OMP_NUM_THREADS": "1", **os.environ},
             )
+        self.running = True
+        self._seconds: float | None = None  # importing and making it takes as long as it takes
         try:
-            self._receive(None)  # it has imported what it needs
-            self._connection.send_bytes(pack({"megabytes": self._megabytes}, {"detector": self._payload}))
-            self._receive(None)
-        except ChildError:
+            self._exchange(dumps((detector, megabytes)))
+        except EvaluationError:
             self.close()
             raise
+        self._seconds = seconds
 
-    @property
-    def running(self) -> bool:
-        """Whether the process has started, and has not ended."""
-        return self._process is not None
-
-    def reset(self, seed: int | None = None) -> None:
+    def reset(self, seed: int) -> None:
         """Start an episode."""
-        self._call("reset", seed=seed)
-
-    def detect(self, window: Window) -> Detection:
-        """Return the candidates, scores and clusters of the answer to a window."""
-        fields = {name: getattr(window, name) for name in ("position", "velocity", "seen", "alive", "round", "step")}
-        return Detection(**self._call("answer", {name: part for name, part in fields.items() if part is not None}))
+        self._exchange(pickle.dumps(("reset", seed)))
 
     def answer(self, observation: Any) -> Answer:
         """Return the answer to one observation."""
         begin = time.perf_counter()
-        parts = self._call("answer", observation)
-        return Answer(**{"clusters": None, **parts}, seconds=time.perf_counter() - begin)
+        answer = self._exchange(pickle.dumps(("answer", observation)))
+        return replace(answer, seconds=time.perf_counter() - begin)
 
     def warm_up(self, observation: Any) -> None:
         """Answer once without being timed."""
-        self._call("warm_up", observation)
+        self._exchange(pickle.dumps(("warm_up", observation)))
 
     def close(self) -> None:
         """End the process."""
-        if self._process is not None:
-            self._process.kill()
-            self._process.wait()
-            self._connection.close()
-            self._process = None
+        self.running = False
+        self._process.kill()
+        self._process.wait()
+        self._connection.close()
 
-    def _call(self, name: str, observation: Any = None, seed: int | None = None) -> dict[str, Any]:
-        if not self.running:
-            self.start()
-        single = observation is not None and not isinstance(observation, Mapping)
-        with contextlib.suppress(BrokenPipeError):  # it has ended: receiving says why
-            arrays = {_ALONE: observation} if single else observation or {}
-            self._connection.send_bytes(pack({"call": name, "seed": seed}, arrays))
-        return self._receive(self._seconds)
-
-    def _receive(self, seconds: float | None) -> dict[str, Any]:
+    def _exchange(self, message: bytes) -> Any:
+        """Send a message, and return the reply."""
         try:
-            if not self._connection.poll(seconds):
+            with contextlib.suppress(BrokenPipeError):  # it has ended: receiving says so
+                self._connection.send_bytes(message)
+            if not self._connection.poll(self._seconds):
                 self.close()
-                raise ChildError(f"it took longer than {seconds:g} seconds, the time limit")
-            header, arrays = unpack(self._connection.recv_bytes())
+                raise EvaluationError(f"it took longer than {self._seconds:g} seconds, the time limit")
+            error, value = self._connection.recv()
         except (EOFError, ConnectionError):
-            status = self._process.wait() if self._process else 0
+            status = self._process.wait()
             self.close()
             how = f"was ended by {signal.Signals(-status).name}" if status < 0 else f"ended itself with status {status}"
-            raise ChildError(f"its process {how}") from None
-        if "error" in header:
-            raise ChildError(header["error"])
-        return arrays
+            raise EvaluationError(f"its process {how}") from None
+        if error:
+            raise EvaluationError(error)
+        return value
 
 
 def serve() -> None:
     """Answer calls until the connection closes; the main function of the child process."""
     become_worker()
     connection = Connection(int(sys.argv[1]))
-    connection.send_bytes(pack({}, {}))
-    made: Any = None
+    agent: Any = None
     megabytes: float | None = None
     with contextlib.suppress(EOFError, ConnectionError):
         while True:
-            values, arrays = unpack(connection.recv_bytes())
+            message, value = connection.recv_bytes(), None
             try:
-                if made is None:
-                    megabytes, made = values["megabytes"], as_agent(loads(arrays["detector"].tobytes()))
-                    found: Arrays = {}
+                if agent is None:
+                    detector, megabytes = loads(message)
+                    agent = as_agent(detector)
                 else:
+                    name, argument = pickle.loads(message)
                     with limit_memory(megabytes):
-                        found = _answer(made, values, arrays)
-                reply = pack({}, found)
-            except (Exception, SystemExit) as error:
-                reply = pack({"error": describe_failure(error)}, {})
-            connection.send_bytes(reply)
+                        value = getattr(agent, name)(argument)
+                error = ""
+            except (Exception, SystemExit) as failure:
+                error = describe_failure(failure)
+            connection.send((error, value))
 
 
-def _answer(agent: Any, values: Mapping[str, Any], arrays: Arrays) -> Arrays:
-    """Answer one call."""
-    if values["call"] == "reset":
-        agent.reset(values["seed"])
-        return {}
-    answer = getattr(agent, values["call"])(arrays.get(_ALONE, arrays))
-    parts = {name: getattr(answer, name, None) for name in ("candidates", "scores", "clusters")}
-    return {name: part for name, part in parts.items() if part is not None}
+@contextlib.contextmanager
+def limit_memory(megabytes: float | None) -> Iterator[None]:
+    """Limit what this process may allocate in the block beyond what it holds; ``None``: no limit. Linux only."""
+    if megabytes is None:
+        yield
+        return
+    import resource
+
+    soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    with open("/proc/self/statm", "rb") as file:
+        held = int(file.read().split()[5]) * resource.getpagesize()
+    most = held + int(megabytes * _MEGABYTE)
+    resource.setrlimit(resource.RLIMIT_DATA, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
+    try:
+        yield
+    except MemoryError:
+        raise MemoryError(f"it needed more than {megabytes:g} MB, the memory limit") from None
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))

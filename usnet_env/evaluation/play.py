@@ -14,20 +14,10 @@ import numpy as np
 from usnet_env import objectives
 from usnet_env.envs.play import PlayedRound, play_rounds
 from usnet_env.evaluation.agents import Agent, Answer, as_agent
-from usnet_env.evaluation.errors import EvaluationError, describe_failure
+from usnet_env.evaluation.tasks import EvaluationError, describe_failure
 from usnet_env.swarm import SwarmState
 
-__all__ = [
-    "Agent",
-    "Answer",
-    "as_agent",
-    "detector_step",
-    "episode_metrics",
-    "episode_seeds",
-    "play_agent",
-    "play_episode",
-    "record_metrics",
-]
+__all__ = ["Agent", "Answer", "as_agent", "episode_seeds", "play_episode", "record_metrics"]
 
 Row = dict[str, Any]
 
@@ -55,17 +45,10 @@ KEYS = ("cell", "detector", "episode", "swarm_seed", "detector_seed", "uavs", "h
 
 
 def episode_seeds(seed: int, episode: int) -> tuple[int, int]:
-    """Derive the seeds of one episode: one for the swarm, one for the detector.
+    """Derive the seeds of an episode, numbered from 0: one for the swarm, below 2^63, one for the detector, below 2^31.
 
     They come from two separate branches of (``seed``, ``episode``), so that the random numbers of a detector are
     independent of those of its swarm.
-
-    Args:
-        seed: the seed of the evaluation.
-        episode: number of the episode, from 0.
-
-    Returns:
-        The swarm's seed, below 2^63, and the detector's seed, below 2^31.
     """
     swarm, detector = (np.random.SeedSequence(seed, spawn_key=(episode, branch)) for branch in (0, 1))
     swarm_seed = int(swarm.generate_state(1, np.uint64)[0] >> np.uint64(1))
@@ -73,62 +56,47 @@ def episode_seeds(seed: int, episode: int) -> tuple[int, int]:
 
 
 @contextmanager
-def detector_step(label: str, where: str, episode: int | None = None) -> Iterator[None]:
-    """Run a step of a detector; whatever it raises becomes an :class:`EvaluationError`.
-
-    ``SystemExit`` is an error here as well: a detector must not end the program, least of all with status 0.
-    """
+def detector_step(label: str, where: str) -> Iterator[None]:
+    """Run a step of a detector; whatever it raises becomes an :class:`EvaluationError`."""
     try:
         yield
-    except (Exception, SystemExit) as error:
+    except (Exception, SystemExit) as error:  # a detector must not end the program, least of all with status 0
         reason = f"{where}: {describe_failure(error)}"
-        place = "" if episode is None else f"episode {episode}, "
-        raise EvaluationError(f"detector {label!r} failed in {place}{reason}.", reason) from error
-
-
-def play_agent(
-    env: gym.Env[Any, Any], agent: Agent, label: str, episode: int, seeds: tuple[int, int]
-) -> list[PlayedRound[Answer]]:
-    """Play one episode to its end.
-
-    Args:
-        env: a USNET environment.
-        agent: what :func:`as_agent` returns.
-        label: names the agent in errors.
-        episode: number of the episode, for errors.
-        seeds: those of the swarm and of the agent, see :func:`episode_seeds`.
-
-    Returns:
-        The rounds.
-
-    Raises:
-        EvaluationError: the agent raised an exception, or its answer has a wrong type or shape.
-    """
-    swarm_seed, detector_seed = seeds
-    number = count(1)
-
-    def answer(observation: Any, truth: SwarmState) -> Answer:
-        with detector_step(label, f"round {next(number)}", episode):
-            return agent.answer(observation)
-
-    with detector_step(label, "its reset", episode):
-        agent.reset(detector_seed)
-    return list(play_rounds(env, answer, swarm_seed))
+        raise EvaluationError(f"detector {label!r} failed in {reason}.", reason) from error
 
 
 def play_episode(
     env: gym.Env[Any, Any], agent: Agent, cell: str, label: str, episode: int, seeds: tuple[int, int]
 ) -> Row:
-    """Play one episode to its end, as :func:`play_agent` does, and score it.
+    """Play one episode to its end, and score it.
+
+    Args:
+        env: a USNET environment.
+        agent: what :func:`as_agent` returns.
+        cell: name of the setting.
+        label: name of the agent.
+        episode: number of the episode.
+        seeds: those of the swarm and of the agent, see :func:`episode_seeds`.
 
     Returns:
         The row: the values of :data:`KEYS`, the metrics, and an empty ``error``.
+
+    Raises:
+        EvaluationError: the agent raised an exception, or its answer has a wrong type or shape.
     """
-    rounds = play_agent(env, agent, label, episode, seeds)
+    number = count(1)
+
+    def answer(observation: Any, truth: SwarmState) -> Answer:
+        with detector_step(label, f"round {next(number)}"):
+            return agent.answer(observation)
+
+    with detector_step(label, "its reset"):
+        agent.reset(seeds[1])
+    rounds = list(play_rounds(env, answer, seeds[0]))
     game: Any = env.unwrapped
     return {
         **row_keys(cell, label, episode, seeds, rounds[0].truth.head),
-        **episode_metrics(game.problem, rounds),
+        **_episode_metrics(game.problem, rounds),
         **(game.score_answer(rounds[0].answer.scores) if hasattr(game, "score_answer") else {}),
         "error": "",
     }
@@ -139,16 +107,8 @@ def row_keys(cell: str, label: str, episode: int, seeds: tuple[int, int], head: 
     return dict(zip(KEYS, (cell, label, episode, *seeds, len(head), int(head.sum())), strict=True))
 
 
-def episode_metrics(problem: str, rounds: Sequence[PlayedRound[Answer]]) -> dict[str, float | int | None]:
-    """Compute all metrics of one episode.
-
-    Args:
-        problem: ``"P1"`` or ``"P2"``.
-        rounds: the R rounds; no candidate of a round with more candidates than the shot budget counts.
-
-    Returns:
-        A value for each name of :data:`METRICS`; the cluster metrics are ``None`` if the detector returns no clusters.
-    """
+def _episode_metrics(problem: str, rounds: Sequence[PlayedRound[Answer]]) -> dict[str, float | int | None]:
+    """A value for each name of :data:`METRICS`; no candidate of a round that is over the shot budget counts."""
     truth, answer = rounds[0].truth, rounds[0].answer
     fired = np.array([played.answer.candidates & (not played.info["over_budget"]) for played in rounds])
     head, first = truth.head, fired[0]
@@ -177,15 +137,11 @@ def episode_metrics(problem: str, rounds: Sequence[PlayedRound[Answer]]) -> dict
 
 
 def record_metrics(record: Any) -> dict[str, float | int | None]:
-    """Compute all metrics of an episode that was recorded.
-
-    Args:
-        record: an :class:`usnet_env.replay.EpisodeRecord`, or an object with the same arrays.
-    """
+    """Compute the metrics of an :class:`usnet_env.replay.EpisodeRecord`, or of an object with the same arrays."""
     rounds: list[PlayedRound[Answer]] = []
     for number, candidates in enumerate(record.candidates):
         truth: Any = SimpleNamespace(head=record.head, decoy=record.decoy, root=record.root[number])
         clusters = None if record.clusters is None else record.clusters[number]
         answer = Answer(candidates, record.scores[number], clusters, float(record.seconds[number]))
         rounds.append(PlayedRound(None, truth, answer, {"over_budget": record.over_budget[number]}, truth))
-    return episode_metrics(record.problem, rounds)
+    return _episode_metrics(record.problem, rounds)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from html import escape
 from os import PathLike
 from typing import TYPE_CHECKING, Any, overload
 
@@ -14,18 +13,14 @@ import pandas as pd
 
 from usnet_env.config import ArgumentError, format_count, quote, unknown_name
 from usnet_env.evaluation import stats, tables
-from usnet_env.evaluation.errors import LONGEST_REASON
 from usnet_env.evaluation.folder import COLUMNS, TEXTS, read_run
 from usnet_env.evaluation.play import KEYS, LOWER_IS_BETTER, METRICS, RATES
 from usnet_env.evaluation.stats import CONFIDENCE, Interval, Profile, mean_interval
+from usnet_env.evaluation.tasks import LONGEST_REASON
 from usnet_env.files import as_path
 
 if TYPE_CHECKING:
     from rich.table import Table
-
-Summary = list[dict[str, Any]]
-
-_THRESHOLDS = 101  # of a profile by default
 
 
 @dataclass(frozen=True)
@@ -35,10 +30,9 @@ class Comparison:
     Args:
         a, b: labels of the two detectors.
         metric: what is compared.
-        episodes: number of episodes that both have played, n.
+        episodes: number of episodes that both have played.
         difference: the mean over them of a's value minus b's value.
-        low, high: its simultaneous 95 % interval: a bootstrap interval of the level 1 - 0.05 / k (Bonferroni); of one
-            episode, which has no interval, both are the difference.
+        low, high: its bootstrap interval of the level 1 - 0.05 / k (Bonferroni); one episode has none.
         p: the p-value of the paired randomisation test, adjusted for k comparisons (Holm, 1979).
         comparisons: number of pairs that were asked for together, k.
     """
@@ -55,11 +49,10 @@ class Comparison:
 
     def __str__(self) -> str:
         among = "" if self.comparisons == 1 else f", corrected for {self.comparisons} comparisons"
-        value, low, high = (f"{number:+.4g}" for number in (self.difference, self.low, self.high))
         p = "p < 0.001" if self.p < 0.001 else f"p = {self.p:.2g}"
-        interval = "" if self.low == self.high else f"95 % interval {low} to {high}, "
+        interval = "" if self.low == self.high else f"95 % interval {self.low:+.4g} to {self.high:+.4g}, "
         return (
-            f"{self.metric} of {self.a} minus {self.b}: {value} ({interval}{p}{among}) "
+            f"{self.metric} of {self.a} minus {self.b}: {self.difference:+.4g} ({interval}{p}{among}) "
             f"over {format_count(self.episodes, 'episode')}"
         )
 
@@ -79,14 +72,10 @@ class EvaluationResult:
         self.cells = list(dict.fromkeys([*self.config.get("cells", {}), *rows["cell"].unique()]))
         self.detectors = list(dict.fromkeys([*self.config.get("detectors", []), *rows["detector"].unique()]))
         kinds = {name: object if name in TEXTS else np.int64 if name in KEYS else np.float64 for name in rows.columns}
-        places = [
-            rows["episode"].to_numpy(np.int64),
-            *(
-                pd.Index(order).get_indexer(rows[name])
-                for name, order in (("detector", self.detectors), ("cell", self.cells))
-            ),
-        ]
-        self.rows = rows.astype(kinds).iloc[np.lexsort(places)].reset_index(drop=True)
+        orders = {"detector": self.detectors, "cell": self.cells}
+        places = [pd.Index(order).get_indexer(rows[name]) for name, order in orders.items()]
+        order = np.lexsort([rows["episode"].to_numpy(np.int64), *places])
+        self.rows = rows.astype(kinds).iloc[order].reset_index(drop=True)
 
     @classmethod
     def load(cls, folder: str | PathLike[str]) -> EvaluationResult:
@@ -99,25 +88,24 @@ class EvaluationResult:
         return cls(rows, about["arguments"])
 
     @cached_property
-    def summary(self) -> Summary:
+    def summary(self) -> list[dict[str, Any]]:
         """One entry for each detector, with the keys ``detector``, ``episodes``, ``failed`` and ``metrics``.
 
         ``metrics`` has ``{"mean", "low", "high"}`` by the name of each metric: its mean over all episodes of all cells
-        in which the detector did not fail, and its 95 % interval; episodes of several cells with the same seed of the
-        swarm are one group. A metric that an episode may lack uses only the episodes that have it, and is absent if
-        there is none.
+        that have it, and its 95 % interval; episodes of several cells with the same seed of the swarm are one group.
         """
         entries = []
-        for label, rows in self.rows.groupby("detector", sort=False):
-            played = rows[rows["error"] == ""]
-            metrics = {}
-            for name in self.metrics:
-                if (interval := _interval(played, name)) is not None:
-                    metrics[name] = interval._asdict()
-            entries.append(
-                {"detector": label, "episodes": len(played), "failed": len(rows) - len(played), "metrics": metrics}
-            )
-        return sorted(entries, key=lambda entry: self.detectors.index(entry["detector"]))
+        for label, rows in self._by_detector():
+            found = {name: _interval(rows, name) for name in self.metrics}
+            metrics = {name: interval._asdict() for name, interval in found.items() if interval is not None}
+            failed = int((rows["error"] != "").sum())
+            entries.append({"detector": label, "episodes": len(rows) - failed, "failed": failed, "metrics": metrics})
+        return entries
+
+    def _by_detector(self) -> list[tuple[str, pd.DataFrame]]:
+        """The label and the rows of each detector that has some."""
+        groups = dict(list(self.rows.groupby("detector", sort=False)))
+        return [(label, groups[label]) for label in self.detectors if label in groups]
 
     @property
     def metrics(self) -> list[str]:
@@ -128,75 +116,46 @@ class EvaluationResult:
     def failures(self) -> dict[str, str]:
         """For each detector that failed in an episode, one sentence that says how often, and why first."""
         found = {}
-        for label, rows in self.rows.groupby("detector", sort=False):
+        for label, rows in self._by_detector():
             failed = rows[rows["error"] != ""]
-            if len(failed):
-                first = failed.iloc[0]
-                where = f"{first['cell']}, episode {first['episode']}, {first['error']}"
-                text = f"detector {label!r} failed in {len(failed)} of {len(rows)} episodes, first in {where}"
-                found[label] = (
-                    tables.printable(text if len(text) < LONGEST_REASON else text[:LONGEST_REASON] + "…") + "."
-                )
+            for cell, episode, error in failed[["cell", "episode", "error"]].head(1).itertuples(index=False):
+                text = f"detector {label!r} failed in {len(failed)} of {len(rows)} episodes, first in {cell}, "
+                text = tables.printable(f"{text}episode {episode}, {error}")
+                found[label] = f"{text if len(text) < LONGEST_REASON else text[:LONGEST_REASON] + '…'}."
         return found
 
     def __repr__(self) -> str:
         return f"<EvaluationResult of {self._title}>"
 
-    def _repr_html_(self) -> str:
-        """The ranking, the conclusion and the failures, for a notebook."""
-        header, lines = tables.list_ranking(self.summary)
-        notes = [self._title, self.conclusion(), *self.failures.values()]
-        return pd.DataFrame(lines, columns=header).to_html(index=False) + "".join(
-            f"<p>{escape(note)}</p>" for note in notes
-        )
-
     @property
     def _title(self) -> str:
-        """What was played."""
-        name = self.config.get("suite") or ", ".join(self.cells)
-        cells = f", {format_count(len(self.cells), 'cell')}" if self.config.get("suite") else ""
-        asked = self.config.get("episodes", 0) * len(self.cells)
-        return f"{name}{cells}, {tables.describe_episodes(self.summary, asked)} of each detector"
+        """What was played, such as ``paper (version 1), 4 cells, 5 to 20 of 40 episodes of each detector``."""
+        name = ", ".join(self.cells)
+        if self.config.get("suite"):
+            name = f"{self.config['suite']}, {format_count(len(self.cells), 'cell')}"
+        played = sorted({entry["episodes"] for entry in self.summary}) or [0]
+        asked = max(self.config.get("episodes", 0) * len(self.cells), played[-1])
+        numbers = " to ".join(str(number) for number in dict.fromkeys((played[0], played[-1])))
+        of = f" of {asked}" if asked > played[-1] else ""
+        return f"{name}, {numbers}{of} episode{'s' * (asked != 1)} of each detector"
 
     def __getitem__(self, detector: str) -> dict[str, Any]:
-        """Return the metrics of the detector with this label; empty if it failed in all episodes.
-
-        Raises:
-            KeyError: no row has that label.
-        """
+        """Return the metrics of the detector with this label; empty if it failed in all episodes."""
         return {entry["detector"]: entry["metrics"] for entry in self.summary}[detector]
 
     def __iter__(self) -> Iterator[str]:
         """The labels of the detectors."""
         return (entry["detector"] for entry in self.summary)
 
-    def __len__(self) -> int:
-        return len(self.summary)
-
-    def cell(self, name: str, detector: str, metric: str = "exact") -> Interval | None:
-        """The mean of a metric in a cell, with its interval; ``None`` where the detector has no value."""
-        self._check_metric(metric)
-        rows = self.rows[(self.rows["cell"] == name) & (self.rows["detector"] == detector) & (self.rows["error"] == "")]
-        return _interval(rows, metric)
-
-    def table(self, metrics: Sequence[str] | None = None) -> Table:
-        """Create a table for a terminal, with a line for each metric and a column for each detector.
-
-        Args:
-            metrics: names of the lines; by default all metrics that at least one detector has.
-        """
-        header, lines = tables.list_lines(self.summary, self._choose(metrics), "{}\n{}–{}")
-        return tables.make_table(f"{self._title}: mean and 95 % interval", *_transpose(header, lines))
-
-    def cell_table(self, metric: str = "exact") -> Table:
-        """Create a table for a terminal, with a line for each cell and a column for each detector."""
-        return tables.make_table(self._title, *self._grid(metric))
+    def table(self, metrics: Sequence[str] | str | None = None) -> Table:
+        """Create a table for a terminal: a column for each detector, a line for each metric, or cell for one name."""
+        header, lines = self._grid(metrics, "{}\n{}–{}")
+        if not isinstance(metrics, str):
+            header, *lines = (list(column) for column in zip(header, *lines, strict=True))
+        return tables.make_table(f"{self._title}: mean and 95 % interval", header, lines)
 
     def ranking(self) -> Table:
-        """Create a table for a terminal of 80 columns: the detectors by J (in recorded tracks F1), best first.
-
-        An arrow after a heading points to the better values; where all values are equal, a mean has no interval.
-        """
+        """Create a table for a terminal of 80 columns: the detectors by J (in recorded tracks F1), best first."""
         return tables.make_table(f"{self._title}: means, best first", *tables.list_ranking(self.summary))
 
     def conclusion(self) -> str:
@@ -219,29 +178,23 @@ class EvaluationResult:
         """The table of :meth:`to_markdown` as a ``tabular`` for LaTeX's booktabs."""
         return tables.format_latex(*self._grid(metrics))
 
-    def _grid(self, metrics: Sequence[str] | str | None) -> tuple[list[str], list[list[str]]]:
+    def _grid(
+        self, metrics: Sequence[str] | str | None, pattern: str = "{} ({} to {})"
+    ) -> tuple[list[str], list[list[str]]]:
+        """The heading and the lines of a table, as of :meth:`to_markdown`."""
+        for name in [metrics] if isinstance(metrics, str) else metrics or ():
+            if name not in self.metrics and name not in METRICS:
+                raise unknown_name("metrics", name, self.metrics)
         if not isinstance(metrics, str):
-            return tables.list_lines(self.summary, self._choose(metrics), "{} ({} to {})")
-        self._check_metric(metrics)
-        means = {entry["detector"]: entry["metrics"].get(metrics) for entry in self.summary}
-        groups = {
-            key: _interval(rows[rows["error"] == ""], metrics) for key, rows in self.rows.groupby(["cell", "detector"])
-        }
-
-        def show(interval: Interval | None) -> str:
-            return tables.format_interval(None if interval is None else interval._asdict())
-
-        lines = [[cell, *(show(groups.get((cell, label))) for label in means)] for cell in self.cells]
-        lines.append(["all cells", *map(tables.format_interval, means.values())])
-        return [tables.heading(self.summary, metrics), *map(tables.printable, means)], lines
-
-    def _choose(self, metrics: Sequence[str] | None) -> list[str]:
-        """The metrics that are asked for, or all, if at least one detector has them."""
-        known = [name for name in self.metrics if any(name in entry["metrics"] for entry in self.summary)]
-        for name in metrics or ():
-            if name not in known and name not in METRICS:
-                raise unknown_name("metrics", name, known)
-        return known if metrics is None else [name for name in metrics if name in known]
+            known = [name for name in self.metrics if any(name in entry["metrics"] for entry in self.summary)]
+            chosen = known if metrics is None else [name for name in metrics if name in known]
+            return tables.list_lines(self.summary, chosen, pattern)
+        parts = [(cell, self.rows[self.rows["cell"] == cell]) for cell in self.cells]
+        lines = []
+        for cell, rows in [*parts, ("all cells", self.rows)]:
+            found = [_interval(rows[rows["detector"] == label], metrics) for label in self]
+            lines.append([cell, *(tables.format_interval(each and each._asdict()) for each in found)])
+        return [tables.heading(self.summary, metrics), *map(tables.printable, self)], lines
 
     @overload
     def compare(self, a: str, b: str, metric: str = "J") -> Comparison: ...
@@ -252,52 +205,42 @@ class EvaluationResult:
     ) -> Comparison | list[Comparison]:
         """Compare a detector with another one, or with several, episode by episode: all played against the same swarms.
 
-        Episodes are paired cell by cell. Cells whose swarms have the same seed depend on each other: their differences
-        are one group, which is resampled, and changes its sign, as a whole. An episode in which one of the two has no
-        value is left out.
-
-        With k others, the intervals have the level 1 - 0.05 / k and the p-values are adjusted by Holm's method, so that
-        the chance of any false difference among them is at most 5 %.
+        Cells whose swarms have the same seed depend on each other: their differences are one group, which is resampled,
+        and changes its sign, as a whole. With k others, the intervals have the level 1 - 0.05 / k and the p-values are
+        adjusted by Holm's method, so that the chance of any false difference among them is at most 5 %.
 
         Args:
             a: label of a detector.
             b: label of another one, a list of labels, or ``None`` for all others.
             metric: what is compared.
 
-        Returns:
-            One comparison, or a list of them.
-
         Raises:
             ArgumentError: there is no such detector or metric, or two detectors share no episode.
         """
         self._check_metric(metric)
-        others = (
-            [b] if isinstance(b, str) else [label for label in self.detectors if label != a] if b is None else list(b)
-        )
+        others = [label for label in self if label != a] if b is None else [b] if isinstance(b, str) else b
         for label in (a, *others):
-            if label not in self.detectors:
-                raise unknown_name("detector", label, self.detectors)
+            if label not in list(self):
+                raise unknown_name("detector", label, self)
         wide = self.rows.pivot(index=["cell", "swarm_seed"], columns="detector", values=metric)
-        pairs = [(wide[a] - wide[other]).dropna() for other in others]
-        for other, differences in zip(others, pairs, strict=True):
-            if differences.empty:
+        pairs = {other: (wide[a] - wide[other]).dropna() for other in others}
+        for other in others:
+            if pairs[other].empty:
                 raise ArgumentError(
                     f"b must have episodes with {metric} in common with {quote(a)}, got {quote(other)}."
                 )
-        adjusted = stats.holm([stats.paired_test(each.groupby("swarm_seed").sum()) for each in pairs])
-        level, k = 1 - (1 - CONFIDENCE) / max(1, len(others)), len(others)
+        adjusted = stats.holm([stats.paired_test(pair.groupby("swarm_seed").sum()) for pair in pairs.values()])
+        level = 1 - (1 - CONFIDENCE) / max(1, len(others))
         found = []
-        for other, differences, p in zip(others, pairs, adjusted, strict=True):
-            swarms = differences.index.get_level_values("swarm_seed")
-            interval = mean_interval(differences.to_numpy(), confidence=level, groups=swarms.to_numpy())
-            found.append(Comparison(a, other, metric, len(differences), *interval, p, k))
+        for (other, pair), p in zip(pairs.items(), adjusted, strict=True):
+            interval = mean_interval(pair, confidence=level, groups=pair.index.get_level_values("swarm_seed"))
+            found.append(Comparison(a, other, metric, len(pair), *interval, p, len(others)))
         return found[0] if isinstance(b, str) else found
 
     def interquartile_means(self, metric: str = "J") -> dict[str, Interval]:
         """The mean of the middle half of all episodes of each detector, with its 95 % interval; each cell is a stratum.
 
-        It is less sensitive to a few bad episodes than the mean. Values are not normalised: the metric should have the
-        same scale in all cells.
+        Values are not normalised: the metric should have the same scale in all cells.
         """
         return {label: stats.interquartile_mean(strata) for label, strata in self._strata(metric).items()}
 
@@ -308,46 +251,38 @@ class EvaluationResult:
             metric: which one.
             thresholds: ``(t,)``; by default 101 from the lowest to the highest value.
         """
-        strata = self._strata(metric)
-        values = self.rows[metric].dropna()
-        at = np.linspace(values.min(), values.max(), _THRESHOLDS).tolist() if thresholds is None else thresholds
-        first = tables.objective(self.summary)
-        lower = first.sign == 1 if metric == "J" else metric in LOWER_IS_BETTER or metric.startswith("price")
+        strata, values = self._strata(metric), self.rows[metric].dropna()
+        at = np.linspace(values.min(), values.max(), 101) if thresholds is None else thresholds
+        lower = metric in LOWER_IS_BETTER or metric.startswith("price")
+        lower |= metric == "J" and tables.objective(self.summary)[2] == 1
         return {label: stats.performance_profile(parts, at, lower) for label, parts in strata.items()}
 
-    def _strata(self, metric: str) -> dict[str, list[np.ndarray[Any, np.dtype[np.float64]]]]:
+    def _strata(self, metric: str) -> dict[str, list[pd.Series[float]]]:
         """The values of each detector that has some, cell by cell."""
         self._check_metric(metric)
-        values = self.rows.dropna(subset=[metric])
-        return {
-            str(label): [cell.to_numpy() for _, cell in rows.groupby("cell", sort=False)[metric]]
-            for label, rows in values.groupby("detector", sort=False)
-        }
+        found: dict[str, list[pd.Series[float]]] = {}
+        for (_, label), values in self.rows.dropna(subset=[metric]).groupby(["cell", "detector"])[metric]:
+            found.setdefault(label, []).append(values)
+        return found
 
     def merge(self, other: EvaluationResult) -> EvaluationResult:
         """Join the result of other detectors that have met the same swarms, such as one of another folder.
 
-        Args:
-            other: a result with the same cells and seed; its labels must differ from those of this one.
-
-        Returns:
-            A result with all rows, whose tables and comparisons hold the detectors of both.
-
         Raises:
-            ArgumentError: the two have other arguments or a label in common.
+            ArgumentError: the two have another suite, cells or seed, or a label in common.
         """
-        shared = sorted(set(self.detectors) & set(other.detectors))
+        shared = [label for label in self.detectors if label in other.detectors]
         differing = [name for name in ("suite", "cells", "seed") if self.config.get(name) != other.config.get(name)]
         if shared or differing:
             raise ArgumentError(
                 "other must have other labels than this result, and the same suite, cells and seed, got "
                 f"{f'{quote(shared[0])} in both' if shared else f'another {differing[0]}'}."
             )
-        names = list(dict.fromkeys([*COLUMNS[:-1], *self.metrics, *other.metrics, "error"]))
-        rows = pd.concat([self.rows, other.rows], ignore_index=True)[names]
+        names = dict.fromkeys([*COLUMNS[:-1], *self.metrics, *other.metrics, "error"])
+        rows = pd.concat([self.rows, other.rows])[list(names)]
         episodes = max(result.config.get("episodes", 0) for result in (self, other))
-        config = {**self.config, "detectors": [*self.detectors, *other.detectors], "episodes": episodes}
-        return EvaluationResult(rows, config)
+        config = {"detectors": [*self.detectors, *other.detectors], "episodes": episodes}
+        return EvaluationResult(rows, self.config | config)
 
     def _check_metric(self, metric: str) -> None:
         if metric not in self.metrics:
@@ -361,8 +296,3 @@ def _interval(rows: pd.DataFrame, metric: str) -> Interval | None:
         return None
     interval = stats.rate_interval if metric in RATES else mean_interval
     return interval(values[metric].to_numpy(), groups=values["swarm_seed"].to_numpy())
-
-
-def _transpose(header: Sequence[str], lines: Sequence[Sequence[str]]) -> tuple[list[str], list[list[str]]]:
-    columns = list(zip(header, *lines, strict=True))
-    return list(columns[0]), [list(column) for column in columns[1:]]

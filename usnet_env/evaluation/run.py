@@ -1,14 +1,13 @@
-"""The evaluator: every detector plays the same episodes in every cell, and each episode becomes a row."""
+"""Play detectors against the same swarms: cells x detectors x episodes -> rows."""
 
 from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, closing
 from os import PathLike
-from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import gymnasium as gym
 import pandas as pd
@@ -18,39 +17,29 @@ from usnet_env.config import ArgumentError, Config, describe_arguments, named_va
 from usnet_env.evaluation.agents import TRIVIAL, Agent, as_agent, label_detectors
 from usnet_env.evaluation.child import ChildDetector
 from usnet_env.evaluation.environments import check_environment, make_environment
-from usnet_env.evaluation.errors import EvaluationError
 from usnet_env.evaluation.folder import COLUMNS, RunFolder
 from usnet_env.evaluation.play import TRACK_METRICS, Row, detector_step, episode_seeds, play_episode, row_keys
 from usnet_env.evaluation.result import EvaluationResult
 from usnet_env.evaluation.suites import Cell, Suite, load_suite
-from usnet_env.evaluation.tasks import map_tasks
+from usnet_env.evaluation.tasks import EvaluationError, map_tasks
 from usnet_env.files import as_path
 from usnet_env.progress import progress_bar
 
 __all__ = ["TRIVIAL", "RunArguments", "Task", "evaluate", "evaluate_suite", "map_tasks", "play_run"]
 
-Limit = Annotated[float, Field(gt=0, le=1e9)]
-
 
 class RunArguments(Config):
     """The plain arguments of a run."""
 
-    episodes: Annotated[int, Field(ge=1, le=1_000_000)]
-    seed: Annotated[int, Field(ge=0, lt=2**192)]
-    workers: Annotated[int, Field(ge=1, le=4_096)] = 1
+    episodes: int = Field(default=100, ge=1, le=1_000_000)
+    seed: int = Field(default=0, ge=0, lt=2**192)  # published rows use a suite's seed + (a 128-bit number << 32)
+    workers: int = Field(default=1, ge=1, le=4_096)
     progress: bool = False
     backend: Literal["serial", "processes", "ray"] | None = None
     trivial: bool = False
     isolate: bool = False
-    time_limit: Limit | None = None
-    memory_limit: Limit | None = None
-
-    def __init__(self, **values: Any) -> None:
-        super().__init__(**values)
-        if self.backend == "serial" and self.workers > 1:
-            raise ArgumentError(f"workers must be 1 if backend is 'serial', got {self.workers}.")
-        if self.memory_limit is not None and not sys.platform.startswith("linux"):
-            raise ArgumentError(f"memory_limit must be None on a system other than Linux, got {self.memory_limit:g}.")
+    time_limit: float | None = Field(default=None, gt=0, le=1e9)
+    memory_limit: float | None = Field(default=None, gt=0, le=1e9)
 
     @property
     def isolated(self) -> bool:
@@ -68,13 +57,9 @@ class Task(NamedTuple):
 
 
 class DetectorPlayer:
-    """Plays tasks in one process. Each agent is made and warmed up before its first episode in a cell.
+    """Plays tasks in one process, with the agent of one detector in one cell at a time, which is warmed up first.
 
-    Args:
-        cells: the environments by name.
-        detectors: names of detectors as :func:`usnet_env.make_detector` takes them, or objects, by their labels.
-        how: the arguments of the run.
-        env: the environment of all tasks; ``None``: that of each cell is made.
+    An environment that is given is that of all tasks; otherwise that of each cell is made.
     """
 
     def __init__(
@@ -85,68 +70,52 @@ class DetectorPlayer:
         env: gym.Env[Any, Any] | None = None,
     ) -> None:
         self.cells, self.detectors, self.how, self._given = cells, detectors, how, env
-        self._forget()
-
-    def _forget(self) -> None:
-        self._cell = ""
-        self._env: gym.Env[Any, Any] | None = None
-        self._agents: dict[str, Agent] = {}
-        self._broken: dict[str, EvaluationError] = {}
-
-    def __reduce__(self) -> Any:
-        return DetectorPlayer, (self.cells, self.detectors, self.how)
+        self._env: Any = env
+        self._agent: Agent = None
+        self._place: tuple[str, str] | None = None  # the cell and the label of the agent
+        self._broken: EvaluationError | None = None  # its constructor or its warm-up has failed
 
     def __call__(self, task: Task) -> Row:
         """Play one episode; that of a detector that fails is a row with its reason in ``error``."""
-        env = self._enter(task.cell)
         try:
-            return play_episode(env, self._find_agent(env, task), *task)
+            if self._place != task[:2]:
+                self._prepare(task)
+            if self._broken is not None:
+                raise self._broken
+            return play_episode(self._env, self._agent, *task)
         except EvaluationError as error:
-            agent = self._agents.get(task.label)
-            if isinstance(agent, ChildDetector) and not agent.running:
-                del self._agents[task.label]  # a new one is warmed up as the first one was
-            env.reset(seed=task.seeds[0])
-            game: Any = env.unwrapped
-            return {**row_keys(*task, game.swarm.head), "error": error.reason}
+            if isinstance(self._agent, ChildDetector) and not self._agent.running and self._broken is None:
+                self._place = None  # a new one is made, and warmed up as the first one was
+            self._env.reset(seed=task.seeds[0])
+            return {**row_keys(*task, self._env.unwrapped.swarm.head), "error": error.reason}
 
-    def _enter(self, cell: str) -> gym.Env[Any, Any]:
-        if self._env is None or cell != self._cell:
+    def _prepare(self, task: Task) -> None:
+        """Make the agent, and the environment if the cell is another one than before."""
+        self._close_agent()
+        if self._given is None and (self._place is None or self._place[0] != task.cell):
             self.close()
-            self._cell, settings = cell, self.cells[cell]
-            self._env = make_environment(settings.env, settings.arguments) if self._given is None else self._given
-        return self._env
+            self._env = make_environment(self.cells[task.cell].env, self.cells[task.cell].arguments)
+        self._place, self._broken = task[:2], None
+        try:
+            with detector_step(task.label, "its constructor"):
+                detector, limits = self.detectors[task.label], (self.how.time_limit, self.how.memory_limit)
+                self._agent = ChildDetector(detector, *limits) if self.how.isolated else as_agent(detector)
+            observation, _ = self._env.reset(seed=task.seeds[0])
+            with detector_step(task.label, "its warm-up"):
+                self._agent.warm_up(observation)
+        except EvaluationError as error:
+            self._broken = error
 
-    def _find_agent(self, env: gym.Env[Any, Any], task: Task) -> Agent:
-        label = task.label
-        if label in self._broken:
-            raise self._broken[label]
-        if label not in self._agents:
-            try:
-                with detector_step(label, "its constructor"):
-                    self._agents[label] = self._make_agent(label)
-                observation, _ = env.reset(seed=task.seeds[0])
-                with detector_step(label, "its warm-up"):
-                    self._agents[label].warm_up(observation)
-            except EvaluationError as error:
-                self._broken[label] = error
-                raise
-        return self._agents[label]
-
-    def _make_agent(self, label: str) -> Agent:
-        if not self.how.isolated:
-            return as_agent(self.detectors[label])
-        child = ChildDetector(self.detectors[label], self.how.time_limit, self.how.memory_limit)
-        child.start()
-        return child
+    def _close_agent(self) -> None:
+        if isinstance(self._agent, ChildDetector):
+            self._agent.close()
+        self._agent = None
 
     def close(self) -> None:
-        """End the child processes, and close the environment that was made here."""
-        for agent in self._agents.values():
-            if isinstance(agent, ChildDetector):
-                agent.close()
+        """End the child process, and close the environment that was made here."""
+        self._close_agent()
         if self._env is not None and self._given is None:
             self._env.close()
-        self._forget()
 
 
 def evaluate(
@@ -163,14 +132,13 @@ def evaluate(
     time_limit: float | None = None,
     memory_limit: float | None = None,
     isolate: bool = False,
-    backend: str | None = None,
+    backend: Literal["serial", "processes", "ray"] | None = None,
 ) -> EvaluationResult:
     """Play the same episodes with every detector, and score them.
 
     The seeds of the swarm and of the detector in episode i come from two separate branches of (``seed``, i). So every
     detector plays against the same swarms, for any number of workers. Each episode starts with the detector's
-    ``reset``; the detector receives windows and nothing else. Before its first episode each detector answers one window
-    that is neither timed nor scored (warm-up).
+    ``reset``; the detector receives windows and nothing else. A first answer is neither timed nor scored (warm-up).
 
     An episode in which a detector raises an exception, gives a wrong answer, exceeds a limit or ends its child process
     is a row with the reason in its column ``error`` and without metrics. The other episodes and detectors go on.
@@ -178,8 +146,7 @@ def evaluate(
     Args:
         env: a registered id, or an environment object (which allows one worker only, and is not closed).
         detector: a name as :func:`usnet_env.make_detector` takes it, a detector, an object with the ``predict`` method
-            of Stable-Baselines3 (called with the observation and ``deterministic=True``), a list of these, or a mapping
-            of the labels that they get in rows and tables, such as ``{"my PPO": model}``.
+            of Stable-Baselines3, a list of these, or a mapping of the labels that they get: ``{"my PPO": model}``.
         episodes: number of episodes for each detector.
         seed: seed of the whole evaluation.
         env_kwargs: arguments of the environment.
@@ -193,8 +160,7 @@ def evaluate(
         memory_limit: largest memory in megabytes (10^6 bytes) that one answer, or one ``reset``, may allocate;
             ``None``: no limit. Linux only. With one of the two limits, each detector plays in a child process.
         isolate: play each detector in a child process, so that an accident there ends no run.
-        backend: where episodes are played: ``"serial"``, in this process; ``"processes"``, in child processes;
-            ``"ray"``, on the nodes of a Ray cluster; see :func:`map_tasks`.
+        backend: where episodes are played, as of :func:`map_tasks`: ``"serial"``, ``"processes"`` or ``"ray"``.
 
     Returns:
         Rows, summary and tables: of all detectors and episodes that ``out`` holds.
@@ -204,16 +170,9 @@ def evaluate(
         EvaluationError: a worker process was ended, or a row could not be written; the same call resumes.
     """
     how = RunArguments(
-        episodes=episodes,
-        seed=seed,
-        workers=workers,
-        progress=progress,
-        backend=backend,
-        trivial=trivial,
-        isolate=isolate,
-        time_limit=time_limit,
-        memory_limit=memory_limit,
-    )
+        episodes=episodes, seed=seed, workers=workers, progress=progress, backend=backend, trivial=trivial,
+        isolate=isolate, time_limit=time_limit, memory_limit=memory_limit,
+    )  # fmt: skip
     arguments = named_values("env_kwargs", env_kwargs)
     if isinstance(env, str):
         return _evaluate_cells({env: Cell(env=env, arguments=arguments)}, detector, how, out)
@@ -244,16 +203,9 @@ def evaluate_suite(
         detector: as of :func:`usnet_env.evaluate`.
         cells: names of the cells to play; ``None`` for all.
         episodes: number of episodes of each cell; ``None`` for that of the suite.
-        seed: seed of the episodes; ``None`` for that of the suite's published tables.
+        seed: seed of the episodes; ``None`` for that of the suite.
         out: folder of the run; as of :func:`usnet_env.evaluate`. A call with other cells extends the run.
-        how: further arguments of :func:`usnet_env.evaluate`.
-
-    Returns:
-        The rows of all cells, with their tables.
-
-    Raises:
-        ArgumentError: an argument was refused, by the suite or by :func:`usnet_env.evaluate`.
-        EvaluationError: as of :func:`usnet_env.evaluate`.
+        how: further arguments of :func:`usnet_env.evaluate`, which says what is returned and raised.
     """
     chosen = suite if isinstance(suite, Suite) else load_suite(suite)
     for name in cells or ():
@@ -275,7 +227,8 @@ def _evaluate_cells(
     env: gym.Env[Any, Any] | None = None,
 ) -> EvaluationResult:
     """Check everything that can be refused, then play."""
-    folder = None if out is None else as_path("out", out)
+    if how.memory_limit is not None and not sys.platform.startswith("linux"):
+        raise ArgumentError(f"memory_limit must be None on a system other than Linux, got {how.memory_limit:g}.")
     detectors = label_detectors(detector, how.trivial, how.isolated)
     of_tracks = hasattr(getattr(env, "unwrapped", None), "score_answer")
     for name, cell in (cells if suite is None else suite.cells).items() if env is None else ():
@@ -289,36 +242,33 @@ def _evaluate_cells(
         "suite": None if suite is None else suite.label,
         "cells": {name: cell.model_dump() for name, cell in cells.items()},
         "detectors": list(detectors),
-        "episodes": how.episodes,
-        "seed": how.seed,
     }
-    return play_run(DetectorPlayer(cells, detectors, how, env), config, how, folder, TRACK_METRICS if of_tracks else ())
+    return play_run(DetectorPlayer(cells, detectors, how, env), config, how, out, TRACK_METRICS if of_tracks else ())
 
 
 def play_run(
     play: Callable[[Task], Row],
-    config: Mapping[str, Any],
+    config: dict[str, Any],
     how: RunArguments,
-    folder: Path | None,
-    metrics: Sequence[str] | Mapping[str, Any] = (),
+    out: str | PathLike[str] | None,
+    metrics: Iterable[str] = (),
 ) -> EvaluationResult:
     """Play the missing episodes of a run: cells x detectors x episodes -> rows.
 
     Args:
-        play: plays a task and returns its row. Its method ``close`` is called at the end, in this process.
-        config: the arguments of the run, with ``cells``, ``detectors``, ``episodes`` and ``seed``.
-        how: where and how tasks are played.
-        folder: where rows are kept; ``None``: nowhere.
+        play: plays a task and returns its row. Its method ``close``, if any, is called at the end, in this process.
+        config: the arguments of the run, with ``cells`` and ``detectors``.
+        how: how many tasks are played, and where.
+        out: the folder where rows are kept.
         metrics: columns that rows have besides :data:`COLUMNS`.
     """
     columns = [*COLUMNS[:-1], *metrics, "error"]
-    config = json.loads(json.dumps(config, default=_describe))
+    config = json.loads(json.dumps(config | {"episodes": how.episodes, "seed": how.seed}, default=_describe))
     with ExitStack() as stack:
         stack.callback(getattr(play, "close", lambda: None))
-        kept = None if folder is None else stack.enter_context(closing(RunFolder(folder, config, columns)))
+        kept = None if out is None else stack.enter_context(closing(RunFolder(as_path("out", out), config, columns)))
         known = pd.DataFrame(columns=columns) if kept is None else kept.rows
-        finished = known[known["error"] == ""]
-        done = set(zip(finished["cell"], finished["detector"], finished["episode"], strict=True))
+        done = set(known.loc[known["error"] == "", ["cell", "detector", "episode"]].itertuples(index=False, name=None))
         tasks = [
             Task(cell, label, episode, episode_seeds(how.seed, episode))
             for cell in config["cells"]
@@ -328,19 +278,16 @@ def play_run(
         ]
         total = len(config["cells"]) * len(config["detectors"]) * how.episodes
         show = stack.enter_context(progress_bar("episodes", how.progress))
-        show(total - len(tasks), total)
         rows: list[tuple[Any, ...]] = []
-        played = stack.enter_context(
-            closing(map_tasks(play, tasks, workers=how.workers, backend=how.backend, ordered=False))
-        )
+        played = stack.enter_context(closing(map_tasks(play, tasks, workers=how.workers, backend=how.backend)))
         for number, row in enumerate(played, total - len(tasks) + 1):
             if kept is None:
                 rows.append(tuple(row.get(name) for name in columns))
             else:
                 kept.append(row)
             show(number, total)
-    if folder is not None:
-        return EvaluationResult.load(folder)
+    if out is not None:
+        return EvaluationResult.load(out)
     return EvaluationResult(pd.DataFrame(rows, columns=columns), config)
 
 

@@ -1,14 +1,10 @@
-"""Suites: lists of environments that detectors are compared on, each kept in a YAML file with a version.
-
-A file of ``usnet_env/evaluation/suites`` never changes without a new version, so a result on ``controls`` version 1
-means the same wherever it was measured. A file of your own works the same way.
-"""
+"""Suites: lists of environments that detectors are compared on, each kept in a YAML file with a version."""
 
 from __future__ import annotations
 
 from importlib.resources import files
 from os import PathLike
-from typing import Annotated, Any
+from typing import Any
 
 import yaml
 from pydantic import Field
@@ -17,6 +13,7 @@ from usnet_env.config import ArgumentError, Config, unknown_name
 from usnet_env.files import as_path
 
 _FOLDER = files("usnet_env.evaluation") / "suites"
+_NAMES = sorted(entry.name.removesuffix(".yaml") for entry in _FOLDER.iterdir() if entry.name.endswith(".yaml"))
 
 
 class Cell(Config):
@@ -30,14 +27,12 @@ class Suite(Config):
     """A list of settings, and the seeds of their episodes."""
 
     name: str = Field(description="name of the file, without its suffix")
-    version: Annotated[int, Field(ge=1, le=10_000)] = Field(description="it grows with every change of the file")
+    version: int = Field(ge=1, le=10_000, description="it grows with every change of the file")
     purpose: str = Field(description="what the suite is for, in one sentence")
-    episodes: Annotated[int, Field(ge=1, le=1_000_000)] = Field(description="episodes of a cell in published tables")
-    seed: Annotated[int, Field(ge=1000, lt=2**63)] = Field(description="seed of published tables")
-    tuning_seed: Annotated[int, Field(ge=0, lt=1000)] = Field(
-        description="seed for tuning a detector; the swarms of the two seeds have nothing in common"
-    )
-    cells: Annotated[dict[str, Cell], Field(min_length=1)] = Field(description="the settings by name")
+    episodes: int = Field(ge=1, le=1_000_000, description="episodes of a cell in published tables")
+    seed: int = Field(ge=1000, lt=2**63, description="seed of published tables")
+    tuning_seed: int = Field(ge=0, lt=1000, description="seed for tuning a detector, whose swarms are other ones")
+    cells: dict[str, Cell] = Field(min_length=1, description="the settings by name")
 
     @property
     def label(self) -> str:
@@ -47,11 +42,7 @@ class Suite(Config):
 
 def list_suites() -> dict[str, Suite]:
     """The suites of this package, by name."""
-    return {name: load_suite(name) for name in _list_names()}
-
-
-def _list_names() -> list[str]:
-    return sorted(entry.name.removesuffix(".yaml") for entry in _FOLDER.iterdir() if entry.name.endswith(".yaml"))
+    return {name: load_suite(name) for name in _NAMES}
 
 
 def load_suite(suite: str | PathLike[str]) -> Suite:
@@ -66,7 +57,7 @@ def load_suite(suite: str | PathLike[str]) -> Suite:
     path = as_path("suite", suite)
     source: Any = path if path.suffix in (".yaml", ".yml") else _FOLDER / f"{suite}.yaml"
     if source is not path and not source.is_file():
-        raise unknown_name("suite", str(suite), _list_names())
+        raise unknown_name("suite", str(suite), _NAMES)
     try:
         content = dict(yaml.safe_load(source.read_bytes()))
         shared, env = content.pop("arguments", None) or {}, content.pop("env", "USNET/MultiCluster-v0")

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
-from usnet_env.config import format_count
-from usnet_env.evaluation.play import TRACK_METRICS
+from usnet_env.evaluation.play import LOWER_IS_BETTER, METRICS, TRACK_METRICS
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -14,25 +13,7 @@ if TYPE_CHECKING:
 Summary = Sequence[Mapping[str, Any]]
 Lines = list[list[str]]
 
-#: Headings of the metrics in tables, with the arrow that points to the better values; that of J depends on the problem.
-HEADINGS = {
-    "rounds": "rounds↓",
-    "redundancy": "redundancy↓",
-    "success": "success↑",
-    "exact": "exact↑",
-    "precision_first": "precision↑",
-    "recall_first": "recall↑",
-    "f1_first": "F1↑",
-    "ap_first": "AP↑",
-    "seconds_per_round": "s↓",
-    "purity_first": "purity↑",
-    "head_in_cluster_first": "head in cluster↑",
-    "group_leader_first": "group leaders↑",
-}
-#: Columns of the ranked table after J; and after F1, in recorded tracks, which have one round.
-RANKING = ("rounds", "redundancy", "exact", "f1_first", "seconds_per_round")
-TRACK_RANKING = ("redundancy", "exact", "group_leader_first", "seconds_per_round")
-
+_NAMES = {"f1_first": "F1", "ap_first": "AP", "seconds_per_round": "s"}  # in headings
 _LATEX = str.maketrans(
     {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "|": r"\textbar{}"}
     | {"↓": r"$\downarrow$", "↑": r"$\uparrow$", "<": r"\textless{}", ">": r"\textgreater{}", "–": "--"}
@@ -40,66 +21,62 @@ _LATEX = str.maketrans(
 )
 
 
-class FirstMetric(NamedTuple):
-    """The metric by which detectors are ranked: its column, its name, and 1 if low values are good, otherwise -1."""
-
-    column: str
-    name: str
-    sign: int
-
-
 def printable(text: str) -> str:
     """The text without characters that would control a terminal."""
     return "".join(sign if sign.isprintable() else "�" for sign in text)
 
 
-def objective(summary: Summary) -> FirstMetric:
+def objective(summary: Summary) -> tuple[str, str, int]:
     """J_m of P2, which is at least 1 and is to be low; or J_s of P1, which is at most 0 and is to be high."""
     values = [entry["metrics"]["J"]["mean"] for entry in summary if entry["metrics"]]
-    return FirstMetric("J", "J_s", -1) if values and max(values) <= 0 else FirstMetric("J", "J_m", 1)
+    return ("J", "J_s", -1) if values and max(values) <= 0 else ("J", "J_m", 1)
 
 
-def _is_of_tracks(summary: Summary) -> bool:
-    """Whether recorded tracks were played."""
-    return any(name in entry["metrics"] for entry in summary for name in TRACK_METRICS)
+def first_metric(summary: Summary) -> tuple[str, str, int]:
+    """The metric by which detectors are ranked: its column, its name, and 1 if low values are good, otherwise -1.
 
-
-def first_metric(summary: Summary) -> FirstMetric:
-    """J; in recorded tracks F1, since J of their one round does not count the heads that are missed."""
-    return FirstMetric("f1_first", "F1", -1) if _is_of_tracks(summary) else objective(summary)
+    In recorded tracks it is F1, since J of their one round does not count the heads that are missed.
+    """
+    of_tracks = any(name in entry["metrics"] for entry in summary for name in TRACK_METRICS)
+    return ("f1_first", "F1", -1) if of_tracks else objective(summary)
 
 
 def rank(summary: Summary) -> list[Mapping[str, Any]]:
     """The entries of the summary: those without a failure first, then by the first metric, then by F1."""
-    best = first_metric(summary)
+    column, _, sign = first_metric(summary)
 
-    def place(entry: Mapping[str, Any]) -> tuple[bool, bool, float, float]:
-        metrics = entry["metrics"] or {name: {"mean": 0.0} for name in (best.column, "f1_first")}
-        key = best.sign * metrics[best.column]["mean"], -metrics["f1_first"]["mean"]
-        return not entry["metrics"], entry["failed"] > 0, *key
+    def place(entry: Mapping[str, Any]) -> tuple[float, ...]:
+        if not entry["metrics"]:
+            return (2.0,)
+        means = {name: interval["mean"] for name, interval in entry["metrics"].items()}
+        return float(entry["failed"] > 0), sign * means[column], -means["f1_first"]
 
     return sorted(summary, key=place)
 
 
-def _format(value: float) -> str:
-    """Format with three decimals, two from 10 on, or two significant digits below 0.001."""
-    if 0 < abs(value) < 0.001:
-        return f"{value:.2g}"
-    return f"{value:.3f}" if abs(value) < 10 else f"{value:.2f}"
-
-
 def format_interval(interval: Mapping[str, float] | None, pattern: str = "{} ({}–{})") -> str:
-    """A mean with its interval; alone if all values were equal, and ``–`` if there is none."""
+    """A mean with its interval; alone if all values were equal, and ``–`` if there is none.
+
+    Numbers have three decimals, two from 10 on, and two significant digits below 0.001.
+    """
     if interval is None:
         return "–"
-    mean, low, high = (_format(interval[name]) for name in ("mean", "low", "high"))
+    mean, low, high = (
+        f"{value:.2g}" if 0 < abs(value) < 0.001 else f"{value:.3f}" if abs(value) < 10 else f"{value:.2f}"
+        for value in (interval["mean"], interval["low"], interval["high"])
+    )
     return mean if interval["low"] == interval["high"] else pattern.format(mean, low, high)
 
 
 def heading(summary: Summary, metric: str) -> str:
-    """The heading of a metric."""
-    best = objective(summary)
-    return f"{best.name}{'↓' if best.sign == 1 else '↑'}" if metric == "J" else HEADINGS.get(metric, metric)
+    """The heading of a metric, with the arrow that points to the better values."""
+    if metric == "J":
+        _, name, sign = objective(summary)
+        return f"{name}{'↓' if sign == 1 else '↑'}"
+    if metric not in METRICS and metric not in TRACK_METRICS:
+        return metric
+    name = _NAMES.get(metric, metric.removesuffix("_first").replace("_", " "))
+    return f"{name}{'↓' if metric in LOWER_IS_BETTER else '↑'}"
 
 
 def list_lines(
@@ -107,11 +84,7 @@ def list_lines(
 ) -> tuple[list[str], Lines]:
     """The heading and the lines of a table with a line for each detector and a column for each metric.
 
-    Args:
-        summary: the entries, in the order of the lines.
-        metrics: the columns.
-        pattern: how a mean and its interval are written.
-        means: metrics whose interval is left out; then the number of episodes is, too.
+    A mean and its interval are written in the pattern, those of ``means`` without the interval.
     """
     counts = [*["episodes"] * (not means), *["failed"] * any(entry["failed"] for entry in summary)]
     columns = {name: "{}" if name in means else pattern for name in metrics}
@@ -128,8 +101,10 @@ def list_lines(
 
 def list_ranking(summary: Summary) -> tuple[list[str], Lines]:
     """The heading and the lines of a table with the best detector first, which fits into 80 columns."""
-    names = TRACK_RANKING if _is_of_tracks(summary) else RANKING
-    return list_lines(rank(summary), [first_metric(summary).column, *names], "{} ({}–{})", names)
+    first, *_ = first_metric(summary)
+    names = ["redundancy", "exact", "seconds_per_round"]
+    names[2:2] = TRACK_METRICS if first != "J" else ["f1_first"]  # recorded tracks have one round
+    return list_lines(rank(summary), [first, *["rounds"] * (first == "J"), *names], "{} ({}–{})", ["rounds", *names])
 
 
 def format_markdown(header: Sequence[str], lines: Lines) -> str:
@@ -161,47 +136,31 @@ def make_table(title: str, header: Sequence[str], lines: Lines) -> Table:
     return table
 
 
-def describe_episodes(summary: Summary, asked: int) -> str:
-    """The number of episodes of each detector: ``20 episodes``, or ``5 to 20 episodes``, ``5 of 20 episodes``."""
-    episodes = sorted({entry["episodes"] for entry in summary}) or [0]
-    most = format_count(episodes[-1], "episode")
-    if episodes[-1] < asked:
-        most = f"{episodes[-1]} of {format_count(asked, 'episode')}"
-    return most if len(episodes) == 1 else f"{episodes[0]} to {most}"
-
-
 def conclude(summary: Summary) -> str:
     """State which detector has the best J (in recorded tracks F1), and which others are not separated from it.
 
     Others are not separated from it if their 95 % interval overlaps its interval. Detectors that failed in an episode
     are left out, and named in a second sentence.
     """
-    ranked = [entry for entry in rank(summary) if not entry["failed"]]
+    column, metric, sign = first_metric(summary)
+    found = {entry["detector"]: entry["metrics"][column] for entry in rank(summary) if not entry["failed"]}
+    text = "No detector has played all episodes."
+    if found:
+        best, *others = found
+        low, high = found[best]["low"], found[best]["high"]
+        names = [best, *(name for name in others if found[name] == found[best])]
+        near = [
+            name for name in others if name not in names and found[name]["low"] <= high and low <= found[name]["high"]
+        ]
+        extreme = "lowest" if sign == 1 else "highest"
+        text = f"{' and '.join(names)} {'have' if names[1:] else 'has'} the {extreme} {metric}: "
+        text = text if others else f"{best} has a {metric} of "
+        text += format_interval(found[best], "{} (95 % interval {}–{})")
+        text += " in every episode" * (low == high)
+        text += f", which overlaps with that of {', '.join(near)}." if near else "."
     failed = [
         f"{entry['detector']} failed in {entry['failed']} of {entry['failed'] + entry['episodes']} episodes"
         for entry in summary
         if entry["failed"]
     ]
-    first = _name_best(ranked, first_metric(summary)) if ranked else "No detector has played all episodes."
-    return printable(f"{first} {'; '.join(failed)}." if failed else first)
-
-
-def _name_best(ranked: Sequence[Mapping[str, Any]], metric: FirstMetric) -> str:
-    """The first sentence of a conclusion."""
-    found = {entry["detector"]: entry["metrics"][metric.column] for entry in ranked}
-    (name, best), *others = found.items()
-    value = format_interval(best, "{} (95 % interval {}–{})")
-    if best["low"] == best["high"]:
-        value += " in every episode" if ranked[0]["episodes"] > 1 else " in its only episode"
-    if not others:
-        return f"{name} has a {metric.name} of {value}."
-    extreme = "lowest" if metric.sign == 1 else "highest"
-    equal = [label for label, interval in others if interval == best]
-    near = [
-        label
-        for label, interval in others
-        if interval != best and interval["low"] <= best["high"] and best["low"] <= interval["high"]
-    ]
-    overlap = f", which overlaps with that of {', '.join(near)}" if near else ""
-    verb = "have" if equal else "has"
-    return f"{' and '.join([name, *equal])} {verb} the {extreme} {metric.name}: {value}{overlap}."
+    return printable(f"{text} {'; '.join(failed)}." if failed else text)

@@ -1,41 +1,62 @@
-"""Run tasks in worker processes, and what such a process needs: its manners, and arrays that travel without pickle."""
+"""Run tasks in worker processes, send functions to them, and say why one failed."""
 
 from __future__ import annotations
 
 import contextlib
-import io
-import json
 import os
 import pickle
 import signal
-import sys
 import threading
 import time
+import traceback
 import warnings
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures.process import BrokenProcessPool
 from importlib import import_module
 from itertools import islice
+from pathlib import Path
+from sysconfig import get_paths
 from typing import Any, TypeVar
 from uuid import uuid4
 
 import cloudpickle
 import joblib
 import numpy as np
+from joblib.externals.loky import get_reusable_executor
 from numpy.typing import NDArray
 
-from usnet_env.config import MissingExtraError, how_to_install
-from usnet_env.evaluation.errors import EvaluationError
+from usnet_env.config import ArgumentError, MissingExtraError, how_to_install
 from usnet_env.parts import REGISTRIES
 
 TaskT = TypeVar("TaskT")
 ResultT = TypeVar("ResultT")
 
-_MEGABYTE = 1_000_000
-_HEADER = "_header"
+LONGEST_REASON = 300  # characters of a reason in a row, and of a sentence that is printed
 _AT_ONCE = 16  # tasks of a Ray worker between two times when rows are kept
+_FOREIGN = (str(Path(__file__).parents[1]), "<", "site-packages", "dist-packages", get_paths()["stdlib"])
 
-_received: dict[str, Callable[[Any], Any]] = {}  # the function of the run that this worker process plays, by its token
+_received: dict[str, Callable[[Any], Any]] = {}  # the function that this worker process runs, by the token of its call
+
+
+class EvaluationError(RuntimeError):
+    """A detector failed, or a run could not go on; the reason is what a row keeps: ``"round 2: KeyError: …"``."""
+
+    def __init__(self, sentence: str, reason: str = "") -> None:
+        super().__init__(sentence)
+        self.reason = reason
+
+
+def describe_failure(error: BaseException) -> str:
+    """What a detector raised, and the line of its code: ``ZeroDivisionError: no luck (mine.py, line 3, in detect)``."""
+    text = " ".join(str(error).split()).rstrip(".")
+    if isinstance(error, EvaluationError):  # of a child process, which has named the line
+        return text
+    cause = text if isinstance(error, ArgumentError) else f"{type(error).__name__}: {text}".rstrip(": ")
+    frames = traceback.extract_tb(error.__traceback__)
+    lines = [frame for frame in frames if not any(part in frame.filename for part in _FOREIGN)]
+    place = f" ({Path(lines[-1].filename).name}, line {lines[-1].lineno}, in {lines[-1].name})" if lines else ""
+    room = LONGEST_REASON - len(place) - 40  # which leaves room for the round
+    return f"{cause if len(cause) <= room else cause[:room] + '…'}{place}"
 
 
 def map_tasks(
@@ -44,7 +65,6 @@ def map_tasks(
     *,
     workers: int = 1,
     backend: str | None = None,
-    ordered: bool = True,
 ) -> Generator[ResultT, None, None]:
     """Run a function on tasks, in this process or in worker processes of joblib.
 
@@ -54,19 +74,16 @@ def map_tasks(
     Args:
         function: what to call with each task. If it has state, each worker has a copy that lasts for the whole call.
         tasks: the tasks.
-        workers: number of processes.
-        backend: ``"serial"``: this process; ``"processes"``: child processes; ``"ray"``: the nodes of a Ray cluster, at
-            the address in the environment variable ``RAY_ADDRESS``, or on this machine. A single worker is this
-            process, whatever the backend. ``None``: ``"processes"``.
-        ordered: whether the results come in the order of the tasks; otherwise as they are finished.
+        workers: number of processes; 1 is this process.
+        backend: ``"serial"``: this process; ``"processes"`` or ``None``: child processes; ``"ray"``: the nodes of a Ray
+            cluster, at the address in the environment variable ``RAY_ADDRESS``, or this machine.
 
     Yields:
-        The results, as they come; those of Ray come in groups.
+        The results in the order of the tasks, as they come; those of Ray come in groups.
 
     Raises:
         EvaluationError: a worker process was ended.
         MissingExtraError: Ray is not installed.
-        Exception: what the function raised.
     """
     if workers == 1 or backend == "serial":
         yield from map(function, tasks)
@@ -75,24 +92,25 @@ def map_tasks(
     token = uuid4().hex
     calls = (joblib.delayed(_run_task)(token, payload, task) for task in tasks)
     try:
-        if backend == "ray":
-            yield from _run_on_ray(calls, workers)
-        else:
-            how = "generator" if ordered else "generator_unordered"
-            results = joblib.Parallel(n_jobs=workers, backend="loky", return_as=how)(calls)
-            try:
-                for result in results:  # noqa: UP028  # `yield from` would close it before warnings are ignored
-                    yield result
-            finally:
-                with warnings.catch_warnings():  # that tasks were begun in vain
-                    warnings.simplefilter("ignore")
-                    results.close()
+        yield from _run_on_ray(calls, workers) if backend == "ray" else _run_in_processes(calls, workers)
     except BrokenProcessPool:
         raise EvaluationError(
-            "a worker process was ended, by a signal, for want of memory, or by what it played. Finished rows are kept "
-            "if there is a folder: the same call plays the others. With a limit or in isolation, a detector that ends "
-            "its process has failed, and the others go on."
+            "a worker process was ended, by a signal, for want of memory, or by what it played. The same call resumes "
+            "a run that has a folder. In isolation, a detector that ends its process has failed, and the others go on."
         ) from None
+
+
+def _run_in_processes(calls: Iterator[Any], workers: int) -> Iterator[Any]:
+    """Run calls in child processes, which have ended when this returns: a process waits for those that are left."""
+    results = joblib.Parallel(n_jobs=workers, backend="loky", return_as="generator")(calls)
+    try:
+        for result in results:  # noqa: UP028  # `yield from` would close it before warnings are ignored
+            yield result
+    finally:
+        with warnings.catch_warnings():  # that tasks were begun in vain
+            warnings.simplefilter("ignore")
+            results.close()
+        get_reusable_executor().shutdown()
 
 
 def _run_on_ray(calls: Iterator[Any], workers: int) -> Iterator[Any]:
@@ -107,40 +125,33 @@ def _run_on_ray(calls: Iterator[Any], workers: int) -> Iterator[Any]:
 
 
 def _run_task(token: str, payload: NDArray[np.uint8], task: Any) -> Any:
-    """Run a task in a worker process, with the function that it received before, if it is of the same run."""
+    """Run a task in a worker process, with the function that came with the first task of the call."""
     if token not in _received:
-        if not _received:
-            become_worker()
-        for function in _received.values():
-            getattr(function, "close", lambda: None)()
+        become_worker()
         _received.clear()
         _received[token] = loads(payload.tobytes())
     return _received[token](task)
 
 
 def dumps(value: Any) -> bytes:
-    """Pickle a value for another process, with what this program has registered, and where it finds modules."""
-    parts = []
-    for kind, registry in REGISTRIES.items():
-        for name, part in registry.registered.items():
-            origin = getattr(part, "function", None) or getattr(part, "rule", None) or part
-            modules = {registry.home, getattr(origin, "__module__", registry.home)} - {"__main__"}
-            with contextlib.suppress(Exception):  # what cannot be pickled is missing there: its name is then refused
-                parts.append((kind, name, modules, cloudpickle.dumps(part)))
-    return cloudpickle.dumps((sys.path, parts, cloudpickle.dumps(value)))
+    """Pickle a value for another process, with what this program has registered."""
+    parts = {kind: registry.registered for kind, registry in REGISTRIES.items() if registry.registered}
+    modules = {REGISTRIES[kind].home for kind in parts}
+    for part in (part for registered in parts.values() for part in registered.values()):
+        modules.add(getattr(part, "function", getattr(part, "rule", part)).__module__)
+    return cloudpickle.dumps((modules - {"__main__"}, cloudpickle.dumps((parts, value))))
 
 
 def loads(data: bytes) -> Any:
     """The value of :func:`dumps`, after what was registered there has been registered in this process too."""
-    path, parts, value = pickle.loads(data)
-    sys.path += [folder for folder in path if folder not in sys.path]
-    for kind, name, modules, part in parts:
-        with contextlib.suppress(Exception):  # a module cannot be imported here: its name is refused if it is used
-            for module in modules:
-                import_module(module)
-            if name not in REGISTRIES[kind].registered:
-                REGISTRIES[kind].register(name, pickle.loads(part))
-    return pickle.loads(value)
+    modules, inner = pickle.loads(data)
+    for module in modules:
+        with contextlib.suppress(ImportError):
+            import_module(module)  # which may register its parts itself
+    parts, value = pickle.loads(inner)
+    for kind, registered in parts.items():
+        REGISTRIES[kind].registered |= registered | REGISTRIES[kind].registered
+    return value
 
 
 def become_worker() -> None:
@@ -156,47 +167,3 @@ def become_worker() -> None:
     with contextlib.suppress(ValueError):  # not the main thread
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends Ctrl-C to all; the parent acts on it
     os.dup2(2, 1)  # what a detector prints must not mix with the output of the program
-
-
-@contextlib.contextmanager
-def limit_memory(megabytes: float | None) -> Iterator[None]:
-    """Limit what this process may allocate in the block beyond what it holds; ``None``: no limit. Linux only.
-
-    Raises:
-        MemoryError: the block needed more.
-    """
-    if megabytes is None:
-        yield
-        return
-    import resource
-
-    soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
-    with open("/proc/self/statm", "rb") as file:
-        held = int(file.read().split()[5]) * resource.getpagesize()
-    most = held + int(megabytes * _MEGABYTE)
-    resource.setrlimit(resource.RLIMIT_DATA, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
-    try:
-        yield
-    except MemoryError:
-        raise MemoryError(f"it needed more than {megabytes:g} MB, the memory limit") from None
-    finally:
-        resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
-
-
-def pack(values: Mapping[str, Any], arrays: Mapping[str, Any]) -> bytes:
-    """Plain values and arrays as the bytes of an ``npz`` file."""
-    file = io.BytesIO()
-    header = np.frombuffer(json.dumps(values).encode(), np.uint8)
-    np.savez(file, **{**arrays, _HEADER: header})
-    return file.getvalue()
-
-
-def unpack(data: bytes) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The values and arrays of :func:`pack`; nothing is unpickled. Arrays of shape ``()`` become scalars.
-
-    Raises:
-        ValueError: an array holds objects.
-    """
-    with np.load(io.BytesIO(data), allow_pickle=False) as file:
-        arrays = {name: file[name][()] for name in file.files}
-    return json.loads(arrays.pop(_HEADER).tobytes()), arrays
