@@ -57,7 +57,7 @@ def estimate_transfer_entropy(
     return np.where(moves[:, None] & moves, entropy, 0.0)
 
 
-@compiled(fastmath={"nnan", "nsz", "arcp", "contract", "afn", "reassoc"}, error_model="numpy")
+@compiled(error_model="numpy")
 def _estimate(series, seen, delay, rows, neighbours, table, needed, entropy):  # type: ignore[no-untyped-def]  # Numba
     uavs, many = len(series), len(rows)
     present, own = np.empty((many, many), np.float32), np.empty((many, many), np.float32)
@@ -109,7 +109,7 @@ def _estimate(series, seen, delay, rows, neighbours, table, needed, entropy):  #
             entropy[i, j] = table[neighbours] + total / used
 
 
-@compiled(fastmath={"nnan", "nsz", "arcp", "contract", "afn", "reassoc"})
+@compiled()
 def _measure_distances(series, times, squared):  # type: ignore[no-untyped-def]  # Numba infers the types
     """Squared distances between the rows of ``series`` ``(T, 3)`` at these times."""
     x, y, z = series[times, 0], series[times, 1], series[times, 2]

@@ -19,7 +19,7 @@ from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState, advance, 
 from usnet_env.swarm.config import Count
 
 COUNTERS = ("rounds", "redundant", "terminated", "truncated")
-UNANSWERED = "observed, no answer yet"  # the title of the picture of a window before the first round
+UNANSWERED = "round 1: observed, no answer yet"  # the title of the picture of a window before the first round
 
 
 class ShotArguments(Config):

@@ -1,8 +1,12 @@
-"""A detector in a child process, which guards a run against accidents: a crash, an endless loop, too much memory."""
+"""A detector in a child process, which guards a run against accidents: a crash, an endless loop, too much memory.
+
+What comes from the child are the bytes of an ``npz`` file; nothing of it is unpickled.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import pickle
 import signal
@@ -10,10 +14,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from typing import Any
+
+import numpy as np
 
 from usnet_env.evaluation.agents import Answer, as_agent
 from usnet_env.evaluation.tasks import EvaluationError, become_worker, describe_failure, dumps, loads
@@ -59,8 +64,8 @@ class ChildDetector:
     def answer(self, observation: Any) -> Answer:
         """Return the answer to one observation."""
         begin = time.perf_counter()
-        answer = self._exchange(pickle.dumps(("answer", observation)))
-        return replace(answer, seconds=time.perf_counter() - begin)
+        found = self._exchange(pickle.dumps(("answer", observation)))
+        return Answer(found["candidates"], found["scores"], found.get("clusters"), time.perf_counter() - begin)
 
     def warm_up(self, observation: Any) -> None:
         """Answer once without being timed."""
@@ -73,23 +78,24 @@ class ChildDetector:
         self._process.wait()
         self._connection.close()
 
-    def _exchange(self, message: bytes) -> Any:
-        """Send a message, and return the reply."""
+    def _exchange(self, message: bytes) -> dict[str, Any]:
+        """Send a message, and return the arrays of the reply by name."""
         try:
             with contextlib.suppress(BrokenPipeError):  # it has ended: receiving says so
                 self._connection.send_bytes(message)
             if not self._connection.poll(self._seconds):
                 self.close()
                 raise EvaluationError(f"it took longer than {self._seconds:g} seconds, the time limit")
-            error, value = self._connection.recv()
+            with np.load(io.BytesIO(self._connection.recv_bytes()), allow_pickle=False) as reply:
+                arrays = dict(reply)
         except (EOFError, ConnectionError):
             status = self._process.wait()
             self.close()
             how = f"was ended by {signal.Signals(-status).name}" if status < 0 else f"ended itself with status {status}"
             raise EvaluationError(f"its process {how}") from None
-        if error:
+        if error := str(arrays.pop("error")):
             raise EvaluationError(error)
-        return value
+        return arrays
 
 
 def serve() -> None:
@@ -100,7 +106,7 @@ def serve() -> None:
     megabytes: float | None = None
     with contextlib.suppress(EOFError, ConnectionError):
         while True:
-            message, value = connection.recv_bytes(), None
+            message, answer, error = connection.recv_bytes(), None, ""
             try:
                 if agent is None:
                     detector, megabytes = loads(message)
@@ -108,11 +114,19 @@ def serve() -> None:
                 else:
                     name, argument = pickle.loads(message)
                     with limit_memory(megabytes):
-                        value = getattr(agent, name)(argument)
-                error = ""
+                        answer = getattr(agent, name)(argument)
             except (Exception, SystemExit) as failure:
                 error = describe_failure(failure)
-            connection.send((error, value))
+            connection.send_bytes(_pack(error, answer))
+
+
+def _pack(error: str, answer: Answer | None) -> bytes:
+    """A reply as the bytes of an ``npz`` file."""
+    names = ("candidates", "scores", "clusters") if answer else ()
+    arrays = {name: array for name in names if (array := getattr(answer, name)) is not None}
+    file = io.BytesIO()
+    np.savez(file, error=error, **arrays)
+    return file.getvalue()
 
 
 @contextlib.contextmanager

@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     from usnet_env.multiagent.base import UsnetParallelEnv
 
 
+def _find_role(agent: str) -> str:
+    return agent.rpartition("_")[0]
+
+
 class GamePlayer:
     """Plays games in one process; ``make`` makes the game there."""
 
@@ -35,7 +39,7 @@ class GamePlayer:
 
     def __call__(self, task: Task) -> Row:
         """Play one game; one in which a policy fails is a row with the reason in ``error``."""
-        from usnet_env.multiagent.play import agent_role, play_game
+        from usnet_env.multiagent.play import play_game
 
         try:
             with detector_step(task.label, "the game"):
@@ -43,7 +47,7 @@ class GamePlayer:
         except EvaluationError as error:
             self.env.reset(seed=task.seeds[0])
             return {**row_keys(*task, self.env.swarm.head), "error": error.reason}
-        paid = pd.DataFrame({"return": game.returns, "price": game.prices}).groupby(agent_role).mean()
+        paid = pd.DataFrame({"return": game.returns, "price": game.prices}).groupby(_find_role).mean()
         means = {f"{what}_{role}": paid.loc[role, what] for role in paid.index for what in paid}
         metrics = record_metrics(SimpleNamespace(**{"clusters": None, **game.record}))
         return {**row_keys(*task, game.record["head"]), **metrics, **means, "error": ""}
@@ -75,7 +79,7 @@ def evaluate_games(
     Raises:
         ArgumentError: an argument was refused, or an agent has no policy.
     """
-    from usnet_env.multiagent.play import agent_role, choose_policies
+    from usnet_env.multiagent.play import choose_policies
     from usnet_env.multiagent.policies import DetectorObserver
     from usnet_env.multiagent.registration import GAMES  # not at the top: it registers the games with PettingZoo
 
@@ -95,6 +99,6 @@ def evaluate_games(
     name = str(env.metadata["name"])
     cell = {"env": name, "arguments": describe_arguments(env.config) | describe_arguments(env.rules)}
     config = {"suite": None, "cells": {name: cell}, "detectors": list(teams)}
-    roles = dict.fromkeys(map(agent_role, env.possible_agents))
+    roles = dict.fromkeys(map(_find_role, env.possible_agents))
     columns = [f"{what}_{role}" for what in ("return", "price") for role in roles]
     return play_run(GamePlayer(lambda: make(**kwargs), teams), config, arguments, out, columns)
