@@ -54,8 +54,7 @@ def read_tracks(
     """Read recorded tracks from one file, or from several with the same clock and coordinates.
 
     The format follows from the suffix: ``.parquet`` or ``.pq``, ``.npz``, ``.gpx``, ``.ulg`` (PX4); any other file is
-    read as CSV. CSV and GPX may be compressed (gzip, or zip with one file in it). A row takes 32 bytes of memory in the
-    end (40 with leaders), and about 100 while rows are sorted.
+    read as CSV. CSV and GPX may be compressed (gzip, or zip with one file in it).
 
     Args:
         path: the file or files. Files without ids (ULog) hold one track each, whose id is the name of the file. The
@@ -82,13 +81,7 @@ def read_tracks(
     given = [as_path("path", file) for file in (path if isinstance(path, list | tuple) else [path])]
     if not given:
         raise ArgumentError("path must be a file of tracks, or a list of such files, got an empty one.")
-    options = _Options(
-        columns=columns,  # type: ignore[arg-type]  # checked there
-        time_unit=time_unit,
-        missing=missing,
-        encoding=encoding,
-        decimal=decimal,
-    )
+    options = _Options(columns=columns, time_unit=time_unit, missing=missing, encoding=encoding, decimal=decimal)  # type: ignore[arg-type]  # checked there
     paths = list({file.resolve(): file for file in reversed(given)}.values())[::-1]  # two paths may be of one file
     where = ", ".join(quote(os.fspath(file)) for file in paths[:3])
     try:
@@ -110,32 +103,31 @@ class _Part:
 
 
 def _read_file(path: Path, options: _Options) -> _Part:
-    """Read a file.
-
-    Raises:
-        ArgumentError: the file can't be read, a column or a value is missing, or a value is no number.
-    """
+    """Read a file."""
     where, mapping = quote(os.fspath(path)), options.columns or {}
     try:
         (header, read_columns), for_itself = _open_table(path, options)
-        names, movebank = roles.choose_columns(header, mapping, where), roles.is_movebank(header)
+        names, movebank = (
+            roles.choose_columns(header, mapping, where),
+            roles.MOVEBANK & {name.replace("_", "-") for name in header},
+        )
         marks = {"visible": "visible"} if movebank and "visible" in header else {}
         table = read_columns(names | marks)
         count = len(table)
         if marks:
-            table = table[~roles.read_marks(table["visible"])]
+            table = table[~table["visible"].astype(str).str.strip().str.lower().isin({"false", "f", "no", "0"})]
         rows = pd.DataFrame(index=table.index)
-        skip = options.missing == "skip" or movebank
+        skip = options.missing == "skip" or bool(movebank)
         good = np.ones(len(rows), bool)
         for role, name in names.items():
             column = table[role].rename(name)
-            is_label = role in roles.LABELS
-            rows[role] = (
-                roles.read_labels(column) if is_label else roles.read_numbers(column, role, where, options.decimal)
-            )
+            if role in roles.LABELS:
+                rows[role] = roles.read_labels(column)
+            else:
+                rows[role] = roles.read_numbers(column, role, where, options.decimal)
             if role == "leader" or (role == "z" and not mapping.get("z")):
                 continue
-            none = np.asarray(rows[role] == "" if is_label else rows[role].isna())
+            none = rows[role].isin(["", np.nan]).to_numpy()
             if none.any() and not skip:
                 roles.refuse_cell(role, column, "", where)
             good &= ~none
@@ -169,7 +161,7 @@ def _open_table(path: Path, options: _Options) -> tuple[formats.Table, bool]:
 
 
 def _expand(path: Path) -> tuple[bytes, str]:
-    """The content of a text file, which gzip, or zip with one text file in it, may have compressed, and its name."""
+    """The content of a text file, unpacked, and its name."""
     data = path.read_bytes()
     if data[:2] == b"\x1f\x8b":
         return gzip.decompress(data), path.stem
@@ -217,11 +209,6 @@ def _read_csv(data: bytes, options: _Options) -> formats.Table:
 
 
 def _make_tracks(paths: list[Path], parts: list[_Part], options: _Options, where: str) -> Tracks:
-    """Make tracks of the rows of files.
-
-    Raises:
-        ArgumentError: files differ in their columns, there are fewer than two ids, or an id has two places at one time.
-    """
     names, timestamps = dict(parts[-1].names), parts[0].timestamps
     if any(part.names.keys() != names.keys() or part.timestamps != timestamps for part in parts if part.counts["rows"]):
         raise ArgumentError(

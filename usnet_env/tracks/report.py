@@ -14,9 +14,7 @@ from usnet_env.tracks.samples import Clock, Samples
 
 _GAP = 3.0  # a gap is an interval of more than this many typical intervals of its id
 _UNEVEN = 0.1  # sampling is uneven if a tenth of the intervals differ from the typical one by more than this share
-_RATE = 0.2  # an id has another rate if its typical interval differs from the usual one by more than this share
 _RECORDED = (315_532_800, 4_102_444_800)  # seconds from 1970 to 1980 and to 2100
-_MOST_NAMED = 3
 
 
 @dataclass(frozen=True)
@@ -53,7 +51,6 @@ def find_problems(tracks: Samples) -> TrackReport:
     )
     warnings = (
         *_doubt_time_unit(tracks.clock),
-        *_doubt_rates(tracks, typical, usual),
         *_doubt_gaps(tracks, typical),
         *_doubt_jumps(tracks),
         *_doubt_degrees(tracks),
@@ -62,7 +59,6 @@ def find_problems(tracks: Samples) -> TrackReport:
 
 
 def _place(tracks: Samples, sample: int) -> str:
-    """The time and the id of a sample."""
     owner = int(np.searchsorted(tracks.offsets, sample, side="right")) - 1
     return f"{tracks.file_time(tracks.time[sample])} (id {tracks.ids[owner]})"
 
@@ -72,14 +68,6 @@ def _doubt_time_unit(clock: Clock) -> Iterator[str]:
     for unit in () if clock.timestamps or clock.unit != 1.0 else (1e-3, 1e-6, 1e-9):
         if _RECORDED[0] <= clock.origin * unit <= _RECORDED[1]:
             yield f"Times are read as seconds, but seem to count {unit:g} s since 1970 (--time-unit {unit:g})."
-
-
-def _doubt_rates(tracks: Samples, typical: Floats, usual: float) -> Iterator[str]:
-    """Ids with another sampling rate."""
-    other = np.flatnonzero(np.abs(typical - usual) > _RATE * usual)
-    if len(other):
-        names = ", ".join(str(tracks.ids[i]) for i in other[:_MOST_NAMED]) + ", …" * (len(other) > _MOST_NAMED)
-        yield f"{format_count(len(other), 'id')} sampled at another rate than every {format_number(usual)} s: {names}."
 
 
 def _doubt_gaps(tracks: Samples, typical: Floats) -> Iterator[str]:
@@ -99,7 +87,6 @@ def _doubt_gaps(tracks: Samples, typical: Floats) -> Iterator[str]:
 
 
 def _doubt_jumps(tracks: Samples) -> Iterator[str]:
-    """Single samples off the track, and other jumps."""
     jumps = find_jumps(tracks)
     fast = f"more than {JUMP:g} times as fast as 95 % of the steps ({format_number(jumps.usual, 3)} m/s)"
     if count := len(jumps.spikes):
