@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 _DETECTOR = "follow-mixture(policy='map')"
 _MOST_ROWS, _MOST_NAMES = 40, 6  # of a table that is printed; ids in a row
+_COLUMN = "Name of a column; without NAME, the role is left out. May be repeated."
 _EXAMPLES = """
 \b
 Examples:
@@ -43,7 +44,6 @@ Roles for --column:
 
 
 def _parse_columns(context: click.Context, option: click.Parameter, words: Sequence[str]) -> dict[str, str]:
-    """Parse ``role=name`` words."""
     mapping = dict(word.split("=", 1) for word in words if "=" in word)
     if len(mapping) < len(words):
         raise click.BadParameter("must be written ROLE=NAME, with each role once.", context, option)
@@ -58,14 +58,7 @@ def _parse_columns(context: click.Context, option: click.Parameter, words: Seque
 @click.option("--step", type=PositiveNumber(), help="Seconds of a step.  [default: chosen from the tracks]")
 @click.option("--max-gap", type=PositiveNumber(), help="Longest gap in seconds that is interpolated.")
 @click.option("--keep-spikes", is_flag=True, help="Keep single samples off the track, to which it jumps and back.")
-@click.option(
-    "--column",
-    "columns",
-    multiple=True,
-    callback=_parse_columns,
-    metavar="ROLE=NAME",
-    help="Name of a column; without NAME, the role is left out. May be repeated.",
-)
+@click.option("--column", "columns", multiple=True, callback=_parse_columns, metavar="ROLE=NAME", help=_COLUMN)
 @click.option("--time-unit", type=PositiveNumber(), help="Seconds in one unit of the time column.  [default: 1]")
 @click.option("--skip-missing", "missing", flag_value="skip", default="refuse", help="Skip incomplete rows.")
 @click.option("--encoding", default="utf-8", show_default=True, metavar="NAME", help="Encoding of a CSV file.")
@@ -114,16 +107,14 @@ def detect(
     if folder is not None:
         reserve_folder(folder)
     kept: list[Kept] = []
-    count = even.count_windows(window, stride or window)
     with progress_bar("windows") as progress:
 
         def keep(*answered: Any) -> None:
             kept.append(answered)
-            progress(len(kept), count)
+            progress(len(kept), even.count_windows(window, stride or window))
 
-        found = find_leaders(
-            even, player, length=window, stride=stride, seed=seed, confirm=not unconfirmed, on_window=keep
-        )
+        options: Any = {"length": window, "stride": stride, "seed": seed, "confirm": not unconfirmed}
+        found = find_leaders(even, player, on_window=keep, **options)
     if not unconfirmed and all(answer.leader is None and answer.clusters is None for _, answer, _ in kept):
         print_message("the detector names no followers, so no leader is confirmed; --unconfirmed lists its candidates.")
     if as_json:
@@ -140,7 +131,6 @@ def detect(
 
 
 def _plain(text: Any) -> str:
-    """A text without characters that control a terminal."""
     return "".join(filter(str.isprintable, str(text)))
 
 
@@ -149,16 +139,14 @@ def _to_json(found: FoundLeaders) -> str:
 
 
 def _tables(found: FoundLeaders) -> list[Table]:
-    """The tables of windows and of leaders over the file, with the first rows of long ones."""
     rows: list[list[str]] = []
     for window in found.windows:
-        when = [str(window.start), str(window.end)]
-        for leader in window.leaders:
-            rows.append([*when, *_cells(leader)])
-            when = ["", ""]
-        if window.not_confirmed or not window.leaders:
+        cells = [_cells(leader) for leader in window.leaders]
+        if window.not_confirmed or not cells:
             named = f"Not confirmed: {_names(window.not_confirmed)}." if window.not_confirmed else ""
-            rows.append([*when, "" if window.leaders else "none found", "", "", named])
+            cells.append(["" if cells else "none found", "", "", named])
+        whens = [[str(window.start), str(window.end)], *[["", ""]] * len(cells)]
+        rows += [[*when, *row] for when, row in zip(whens, cells, strict=False)]
     over_file = [[*_cells(leader), f"{leader.share or 0.0:.0%}"] for leader in found.leaders]
     headings = ["leader", "p", "followers", "why"]
     return [

@@ -62,15 +62,11 @@ def choose_columns(header: Sequence[str], mapping: Mapping[Any, str], where: str
     found = {role: name for role, name in found.items() if role in ("id", time, *plane, "z", "leader")}
     missing = [role for role in ("id", time, *plane) if role not in found]
     if missing:
-        raise ArgumentError(
-            f"columns (--column) must name the columns of {where} for {', '.join(missing)}; row 1 names "
-            f"{quote(list(header))}, of which {quote(found)} are known."
-        )
+        known = f"row 1 names {quote(list(header))}, of which {quote(found)} are known"
+        raise ArgumentError(f"columns (--column) must name those of {where} for {', '.join(missing)}; {known}.")
     if len(set(found.values())) < len(found) or any(header.count(name) != 1 for name in found.values()):
-        raise ArgumentError(
-            f"columns (--column) must give each role a column that {where} has once, got {quote(found)}; it has "
-            f"{quote(list(header))}."
-        )
+        got = f"got {quote(found)}; it has {quote(list(header))}"
+        raise ArgumentError(f"columns (--column) must give each role a column that {where} has once, {got}.")
     return found
 
 

@@ -26,15 +26,10 @@ _MOST_ALIKE = 0.999  # the logarithm of equal tracks is infinite
 def confirm_leaders(
     window: Window, leaders: Sequence[int] | NDArray[np.integer[Any]], followers: Sequence[Sequence[int]]
 ) -> tuple[Mask, list[list[int]]]:
-    """Which of c leaders are confirmed, ``(c,)`` bool, and the followers that each keeps.
-
-    Those are that pass :func:`confirm_lead` with the followers of :func:`keep_group`, but not :func:`find_followers`.
-    """
+    """Which of c leaders pass the three tests of this module, ``(c,)`` bool, and the followers that each keeps."""
     kept = [keep_group(window, int(leader), members) for leader, members in zip(leaders, followers, strict=True)]
-    sure = ~find_followers(window, leaders, kept)
-    for k in map(int, np.flatnonzero(sure)):
-        sure[k] = confirm_lead(window, int(leaders[k]), kept[k])
-    return np.asarray(sure), kept
+    leads = [confirm_lead(window, int(leader), members) for leader, members in zip(leaders, kept, strict=True)]
+    return np.array(leads, bool) & ~find_followers(window, leaders, kept), kept
 
 
 def keep_group(window: Window, leader: int, followers: Sequence[int]) -> list[int]:
@@ -127,7 +122,7 @@ def find_alike(window: Window, uavs: Indices, half: slice) -> list[list[int]]:
 
 
 def _is_ahead(group: Floats, ahead: Floats, both: Mask, level: float) -> bool:
-    """Whether ``group`` ``(T, 3)`` repeats ``ahead`` ``(T, 3)`` later; ``both`` ``(T,)``: where both are seen."""
+    """Whether ``group`` ``(T, 3)`` repeats ``ahead`` later; ``both`` ``(T,)``: where both are seen."""
     group, ahead = _centre(group, both), _centre(ahead, both)
     by_chance = [_measure_lead(group[order] * sign, ahead[order] * sign) for order, sign in _reversals(len(group))]
     deviation = float(np.sqrt(np.mean(np.square(by_chance))))

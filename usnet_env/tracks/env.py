@@ -153,7 +153,7 @@ class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
         )
 
     def score_answer(self, scores: NDArray[np.float64]) -> dict[str, float | None]:
-        """The metric that recorded groups allow, for scores ``(N,)``; ``None`` if the window has no group."""
+        """The share of the groups whose head has the highest of the scores ``(N,)``; ``None`` without groups."""
         truth = self.swarm
         return {"group_leader_first": group_leader_accuracy(truth.root, scores) if truth.head.any() else None}
 

@@ -57,13 +57,11 @@ def read_tracks(
     read as CSV. CSV and GPX may be compressed (gzip, or zip with one file in it).
 
     Args:
-        path: the file or files. Files without ids (ULog) hold one track each, whose id is the name of the file. The
-            tracks of one name in several GPX or ULog files are different ids, which have the file's name added; in one
-            GPX file they have their number added.
+        path: the file or files. ULog files hold one track each, whose id is the name of the file. The tracks of one
+            name in several GPX or ULog files are different ids, which have the file's name added.
         columns: names of columns by role, where they can't be guessed: ``id``, ``t`` (seconds or timestamps) or
-            ``frame``, ``x`` and ``y`` (metres) or ``lon`` and ``lat`` (degrees), ``z``, ``leader``. ``""`` leaves out
-            a column that tracks can be without. A height is left out where it is missing in some rows; if its column
-            is named here, these rows are refused or skipped like others without a place.
+            ``frame``, ``x`` and ``y`` (metres) or ``lon`` and ``lat`` (degrees), ``z``, ``leader``. ``""`` leaves one
+            out. If heights are missing in some rows, all are left out unless their column is named here.
         time_unit: seconds in one unit of the time column, such as 0.001 for milliseconds or 1 / 30 for frames of a
             video; ``None``: 1.
         missing: ``"refuse"`` a row without a time, place or id, or ``"skip"`` it. Such rows of a Movebank file, which
@@ -87,8 +85,8 @@ def read_tracks(
     try:
         return _make_tracks(paths, [_read_file(file, options) for file in paths], options, where)
     except ImportError as error:
-        needs = f"which needs {error.name}; {how_to_install('tracks')}"
-        raise ArgumentError(f"path must be in a format that can be read, got {where}, {needs}.") from None
+        hint = f"{where}, which needs {error.name}; {how_to_install('tracks')}"
+        raise ArgumentError(f"path must be in a format that can be read, got {hint}.") from None
 
 
 @dataclass
@@ -137,12 +135,9 @@ def _read_file(path: Path, options: _Options) -> _Part:
     except (ArgumentError, ImportError, MemoryError):
         raise
     except Exception as error:  # libraries raise many kinds for damaged files
-        reason = error.strerror or str(error) if isinstance(error, OSError) else str(error)
-        reason = " ".join(reason.split()).rstrip(".") or type(error).__name__
+        reason = " ".join((getattr(error, "strerror", None) or str(error)).split()).rstrip(".") or type(error).__name__
         hint = " (encoding= names another one)" * isinstance(error, UnicodeError | LookupError)
-        raise ArgumentError(
-            f"path must be an intact file of tracks, got {where}, not readable: {reason}{hint}."
-        ) from error
+        raise ArgumentError(f"path must be an intact file of tracks, got {where}: {reason}{hint}.") from error
 
 
 def _open_table(path: Path, options: _Options) -> tuple[formats.Table, bool]:
@@ -211,10 +206,8 @@ def _read_csv(data: bytes, options: _Options) -> formats.Table:
 def _make_tracks(paths: list[Path], parts: list[_Part], options: _Options, where: str) -> Tracks:
     names, timestamps = dict(parts[-1].names), parts[0].timestamps
     if any(part.names.keys() != names.keys() or part.timestamps != timestamps for part in parts if part.counts["rows"]):
-        raise ArgumentError(
-            "path must be files with the same columns and kind of times, got "
-            f"{', '.join(quote(part.names) for part in parts)} in {where}."
-        )
+        found = ", ".join(quote(part.names) for part in parts)
+        raise ArgumentError(f"path must be files with the same columns and kind of times, got {found} in {where}.")
     _name_tracks(paths, parts)
     rows = pd.concat([part.rows for part in parts], ignore_index=True)
     counts = sum((part.counts for part in parts), Counter())
@@ -230,10 +223,8 @@ def _make_tracks(paths: list[Path], parts: list[_Part], options: _Options, where
         notes.append("Times are numbers of frames; one frame counts as 1 s (a time unit gives its seconds).")
     codes, ids = _number(rows["id"])
     if len(ids) < 2:
-        raise ArgumentError(
-            f"path must hold the tracks of at least 2 ids, got {where} with {counts['rows']} rows of "
-            f"{', '.join(map(quote, ids)) or 'no id'}."
-        )
+        found = f"{counts['rows']} rows of {', '.join(map(quote, ids)) or 'no id'}"
+        raise ArgumentError(f"path must hold the tracks of at least 2 ids, got {where} with {found}.")
     time = rows["frame" if "frame" in names else "t"].to_numpy()
     clock = Clock(unit=options.time_unit or 1.0, timestamps=timestamps, whole=bool((time == np.floor(time)).all()))
     if timestamps:
@@ -251,7 +242,7 @@ def _make_tracks(paths: list[Path], parts: list[_Part], options: _Options, where
 
 
 def _name_tracks(paths: list[Path], parts: list[_Part]) -> None:
-    """Add the name of the file to an id that other files have too, where ids of different files are different ids."""
+    """Add the name of the file to an id that other files have too, unless this means one id."""
     ids = [set(part.rows["id"]) for part in parts]
     count = Counter(label for each in ids for label in each)
     for path, part, different in zip(paths, parts, ids, strict=True):

@@ -64,23 +64,20 @@ def _place(tracks: Samples, sample: int) -> str:
 
 
 def _doubt_time_unit(clock: Clock) -> Iterator[str]:
-    """Times that were read as seconds and are probably milliseconds, microseconds or nanoseconds since 1970."""
+    """Times that were read as seconds and are probably smaller units since 1970."""
     for unit in () if clock.timestamps or clock.unit != 1.0 else (1e-3, 1e-6, 1e-9):
         if _RECORDED[0] <= clock.origin * unit <= _RECORDED[1]:
             yield f"Times are read as seconds, but seem to count {unit:g} s since 1970 (--time-unit {unit:g})."
 
 
 def _doubt_gaps(tracks: Samples, typical: Floats) -> Iterator[str]:
-    """Intervals that are much longer than the typical one of the id, and uneven sampling."""
     interval, inner = np.diff(tracks.time), tracks.inner_steps
     expected = np.repeat(typical, np.diff(tracks.offsets))[:-1]
     gaps = np.flatnonzero(inner & (interval > _GAP * expected))
     if len(gaps):
         longest = int(gaps[interval[gaps].argmax()])
-        yield (
-            f"{format_count(len(gaps), 'gap')} longer than {_GAP:g} typical intervals; the longest takes "
-            f"{format_number(interval[longest])} s, after {_place(tracks, longest)}."
-        )
+        worst = f"the longest takes {format_number(interval[longest])} s, after {_place(tracks, longest)}"
+        yield f"{format_count(len(gaps), 'gap')} longer than {_GAP:g} typical intervals; {worst}."
     share = (inner & (np.abs(interval - expected) > _UNEVEN * expected)).sum() / max(int(inner.sum()), 1)
     if share > _UNEVEN:
         yield f"Sampling is uneven: {share:.0%} of the intervals differ from the typical one by more than 10 %."
@@ -90,10 +87,8 @@ def _doubt_jumps(tracks: Samples) -> Iterator[str]:
     jumps = find_jumps(tracks)
     fast = f"more than {JUMP:g} times as fast as 95 % of the steps ({format_number(jumps.usual, 3)} m/s)"
     if count := len(jumps.spikes):
-        yield (
-            f"{format_count(count, 'spike')}, a sample to which and from which a track moves {fast}, but not past it; "
-            f"the first is at {_place(tracks, int(jumps.spikes[0]))}."
-        )
+        where = _place(tracks, int(jumps.spikes[0]))
+        yield f"{format_count(count, 'spike')}, samples to and from which tracks move {fast}; the first is at {where}."
     steps = np.setdiff1d(jumps.steps, np.concatenate([jumps.spikes, jumps.spikes - 1]))
     if count := len(steps):
         fastest = int(steps[jumps.speed[steps].argmax()])
@@ -102,14 +97,10 @@ def _doubt_jumps(tracks: Samples) -> Iterator[str]:
 
 
 def _doubt_degrees(tracks: Samples) -> Iterator[str]:
-    """Coordinates that are said to be metres but look like longitude and latitude."""
     if tracks.frame != "metres" or not tracks.samples:
         return
     place = tracks.position[:, :2] + tracks.origin[:2]
     extent = float(np.ptp(place, axis=0).max())
     far = np.abs(place)
     if (far <= (180, 90)).all() and (place != np.round(place)).any() and 0 < extent <= 5 <= far.min(axis=0).max():
-        yield (
-            f"All x are from -180 to 180, all y from -90 to 90, and the tracks extend over {extent:.3g} m: they may be "
-            "degrees (then map the columns lon and lat)."
-        )
+        yield f"The tracks extend over {extent:.3g} m: x and y may be degrees (then map the columns lon and lat)."

@@ -117,16 +117,14 @@ def sort_samples(
     order = np.lexsort((time, codes))
     codes, time = codes[order], time[order]
     position = np.zeros((len(time), 3))
-    for axis, values in enumerate(axes):
-        position[:, axis] = values[order]
+    position[:, : len(axes)] = np.stack(axes, axis=1)[order]
     doubled = np.flatnonzero((np.diff(codes) == 0) & (np.diff(time) <= 0))
     if len(doubled):
         differ = doubled[(position[doubled] != position[doubled + 1]).any(axis=1)]
         if len(differ):
-            moment, who = clock.file_time(float(time[differ[0]])), ids[codes[differ[0]]]
+            moment, who = quote(clock.file_time(float(time[differ[0]]))), quote(ids[codes[differ[0]]])
             raise ArgumentError(
-                f"time must differ between the samples of an id, got {quote(moment)} with two places for id "
-                f"{quote(who)} ({len(differ)} such samples)."
+                f"time must differ between samples of an id, got {moment} with two places for id {who}."
             )
         notes = [*notes, f"Left out as repetitions (same id, time and place): {format_count(len(doubled), 'sample')}."]
         order = np.delete(order, doubled + 1)
