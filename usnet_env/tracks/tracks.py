@@ -136,8 +136,8 @@ class Tracks(Samples):
         Args:
             length: number of steps of a window (T_ob); it has one more instant.
             stride: number of steps from the start of a window to the start of the next; ``None``: ``length``.
-            least_steps: number of steps in which an id must be seen, at most ``length``; ``None``: half of them. A window
-                with fewer than two such ids is left out.
+            least_steps: number of steps in which an id must be seen, at most ``length``; ``None``: half of them. A
+                window with fewer than two such ids is left out.
 
         Raises:
             ArgumentError: an argument is out of range, or the tracks are shorter than one window.
