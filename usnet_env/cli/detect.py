@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
 _DETECTOR = "follow-mixture(policy='map')"
 _MOST_ROWS, _MOST_NAMES = 40, 6  # of a table that is printed; ids in a row
+_COLUMN = "Name of a column; without NAME, the role is left out. May be repeated."
 _EXAMPLES = """
 \b
 Examples:
@@ -42,7 +44,6 @@ Roles for --column:
 
 
 def _parse_columns(context: click.Context, option: click.Parameter, words: Sequence[str]) -> dict[str, str]:
-    """Parse ``role=name`` words."""
     mapping = dict(word.split("=", 1) for word in words if "=" in word)
     if len(mapping) < len(words):
         raise click.BadParameter("must be written ROLE=NAME, with each role once.", context, option)
@@ -51,28 +52,15 @@ def _parse_columns(context: click.Context, option: click.Parameter, words: Seque
 
 @click.command(short_help="Find the leaders in recorded tracks.", epilog=_EXAMPLES)
 @click.argument("tracks", nargs=-1, required=True, metavar="TRACKS…")
-@click.option(
-    "--detector", default=_DETECTOR, show_default=True, metavar="NAME", help="Detector; see `usnet list detectors`."
-)
+@click.option("--detector", default=_DETECTOR, show_default=True, metavar="NAME", help="See `usnet list detectors`.")
 @click.option("--window", type=WholeNumber(1, 10**6), default=100, show_default=True, help="Steps of a window.")
-@click.option(
-    "--stride",
-    type=WholeNumber(1, 10**9),
-    help="Steps from the start of a window to that of the next.  [default: --window]",
-)
+@click.option("--stride", type=WholeNumber(1, 10**9), help="Steps from window to window.  [default: --window]")
 @click.option("--step", type=PositiveNumber(), help="Seconds of a step.  [default: chosen from the tracks]")
 @click.option("--max-gap", type=PositiveNumber(), help="Longest gap in seconds that is interpolated.")
 @click.option("--keep-spikes", is_flag=True, help="Keep single samples off the track, to which it jumps and back.")
-@click.option(
-    "--column",
-    "columns",
-    multiple=True,
-    callback=_parse_columns,
-    metavar="ROLE=NAME",
-    help="Name of a column; without NAME, the role is left out. May be repeated.",
-)
+@click.option("--column", "columns", multiple=True, callback=_parse_columns, metavar="ROLE=NAME", help=_COLUMN)
 @click.option("--time-unit", type=PositiveNumber(), help="Seconds in one unit of the time column.  [default: 1]")
-@click.option("--skip-missing", is_flag=True, help="Skip rows without a time, place or id.")
+@click.option("--skip-missing", "missing", flag_value="skip", default="refuse", help="Skip incomplete rows.")
 @click.option("--encoding", default="utf-8", show_default=True, metavar="NAME", help="Encoding of a CSV file.")
 @click.option("--decimal", type=click.Choice([".", ","]), default=".", help="Decimal sign of a CSV file.  [default: .]")
 @click.option("--seed", type=WholeNumber(0, 2**63 - 1), default=0, show_default=True, help="Seed of the detector.")
@@ -93,7 +81,6 @@ def detect(
     out: str | None,
     record: bool,
     as_json: bool,
-    skip_missing: bool,
     **reading: Any,
 ) -> None:
     """Find the leaders in recorded tracks: their followers, times, probabilities and reasons.
@@ -109,7 +96,7 @@ def detect(
         raise click.UsageError("--record needs --out.")
     folder = None if out is None else as_path("out", out)
     player = make_detector(detector)
-    read = read_tracks(list(tracks), missing="skip" if skip_missing else "refuse", **reading)
+    read = read_tracks(list(tracks), **reading)
     report = read.report()
     for sentence in report.warnings:
         print_message(f"warning: {sentence}")
@@ -120,16 +107,14 @@ def detect(
     if folder is not None:
         reserve_folder(folder)
     kept: list[Kept] = []
-    count = even.count_windows(window, stride or window)
     with progress_bar("windows") as progress:
 
         def keep(*answered: Any) -> None:
             kept.append(answered)
-            progress(len(kept), count)
+            progress(len(kept), even.count_windows(window, stride or window))
 
-        found = find_leaders(
-            even, player, length=window, stride=stride, seed=seed, confirm=not unconfirmed, on_window=keep
-        )
+        options: Any = {"length": window, "stride": stride, "seed": seed, "confirm": not unconfirmed}
+        found = find_leaders(even, player, on_window=keep, **options)
     if not unconfirmed and all(answer.leader is None and answer.clusters is None for _, answer, _ in kept):
         print_message("the detector names no followers, so no leader is confirmed; --unconfirmed lists its candidates.")
     if as_json:
@@ -140,13 +125,12 @@ def detect(
         show(*_tables(found))
     if folder is not None:
         title = ", ".join(Path(name).name for name in tracks)
-        _write_files(folder, found, _make_record(even, kept, title, found.detector, seed) if record else None)
-        _write_picture(folder, found, even, [cut for cut, _, _ in kept], title)
+        episode = _make_record(even, kept, title, found.detector, seed) if record else None
+        _write_files(folder, found, episode, ([cut for cut, _, _ in kept], title, even))
         click.echo(f"{', '.join(sorted(path.name for path in folder.iterdir()))} are in {folder}.", err=True)
 
 
 def _plain(text: Any) -> str:
-    """A text without characters that control a terminal."""
     return "".join(filter(str.isprintable, str(text)))
 
 
@@ -155,16 +139,14 @@ def _to_json(found: FoundLeaders) -> str:
 
 
 def _tables(found: FoundLeaders) -> list[Table]:
-    """The tables of windows and of leaders over the file, with the first rows of long ones."""
     rows: list[list[str]] = []
     for window in found.windows:
-        when = [str(window.start), str(window.end)]
-        for leader in window.leaders:
-            rows.append([*when, *_cells(leader)])
-            when = ["", ""]
-        if window.not_confirmed or not window.leaders:
+        cells = [_cells(leader) for leader in window.leaders]
+        if window.not_confirmed or not cells:
             named = f"Not confirmed: {_names(window.not_confirmed)}." if window.not_confirmed else ""
-            rows.append([*when, "" if window.leaders else "none found", "", "", named])
+            cells.append(["" if cells else "none found", "", "", named])
+        whens = [[str(window.start), str(window.end)], *[["", ""]] * len(cells)]
+        rows += [[*when, *row] for when, row in zip(whens, cells, strict=False)]
     over_file = [[*_cells(leader), f"{leader.share or 0.0:.0%}"] for leader in found.leaders]
     headings = ["leader", "p", "followers", "why"]
     return [
@@ -198,33 +180,29 @@ def _make_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str
     return table
 
 
-def _write_files(folder: Path, found: FoundLeaders, episode: EpisodeRecord | None) -> None:
-    """Write tables, JSON and the episode; a replay whose extra is not installed is left out with a message."""
+def _write_files(folder: Path, found: FoundLeaders, episode: EpisodeRecord | None, drawn: tuple[Any, str, Any]) -> None:
+    """Write tables, JSON, the episode and, where their extras are installed, a replay and a picture of ``drawn``."""
+    from usnet_env.drawing import write_figure
     from usnet_env.replay import write_recording
+    from usnet_env.tracks.picture import draw_leaders
 
     for name in ("picture.png", "episode.npz", "replay.rrd"):  # of an earlier run, which this one may not replace
         (folder / name).unlink(missing_ok=True)
     for name, table in found.tables().items():
         write_text(folder / f"{name}.csv", table.to_csv(index=False))
     write_text(folder / "leaders.json", _to_json(found) + "\n")
+    writers: dict[str, Callable[[], Any]] = {
+        "picture": lambda: write_figure(draw_leaders(found, *drawn), folder / "picture.png")
+    }
     if episode is not None:
         episode.save(folder / "episode.npz")
-        try:
-            write_recording(episode, folder / "replay.rrd")
-        except MissingExtraError as error:
-            print_message(f"the replay is left out. {error}")
-
-
-def _write_picture(folder: Path, found: FoundLeaders, even: Tracks, cuts: Sequence[TrackWindow], title: str) -> None:
-    """Draw the leaders; without Matplotlib, the picture is left out with a message."""
-    from usnet_env.drawing import write_figure
-    from usnet_env.tracks.picture import draw_leaders
-
+        writers["replay"] = partial(write_recording, episode, folder / "replay.rrd")
     with warnings.catch_warnings(record=True, action="always") as caught:
-        try:
-            write_figure(draw_leaders(found, cuts, title, even), folder / "picture.png")
-        except MissingExtraError as error:
-            print_message(f"the picture is left out. {error}")
+        for name, write in writers.items():
+            try:
+                write()
+            except MissingExtraError as error:
+                print_message(f"the {name} is left out. {error}")
     for warning in caught:
         print_message(f"warning: {warning.message}")
 

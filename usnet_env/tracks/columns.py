@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from usnet_env.arrays import Floats, Mask
+from usnet_env.arrays import Floats
 from usnet_env.config import ArgumentError, quote
 from usnet_env.tracks.samples import is_none
 
@@ -37,7 +37,7 @@ ROLES: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 LABELS = ("id", "leader")  # all others are numbers
 TIMES = ("t", "frame")
-_MOVEBANK = {"individual_local_identifier", "tag_local_identifier"}  # one of these is in each of its files
+MOVEBANK = {"individual-local-identifier", "tag-local-identifier"}  # one of these is in each of its files
 _LARGEST = 1e15  # of a number in a file: float64 has no fractions beyond
 _LIMITS = {"lon": 360.0, "lat": 90.0, "t": 1e19, "frame": 1e19}  # degrees; nanoseconds since 1970 until 2286
 _SWAP = str.maketrans(",.", ".,")
@@ -47,11 +47,7 @@ _COMMA = re.compile(r"\s*[+-]?(\d*,\d+|\d+,)([eE][+-]?\d+)?\s*")
 def choose_columns(header: Sequence[str], mapping: Mapping[Any, str], where: str) -> dict[str, str]:
     """Choose the name of the column of each role: x and y or lon and lat, t or frame, and others.
 
-    Degrees, which name their datum, go before x and y, unless the caller's ``mapping`` of roles to names has these;
-    there, ``""`` leaves out a role. ``where`` names the file in messages.
-
-    Raises:
-        ArgumentError: a column is missing, its name stands twice in the header, or two roles have one column.
+    Degrees, which name their datum, go before x and y, unless the caller's ``mapping`` has these.
     """
     found = {role: name for role, name in mapping.items() if name}
     given = set(found)
@@ -66,26 +62,12 @@ def choose_columns(header: Sequence[str], mapping: Mapping[Any, str], where: str
     found = {role: name for role, name in found.items() if role in ("id", time, *plane, "z", "leader")}
     missing = [role for role in ("id", time, *plane) if role not in found]
     if missing:
-        raise ArgumentError(
-            f"columns (--column) must name the columns of {where} for {', '.join(missing)}; row 1 names "
-            f"{quote(list(header))}, of which {quote(found)} are known."
-        )
+        known = f"row 1 names {quote(list(header))}, of which {quote(found)} are known"
+        raise ArgumentError(f"columns (--column) must name those of {where} for {', '.join(missing)}; {known}.")
     if len(set(found.values())) < len(found) or any(header.count(name) != 1 for name in found.values()):
-        raise ArgumentError(
-            f"columns (--column) must give each role a column that {where} has once, got {quote(found)}; it has "
-            f"{quote(list(header))}."
-        )
+        got = f"got {quote(found)}; it has {quote(list(header))}"
+        raise ArgumentError(f"columns (--column) must give each role a column that {where} has once, {got}.")
     return found
-
-
-def is_movebank(header: Sequence[str]) -> bool:
-    """Whether the names of the columns are those of Movebank."""
-    return bool(_MOVEBANK & set(map(_normalise, header)))
-
-
-def read_marks(visible: pd.Series[Any]) -> Mask:
-    """Which rows of a Movebank file are marked as outliers, ``(rows,)`` bool; an empty cell marks nothing."""
-    return np.asarray(visible.astype(str).str.strip().str.lower().isin({"false", "f", "no", "0"}))
 
 
 def _normalise(name: str) -> str:
@@ -93,7 +75,7 @@ def _normalise(name: str) -> str:
 
 
 def read_numbers(column: pd.Series[Any], role: str, where: str, decimal: str = ".") -> Floats:
-    """The numbers of a column, ``(rows,)``, or its timestamps as microseconds since 1970; NaN where there is none."""
+    """The numbers of a column, or its timestamps as microseconds since 1970; NaN where there is none."""
     if column.dtype.kind in "fiu":
         numbers = column.to_numpy(np.float64)
     else:
@@ -121,7 +103,7 @@ def has_timestamps(column: pd.Series[Any]) -> bool:
 
 
 def to_text(cell: Any) -> str:
-    """A cell as a text without spaces around it; some formats hold texts as bytes."""
+    """A cell as a text; some formats hold texts as bytes."""
     return (cell.decode("utf-8", "backslashreplace") if isinstance(cell, bytes) else str(cell)).strip()
 
 
@@ -142,7 +124,7 @@ def _parse_timestamps(cells: pd.Series[Any]) -> Floats:
 
 
 def read_labels(column: pd.Series[Any]) -> NDArray[np.object_]:
-    """Labels ``(rows,)`` as texts without spaces around them, or as whole numbers; ``""`` is none."""
+    """Labels as texts, or as whole numbers; ``""`` is none."""
     codes, cells = pd.factorize(column)
     labels: list[str | int] = []
     for cell in pd.Series(cells).tolist():
@@ -152,7 +134,7 @@ def read_labels(column: pd.Series[Any]) -> NDArray[np.object_]:
 
 
 def refuse_cell(role: str, column: pd.Series[Any], cell: Any, where: str) -> NoReturn:
-    """Refuse a value of a column; the sentence says what the values must be, and which option may help."""
+    """Refuse a value of a column; the sentence says which option may help."""
     limit = _LIMITS.get(role, _LARGEST)
     must = "a text or a number" if role == "id" else f"a number from {-limit:g} to {limit:g}"
     must += ", or an ISO 8601 timestamp throughout," * (role in TIMES)

@@ -26,15 +26,10 @@ _MOST_ALIKE = 0.999  # the logarithm of equal tracks is infinite
 def confirm_leaders(
     window: Window, leaders: Sequence[int] | NDArray[np.integer[Any]], followers: Sequence[Sequence[int]]
 ) -> tuple[Mask, list[list[int]]]:
-    """Which of c leaders are confirmed, ``(c,)`` bool, and the followers that each keeps.
-
-    They are by :func:`confirm_lead` with the followers of :func:`keep_group`, and not by :func:`find_followers`.
-    """
+    """Which of c leaders pass the three tests of this module, ``(c,)`` bool, and the followers that each keeps."""
     kept = [keep_group(window, int(leader), members) for leader, members in zip(leaders, followers, strict=True)]
-    sure = ~find_followers(window, leaders, kept)
-    for k in map(int, np.flatnonzero(sure)):
-        sure[k] = confirm_lead(window, int(leaders[k]), kept[k])
-    return np.asarray(sure), kept
+    leads = [confirm_lead(window, int(leader), members) for leader, members in zip(leaders, kept, strict=True)]
+    return np.array(leads, bool) & ~find_followers(window, leaders, kept), kept
 
 
 def keep_group(window: Window, leader: int, followers: Sequence[int]) -> list[int]:
@@ -50,15 +45,15 @@ def keep_group(window: Window, leader: int, followers: Sequence[int]) -> list[in
         return list(followers)
     unit = _scale(window.velocity, window.velocity_seen)
     late = np.linspace(_LEAST_SHIFT, steps - _LEAST_SHIFT, _SHIFTS).astype(int)
-    group, left = [leader], np.array(followers, np.int64)
-    new = group
+    new, left = [leader], np.array(followers, np.int64)
+    group = []
     while len(new) and len(left):
         found = np.array([_correlate(np.roll(unit[:, left], k, axis=0), unit[:, new]).max(axis=1) for k in (0, *late)])
         like, *by_chance = np.arctanh(np.clip(found, -_MOST_ALIKE, _MOST_ALIKE))
         kept = like > np.mean(by_chance, axis=0) + _DEVIATIONS * np.std(by_chance, axis=0)
         new, left = left[kept].tolist(), left[~kept]
         group += new
-    return sorted(group[1:]) or list(followers)
+    return sorted(group) or list(followers)
 
 
 def confirm_lead(window: Window, leader: int, followers: Sequence[int]) -> bool:
@@ -86,10 +81,9 @@ def find_followers(
 ) -> Mask:
     """Which of the leaders follow another UAV in the first or the second half of a window.
 
-    A UAV that follows one head after another moves like neither of them through the whole window, and may look like a
-    head. In each half, the UAVs of :func:`find_alike` are tested: it follows one if :func:`confirm_lead`'s test says
-    so. The level is 0.05 for all five; for a UAV outside of its group, which should not move like its head at all, any
-    lead is enough. ``(c,)`` bool; false in a window of fewer than 32 steps.
+    A UAV that follows one head after another moves like neither through the whole window, and may look like a head. In
+    each half, it is tested by :func:`confirm_lead` with the UAVs of :func:`find_alike`, at a level of 0.05 for all
+    five; for a UAV outside of its group, any lead is enough. ``(c,)`` bool; false in a window of fewer than 32 steps.
     """
     steps, follows, uavs = window.observation_steps, np.zeros(len(leaders), bool), np.asarray(leaders, np.int64)
     if steps < 2 * LEAST_STEPS or not len(uavs):
@@ -128,7 +122,7 @@ def find_alike(window: Window, uavs: Indices, half: slice) -> list[list[int]]:
 
 
 def _is_ahead(group: Floats, ahead: Floats, both: Mask, level: float) -> bool:
-    """Whether ``group`` ``(T, 3)`` repeats ``ahead`` ``(T, 3)`` later; ``both`` ``(T,)``: where both are seen."""
+    """Whether ``group`` ``(T, 3)`` repeats ``ahead`` later; ``both`` ``(T,)``: where both are seen."""
     group, ahead = _centre(group, both), _centre(ahead, both)
     by_chance = [_measure_lead(group[order] * sign, ahead[order] * sign) for order, sign in _reversals(len(group))]
     deviation = float(np.sqrt(np.mean(np.square(by_chance))))
@@ -145,11 +139,12 @@ def _reversals(steps: int) -> Iterator[tuple[NDArray[np.intp], Floats]]:
 
 
 def _measure_lead(group: Floats, ahead: Floats) -> float:
-    """The lead in units of the product of both standard deviations."""
     size = float(np.sqrt((group**2).sum() * (ahead**2).sum()))
-    later = [float((group[lag:] * ahead[:-lag]).sum()) for lag in range(1, _LAGS + 1)]
-    earlier = [float((ahead[lag:] * group[:-lag]).sum()) for lag in range(1, _LAGS + 1)]
-    return (max(later) - max(earlier)) / size if size else 0.0
+    later, earlier = (
+        max(float((behind[lag:] * first[:-lag]).sum()) for lag in range(1, _LAGS + 1))
+        for behind, first in ((group, ahead), (ahead, group))
+    )
+    return (later - earlier) / size if size else 0.0
 
 
 def _centre(values: Floats, seen: Mask) -> Floats:

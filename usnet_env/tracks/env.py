@@ -38,10 +38,9 @@ class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
 
     ## Description
     A file of recorded tracks is resampled and cut into windows. An episode is one window and has one round: the agent
-    names its candidates for the heads, and nothing that it names changes the recording. The truth is the file's column
-    `leader`, the id that each id follows directly; an id follows the one that it has in most samples of the window. A
-    head leads at least one other id and follows none. Without such a column, or if none of the leaders in it has a
-    track, the truth is unknown: the environment can be played, but `evaluate` refuses it.
+    names its candidates for the heads. The truth is the file's column `leader`, the id that each id follows directly in
+    most samples of the window. A head leads at least one other id and follows none. Without such a column, or if none
+    of its leaders has a track, the truth is unknown: `evaluate` refuses the environment.
 
     ## Action Space
     `MultiBinary(N)`, N = the ids of the file: 1 for every candidate.
@@ -52,16 +51,15 @@ class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
     `alive` is 0.
 
     ## Rewards
-    −(1 + redundant / N), where redundant candidates are those that are no heads: −J_m of the one round. A head that is
-    not named costs nothing, because there is no second round: report `recall_first` and `success` beside J. `evaluate`
-    also reports `group_leader_first`, the share of the groups, taken as known, whose head has the highest score.
+    −(1 + redundant / N), where redundant candidates are no heads: −J_m of the one round. Missed heads cost nothing:
+    report `recall_first` and `success` beside J, and `group_leader_first`, the share of the groups, taken as known,
+    whose head has the highest score.
 
     `info` holds `hits`, `redundant`, `round`, `success`, `is_success` and `J` as in `USNET/MultiCluster-v0`,
     `over_budget`, always 0, and `start` and `end`, the times of the window as in the file.
 
     ## Starting State
-    With a seed, a window is drawn: all are equally likely. Without a seed, the windows follow one another in the order
-    of time, and after the last comes the first.
+    With a seed, a window is drawn uniformly. Otherwise the windows follow one another, the first after the last.
 
     ## Episode End
     The episode terminates after one round. It is never truncated.
@@ -83,10 +81,7 @@ class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
         self.tracks = read_tracks(arguments.path, columns=arguments.columns).resample(arguments.step)
         self.windows = list(self.tracks.windows(arguments.window, arguments.stride))
         if not self.windows:
-            raise ArgumentError(
-                "path must hold a window in which at least 2 ids are seen together, got "
-                f"{arguments.path!r}, in which no window does."
-            )
+            raise ArgumentError(f"path must hold 2 ids that are seen together in a window, got {arguments.path!r}.")
         instants, uavs = arguments.window + 1, len(self.tracks.ids)
         far = float(max(np.abs(cut.window.position).max() for cut in self.windows)) + 1.0
         self.observation_space = spaces.Dict(  # type: ignore[assignment]  # Dict is invariant
@@ -106,31 +101,23 @@ class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Show a window: with a seed a drawn one, otherwise the next.
-
-        Raises:
-            ArgumentError: the seed is not a whole number from 0, or there are options.
-        """
+        """Show a window: with a seed a drawn one, otherwise the next."""
         check_options(options)
         super().reset(seed=optional_seed("seed", seed))
         count = len(self.windows)
         self._number = (self._number + 1) % count if seed is None else int(self.np_random.integers(count))
         self._over = False
-        return self._observe(1), self._info(0, 0, 0, False)
+        return self._observe(1), self._info(0, 0, 0, success=False)
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Score the candidates ``(N,)``; the tracks stay as they are.
-
-        Raises:
-            ArgumentError: the action has another shape or other values, or the episode has ended.
-        """
+        """Score the candidates ``(N,)``; the tracks stay as they are."""
         if self._over:
             raise ArgumentError("reset must be called first, got a step in an episode that is over.")
         candidates = parse_candidates(action, (len(self.tracks.ids),))
         truth = self.swarm
         hits, redundant = map(int, hits_and_redundant(truth.head, truth.alive, candidates))
         self._over = True
-        info = self._info(hits, redundant, 1, hits == int(truth.head.sum()))
+        info = self._info(hits, redundant, 1, success=hits == int(truth.head.sum()))
         return self._observe(2), -info["J"], True, False, info
 
     @property
@@ -166,22 +153,20 @@ class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
         )
 
     def score_answer(self, scores: NDArray[np.float64]) -> dict[str, float | None]:
-        """The metric that recorded groups allow, for scores ``(N,)``; ``None`` if the window has no group."""
+        """The share of the groups whose head has the highest of the scores ``(N,)``; ``None`` without groups."""
         truth = self.swarm
         return {"group_leader_first": group_leader_accuracy(truth.root, scores) if truth.head.any() else None}
 
     def _observe(self, round: int) -> Observation:
         cut = self.windows[self._number]
-        whole: Observation = {
-            name: np.zeros(space.shape, space.dtype)
-            for name, space in self.observation_space.items()  # type: ignore[attr-defined]
-        }
+        spaces = self.observation_space.items()  # type: ignore[attr-defined]
+        whole: Observation = {name: np.zeros(space.shape, space.dtype) for name, space in spaces}
         for name in ("position", "velocity", "seen"):
             whole[name][:, cut.rows] = getattr(cut.window, name)
         whole["alive"][cut.rows], whole["round"][:], whole["step"][:] = 1, round, cut.step
         return whole
 
-    def _info(self, hits: int, redundant: int, round: int, success: bool) -> dict[str, Any]:
+    def _info(self, hits: int, redundant: int, round: int, *, success: bool) -> dict[str, Any]:
         return {
             "hits": hits,
             "redundant": redundant,
@@ -190,6 +175,5 @@ class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
             "is_success": success,
             "J": round + redundant / len(self.tracks.ids),
             "over_budget": 0,
-            "start": self.tracks.file_time(self.windows[self._number].start),
-            "end": self.tracks.file_time(self.windows[self._number].end),
+            **{name: self.tracks.file_time(getattr(self.windows[self._number], name)) for name in ("start", "end")},
         }

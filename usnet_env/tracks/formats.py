@@ -59,12 +59,7 @@ def read_npz(path: Path, mapping: Mapping[Any, str]) -> Table:
 def read_gpx(data: bytes, stem: str) -> Table:
     """Read the track points of a GPX file; the ids are the names of the tracks.
 
-    A name that several tracks share has the number of the track added; a track without a name has that of the file,
-    with its number.
-
-    Args:
-        data: the content of the file.
-        stem: the name of the file.
+    A name that several tracks share has the number of the track added, as has ``stem``, for a track without a name.
     """
     tracks = list(ElementTree.fromstring(data).iterfind(".//{*}trk"))
     names = [(track.findtext("{*}name") or "").strip() for track in tracks]

@@ -6,6 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -46,8 +47,7 @@ class Link:
         leader: the id that it follows directly: a head, or a relay that follows the head itself.
         head: the leader of the whole group.
         delay: seconds, a whole number of steps, after which the velocity of the follower agrees best with that of the
-            leader. ``None``: no delay of a step or more fits better than none, or one of the two does not change its
-            velocity while both are seen.
+            leader; ``None``: less than a step.
     """
 
     follower: str | int
@@ -62,10 +62,9 @@ class Leader:
 
     Args:
         id: as in the file.
-        probability: the detector's probability that the id leads; over the file, the mean over the windows in which it
-            leads. ``None``: the detector gives no probabilities.
-        followers: the ids that follow it, directly or through others; over the file, those that follow it in at least
-            half of its windows.
+        probability: the detector's probability that the id leads, or ``None``; over the file, the mean over the windows
+            in which it leads.
+        followers: the ids that follow it, directly or through others; over the file, in at least half of its windows.
         reason: why, a sentence.
         group: number of its group; a group keeps its number from window to window.
         score: the detector's score; over the file, the mean over the windows in which it leads.
@@ -87,7 +86,7 @@ class DetectedWindow:
 
     Args:
         start: time of the first instant as in the file.
-        end: time of the last instant as in the file.
+        end: time of the last instant.
         leaders: the detector's candidates that are confirmed, the highest score first.
         not_confirmed: ids of the candidates that are not confirmed.
         links: the followers of the leaders, each with the id that it follows directly and its delay.
@@ -113,7 +112,7 @@ class FoundLeaders:
     """The leaders of each window, and over the file.
 
     Args:
-        windows: all windows, in the order of time.
+        windows: in the order of time.
         leaders: an entry for each id that leads a group in a window, the one with the most windows first.
         detector: label of the detector.
     """
@@ -123,7 +122,7 @@ class FoundLeaders:
     detector: str
 
     def as_dict(self) -> dict[str, Any]:
-        """The windows and the leaders over the file as plain values for JSON; only those over the file have a share."""
+        """The windows and the leaders over the file as plain values for JSON."""
         values = {"windows": [asdict(window) for window in self.windows], "leaders": [*map(asdict, self.leaders)]}
         for window in values["windows"]:
             for leader in window["leaders"]:
@@ -133,9 +132,8 @@ class FoundLeaders:
     def tables(self) -> dict[str, pd.DataFrame]:
         """Three tables, as they are written to CSV: ``windows``, ``leaders`` and ``links``.
 
-        A window without leaders has one row without an id. Lists of ids are joined by semicolons; a semicolon or a
-        backslash in an id has a backslash before it. A text that a spreadsheet would read as a formula has an
-        apostrophe before it.
+        A window without leaders has one row without an id. Ids are joined by semicolons; in them, a semicolon or a
+        backslash has a backslash before it. What a spreadsheet would read as a formula has an apostrophe before it.
         """
         rows: dict[str, list[dict[str, Any]]] = {"leaders": [vars(leader) for leader in self.leaders]}
         rows["windows"] = [
@@ -151,7 +149,6 @@ class FoundLeaders:
 
 
 def _cell(value: Any) -> Any:
-    """A value in a cell of a table."""
     if isinstance(value, tuple):
         value = ";".join(re.sub(r"([;\\])", r"\\\1", str(name)) for name in value)
     return f"'{value}" if isinstance(value, str) and value.startswith(("=", "+", "-", "@")) else value
@@ -169,8 +166,8 @@ def find_leaders(
 ) -> FoundLeaders:
     """Let a detector answer every window of tracks.
 
-    Every window is an episode of its own: the detector is reset before it. Groups, a leader and its followers, are
-    followed from window to window: a group keeps its number where it shares the most members with an earlier one.
+    The detector is reset before every window. Groups, a leader and its followers, are followed from window to window: a
+    group keeps its number where it shares the most members with an earlier one.
 
     Args:
         tracks: the tracks; if they are not resampled, the step is chosen.
@@ -178,13 +175,9 @@ def find_leaders(
         length: steps of a window.
         stride: steps from the start of a window to the start of the next; ``None``: ``length``.
         seed: seeds the detector.
-        confirm: whether to leave out candidates whose followers don't move like them later, or that follow another id
-            in half of the window, by the tests of :mod:`usnet_env.tracks.confirm`. So no candidate of a detector that
-            says nothing about followers is confirmed.
+        confirm: whether to leave out candidates that have no followers, whose followers don't move like them later, or
+            that follow another id in half of the window, by the tests of :mod:`usnet_env.tracks.confirm`.
         on_window: called with each window, the detector's answer and the leaders.
-
-    Returns:
-        The leaders of each window, and over the file.
 
     Raises:
         ArgumentError: an argument is refused, the tracks hold no window, or the detector fails in one.
@@ -193,23 +186,22 @@ def find_leaders(
     seed = whole_number("seed", seed, 0)
     groups: list[Group] = []
     windows: list[DetectedWindow] = []
-    seen, gives_probabilities = np.zeros(len(tracks.ids), np.int64), True
+    seen = np.zeros(len(tracks.ids), np.int64)
     for number, cut in enumerate(tracks.windows(length, stride)):
-        start, end = tracks.file_time(cut.start), tracks.file_time(cut.end)
-        detection = _answer(player, cut, seed, number, f"from {start} to {end}")
-        found = _detect_window(cut, detection, confirm, groups, (start, end))
+        times = tracks.file_time(cut.start), tracks.file_time(cut.end)
+        detection = _answer(player, cut, seed, number, times)
+        found = _detect_window(cut, detection, confirm, groups, times)
         windows.append(found)
         seen[cut.rows] += 1
-        gives_probabilities &= "probability" in detection.extras
         if on_window is not None:
             on_window(cut, detection, found)
     if not windows:
         raise ArgumentError("tracks must hold a window in which at least 2 ids are seen together; no window does.")
-    leaders = _summarise(windows, tracks.ids, seen if confirm else None, gives_probabilities)
+    leaders = _summarise(windows, tracks.ids, seen if confirm else None)
     return FoundLeaders(tuple(windows), leaders, detector_label(player))
 
 
-def _answer(player: DetectorLike, cut: TrackWindow, seed: int, number: int, when: str) -> Detection:
+def _answer(player: DetectorLike, cut: TrackWindow, seed: int, number: int, times: tuple[Any, Any]) -> Detection:
     """Ask the detector for one window; what it raises becomes an ``ArgumentError`` that names the window."""
     try:
         player.reset(int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1)[0]))
@@ -221,9 +213,8 @@ def _answer(player: DetectorLike, cut: TrackWindow, seed: int, number: int, when
         raise
     except Exception as error:  # a detector may raise anything
         problem = describe_error(error)
-    raise ArgumentError(
-        f"detector must answer every window, got {problem} from {quote(detector_label(player))} in the window {when}."
-    )
+    label, when = quote(detector_label(player)), "from {} to {}".format(*times)
+    raise ArgumentError(f"detector must answer every window, got {problem} from {label} in the window {when}.")
 
 
 def _detect_window(
@@ -231,19 +222,17 @@ def _detect_window(
 ) -> DetectedWindow:
     """The leaders that an answer names in a window; their groups update those of earlier windows."""
     ids, scores, extras = cut.ids, detection.scores, detection.extras
-    heads = np.flatnonzero(detection.candidates)
-    heads = heads[np.argsort(-scores[heads], kind="stable")]
+    order = np.argsort(-scores, kind="stable")
+    heads = order[detection.candidates[order]]
     followers = [list_followers(detection, int(head)) for head in heads]
     confirmed = np.ones(len(heads), bool)
     if confirm:
         confirmed, followers = confirm_leaders(cut.window, heads, followers)
     led = {int(heads[k]): followers[k] for k in np.flatnonzero(confirmed)}
-    labels = _number_groups(
-        [(int(cut.rows[head]), {int(row) for row in cut.rows[[head, *members]]}) for head, members in led.items()],
-        groups,
-    )
+    found = [(int(cut.rows[head]), set(cut.rows[[head, *members]].tolist())) for head, members in led.items()]
+    labels = _number_groups(found, groups)
     reasons = dict(zip(map(int, extras.get("heads", ())), extras.get("reasons", ()), strict=False))
-    ranks = np.argsort(np.argsort(-scores, kind="stable"), kind="stable") + 1
+    ranks = np.argsort(order) + 1
     leaders, links = [], []
     for (head, members), label in zip(led.items(), labels, strict=True):
         why = f"Has score {scores[head]:.3g}, rank {ranks[head]} of {len(scores)}, and "
@@ -259,10 +248,7 @@ def _detect_window(
 
 
 def _measure_delay(cut: TrackWindow, follower: int, leader: int) -> float | None:
-    """The lag, in seconds, at which the follower's velocity is most correlated with the leader's earlier velocity.
-
-    ``None`` if this lag is 0: the delay is shorter than the step, or there is none.
-    """
+    """The lag, in seconds, at which the follower's velocity is most correlated with the leader's; ``None`` for 0."""
     window = cut.window
     seen = window.velocity_seen[:, [leader, follower]]
     both = seen.all(axis=1)
@@ -285,9 +271,8 @@ def _number_groups(found: list[Group], known: list[Group]) -> list[int]:
     was found last, in the order of the numbers, and is updated.
     """
     share = np.zeros((len(found), len(known)))
-    for k, (head, now) in enumerate(found):
-        for g, (leader, then) in enumerate(known):
-            share[k, g] = len(now & then) / len(now | then) + _SAME_LEADER * (head == leader)
+    for (k, (head, now)), (g, (leader, then)) in product(enumerate(found), enumerate(known)):
+        share[k, g] = len(now & then) / len(now | then) + _SAME_LEADER * (head == leader)
     same = {k: int(g) for k, g in zip(*linear_sum_assignment(-share), strict=True) if share[k, g] >= _SAME_GROUP}
     for k, group in enumerate(found):
         if k in same:
@@ -298,13 +283,10 @@ def _number_groups(found: list[Group], known: list[Group]) -> list[int]:
     return [same[k] + 1 for k in range(len(found))]
 
 
-def _summarise(
-    windows: list[DetectedWindow], ids: tuple[str | int, ...], seen: Indices | None, sure: bool
-) -> tuple[Leader, ...]:
+def _summarise(windows: list[DetectedWindow], ids: Sequence[str | int], seen: Indices | None) -> tuple[Leader, ...]:
     """The leaders over the file, the one with the most windows first.
 
-    ``seen`` ``(N,)`` is the number of windows that hold each id, or ``None`` if the leaders are not confirmed; ``sure``
-    says whether the detector gives probabilities in all windows.
+    ``seen`` ``(N,)`` is the number of windows that hold each id, or ``None`` if leaders are not confirmed.
     """
     row = {name: k for k, name in enumerate(ids)}
     entries_of: dict[tuple[int, int], list[Leader]] = {}  # by the group and the row of its leader
@@ -316,13 +298,13 @@ def _summarise(
         count = len(entries)
         times_behind = Counter(name for leader in entries for name in leader.followers)
         behind = sorted((name for name, times in times_behind.items() if times >= count / 2), key=row.__getitem__)
-        probability, score = np.mean([(leader.probability or 0.0, leader.score) for leader in entries], axis=0).tolist()
+        numbers = [(np.nan if leader.probability is None else leader.probability, leader.score) for leader in entries]
+        probability, score = np.mean(numbers, axis=0).tolist()
         reason = f"Leads group {group} in {count} of {format_count(len(windows), 'window')}."
-        # The probability that a group without a leader has a confirmed one in as many of its windows.
         chance = 0.0 if seen is None else float(bdtrc(count - 1, int(seen[head]), LEVEL))
         if chance > _UNLIKELY:
             what = "By chance, a group without a leader has a confirmed leader in as many windows"
             reason += f" {what} with probability {chance:.2g}."
-        share = count / len(windows)
-        found.append(Leader(ids[head], probability if sure else None, tuple(behind), reason, group, score, share))
+        sure = None if np.isnan(probability) else probability
+        found.append(Leader(ids[head], sure, tuple(behind), reason, group, score, count / len(windows)))
     return tuple(found)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 import warnings
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
@@ -26,19 +27,17 @@ _MARKS = (drawing.HEAD_MARK, drawing.FOLLOWER_MARK, drawing.LINK_MARK, drawing.U
 def draw_leaders(found: FoundLeaders, cuts: Iterable[TrackWindow], title: str, tracks: Tracks) -> Figure:
     """Draw up to six windows as maps from above, and below them the windows in which each id leads.
 
-    Long ids are abbreviated in the middle, in all places alike.
-
     Args:
         found: the leaders.
         cuts: all windows; up to six are drawn, evenly spread, those with leaders first.
         title: what the tracks are.
         tracks: the tracks, which say where their origin is.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
     """
     windows = found.windows
-    order = [k for led in (True, False) for k in _spread([bool(window.leaders) == led for window in windows])]
+    order: list[int] = []
+    for led in (True, False):
+        places = [k for k, window in enumerate(windows) if bool(window.leaders) == led]
+        order += [places[int(k)] for k in np.linspace(0, len(places) - 1, min(len(places), _MOST_MAPS))]
     chosen = sorted(order[:_MOST_MAPS])
     columns, bars = min(len(chosen), _COLUMNS), min(len(found.leaders), _MOST_ROWS)
     rows, chart = -(-len(chosen) // columns), 1.0 + _ROW * max(bars, 1)
@@ -47,7 +46,7 @@ def draw_leaders(found: FoundLeaders, cuts: Iterable[TrackWindow], title: str, t
     shown = f"{len(chosen)} of {len(windows)} windows, " if len(chosen) < len(windows) else ""
     about = f"{title}: {shown}by {found.detector}. Stars are leaders, lines connect followers to them."
     drawing.caption_figure(figure, "Leaders and followers", drawing.escape_math(about))
-    ids = list(dict.fromkeys(str(name) for w in windows for name in (*(led.id for led in w.leaders), *w.not_confirmed)))
+    ids = list(dict.fromkeys(str(leader.id) for leader in found.leaders))
     names = dict(zip(ids, drawing.abbreviate(ids, _LONGEST_NAME), strict=True))
     grid = figure.add_gridspec(rows + 1, columns, height_ratios=[*[_MAP] * rows, chart])
     maps: list[tuple[Any, Any, TrackWindow, DetectedWindow]] = []
@@ -57,8 +56,9 @@ def draw_leaders(found: FoundLeaders, cuts: Iterable[TrackWindow], title: str, t
             axes = figure.add_subplot(grid[divmod(len(maps), columns)])
             place, present = _draw_map(axes, cut, window, tracks)
             marks |= present
-            line = "not confirmed: " + ", ".join(names[str(name)] for name in window.not_confirmed)
-            line = line if len(line) <= _LONGEST_LINE else f"{line[: _LONGEST_LINE - 1]}…"
+            line = textwrap.shorten(
+                "not confirmed: " + ", ".join(map(str, window.not_confirmed)), _LONGEST_LINE, placeholder=" …"
+            )
             text = f"{window.start} to {window.end}" + f"\n{line}" * bool(window.not_confirmed)
             axes.set_title(drawing.escape_math(text), fontsize=9, loc="left")
             maps.append((axes, place, cut, window))
@@ -74,14 +74,8 @@ def draw_leaders(found: FoundLeaders, cuts: Iterable[TrackWindow], title: str, t
     return figure
 
 
-def _spread(which: list[bool]) -> list[int]:
-    """The places of up to six that are true, evenly spread."""
-    places = np.flatnonzero(which)
-    return [int(places[int(k)]) for k in np.linspace(0, len(places) - 1, min(len(places), _MOST_MAPS))]
-
-
 def _draw_map(axes: Axes, cut: TrackWindow, window: DetectedWindow, tracks: Tracks) -> tuple[Any, dict[str, str]]:
-    """Draw one window; returns where each UAV was seen last, and the marks that are shown, for the legend."""
+    """Draw one window; returns where each UAV was seen last, and the marks for the legend."""
     groups = {leader.id: leader.group - 1 for leader in window.leaders}
     root, none = window.roots(cut.ids), np.zeros(len(cut.ids), bool)
     head = np.array([name in groups for name in cut.ids])

@@ -54,17 +54,14 @@ def read_tracks(
     """Read recorded tracks from one file, or from several with the same clock and coordinates.
 
     The format follows from the suffix: ``.parquet`` or ``.pq``, ``.npz``, ``.gpx``, ``.ulg`` (PX4); any other file is
-    read as CSV. CSV and GPX may be compressed (gzip, or zip with one file in it). A row takes 32 bytes of memory in the
-    end (40 with leaders), and about 100 while rows are sorted.
+    read as CSV. CSV and GPX may be compressed (gzip, or zip with one file in it).
 
     Args:
-        path: the file or files. Files without ids (ULog) hold one track each, whose id is the name of the file. The
-            tracks of one name in several GPX or ULog files are different ids, which have the file's name added; in one
-            GPX file they have their number added.
+        path: the file or files. ULog files hold one track each, whose id is the name of the file. The tracks of one
+            name in several GPX or ULog files are different ids, which have the file's name added.
         columns: names of columns by role, where they can't be guessed: ``id``, ``t`` (seconds or timestamps) or
-            ``frame``, ``x`` and ``y`` (metres) or ``lon`` and ``lat`` (degrees), ``z``, ``leader``. ``""`` leaves out
-            a column that tracks can be without. A height is left out where it is missing in some rows; if its column
-            is named here, these rows are refused or skipped like others without a place.
+            ``frame``, ``x`` and ``y`` (metres) or ``lon`` and ``lat`` (degrees), ``z``, ``leader``. ``""`` leaves one
+            out. If heights are missing in some rows, all are left out unless their column is named here.
         time_unit: seconds in one unit of the time column, such as 0.001 for milliseconds or 1 / 30 for frames of a
             video; ``None``: 1.
         missing: ``"refuse"`` a row without a time, place or id, or ``"skip"`` it. Such rows of a Movebank file, which
@@ -82,20 +79,14 @@ def read_tracks(
     given = [as_path("path", file) for file in (path if isinstance(path, list | tuple) else [path])]
     if not given:
         raise ArgumentError("path must be a file of tracks, or a list of such files, got an empty one.")
-    options = _Options(
-        columns=columns,  # type: ignore[arg-type]  # checked there
-        time_unit=time_unit,
-        missing=missing,
-        encoding=encoding,
-        decimal=decimal,
-    )
+    options = _Options(columns=columns, time_unit=time_unit, missing=missing, encoding=encoding, decimal=decimal)  # type: ignore[arg-type]  # checked there
     paths = list({file.resolve(): file for file in reversed(given)}.values())[::-1]  # two paths may be of one file
     where = ", ".join(quote(os.fspath(file)) for file in paths[:3])
     try:
         return _make_tracks(paths, [_read_file(file, options) for file in paths], options, where)
     except ImportError as error:
-        needs = f"which needs {error.name}; {how_to_install('tracks')}"
-        raise ArgumentError(f"path must be in a format that can be read, got {where}, {needs}.") from None
+        hint = f"{where}, which needs {error.name}; {how_to_install('tracks')}"
+        raise ArgumentError(f"path must be in a format that can be read, got {hint}.") from None
 
 
 @dataclass
@@ -110,32 +101,31 @@ class _Part:
 
 
 def _read_file(path: Path, options: _Options) -> _Part:
-    """Read a file.
-
-    Raises:
-        ArgumentError: the file can't be read, a column or a value is missing, or a value is no number.
-    """
+    """Read a file."""
     where, mapping = quote(os.fspath(path)), options.columns or {}
     try:
         (header, read_columns), for_itself = _open_table(path, options)
-        names, movebank = roles.choose_columns(header, mapping, where), roles.is_movebank(header)
+        names, movebank = (
+            roles.choose_columns(header, mapping, where),
+            roles.MOVEBANK & {name.replace("_", "-") for name in header},
+        )
         marks = {"visible": "visible"} if movebank and "visible" in header else {}
         table = read_columns(names | marks)
         count = len(table)
         if marks:
-            table = table[~roles.read_marks(table["visible"])]
+            table = table[~table["visible"].astype(str).str.strip().str.lower().isin({"false", "f", "no", "0"})]
         rows = pd.DataFrame(index=table.index)
-        skip = options.missing == "skip" or movebank
+        skip = options.missing == "skip" or bool(movebank)
         good = np.ones(len(rows), bool)
         for role, name in names.items():
             column = table[role].rename(name)
-            is_label = role in roles.LABELS
-            rows[role] = (
-                roles.read_labels(column) if is_label else roles.read_numbers(column, role, where, options.decimal)
-            )
+            if role in roles.LABELS:
+                rows[role] = roles.read_labels(column)
+            else:
+                rows[role] = roles.read_numbers(column, role, where, options.decimal)
             if role == "leader" or (role == "z" and not mapping.get("z")):
                 continue
-            none = np.asarray(rows[role] == "" if is_label else rows[role].isna())
+            none = rows[role].isin(["", np.nan]).to_numpy()
             if none.any() and not skip:
                 roles.refuse_cell(role, column, "", where)
             good &= ~none
@@ -145,12 +135,9 @@ def _read_file(path: Path, options: _Options) -> _Part:
     except (ArgumentError, ImportError, MemoryError):
         raise
     except Exception as error:  # libraries raise many kinds for damaged files
-        reason = error.strerror or str(error) if isinstance(error, OSError) else str(error)
-        reason = " ".join(reason.split()).rstrip(".") or type(error).__name__
+        reason = " ".join((getattr(error, "strerror", None) or str(error)).split()).rstrip(".") or type(error).__name__
         hint = " (encoding= names another one)" * isinstance(error, UnicodeError | LookupError)
-        raise ArgumentError(
-            f"path must be an intact file of tracks, got {where}, not readable: {reason}{hint}."
-        ) from error
+        raise ArgumentError(f"path must be an intact file of tracks, got {where}: {reason}{hint}.") from error
 
 
 def _open_table(path: Path, options: _Options) -> tuple[formats.Table, bool]:
@@ -169,7 +156,7 @@ def _open_table(path: Path, options: _Options) -> tuple[formats.Table, bool]:
 
 
 def _expand(path: Path) -> tuple[bytes, str]:
-    """The content of a text file, which gzip, or zip with one text file in it, may have compressed, and its name."""
+    """The content of a text file, unpacked, and its name."""
     data = path.read_bytes()
     if data[:2] == b"\x1f\x8b":
         return gzip.decompress(data), path.stem
@@ -217,17 +204,10 @@ def _read_csv(data: bytes, options: _Options) -> formats.Table:
 
 
 def _make_tracks(paths: list[Path], parts: list[_Part], options: _Options, where: str) -> Tracks:
-    """Make tracks of the rows of files.
-
-    Raises:
-        ArgumentError: files differ in their columns, there are fewer than two ids, or an id has two places at one time.
-    """
     names, timestamps = dict(parts[-1].names), parts[0].timestamps
     if any(part.names.keys() != names.keys() or part.timestamps != timestamps for part in parts if part.counts["rows"]):
-        raise ArgumentError(
-            "path must be files with the same columns and kind of times, got "
-            f"{', '.join(quote(part.names) for part in parts)} in {where}."
-        )
+        found = ", ".join(quote(part.names) for part in parts)
+        raise ArgumentError(f"path must be files with the same columns and kind of times, got {found} in {where}.")
     _name_tracks(paths, parts)
     rows = pd.concat([part.rows for part in parts], ignore_index=True)
     counts = sum((part.counts for part in parts), Counter())
@@ -243,10 +223,8 @@ def _make_tracks(paths: list[Path], parts: list[_Part], options: _Options, where
         notes.append("Times are numbers of frames; one frame counts as 1 s (a time unit gives its seconds).")
     codes, ids = _number(rows["id"])
     if len(ids) < 2:
-        raise ArgumentError(
-            f"path must hold the tracks of at least 2 ids, got {where} with {counts['rows']} rows of "
-            f"{', '.join(map(quote, ids)) or 'no id'}."
-        )
+        found = f"{counts['rows']} rows of {', '.join(map(quote, ids)) or 'no id'}"
+        raise ArgumentError(f"path must hold the tracks of at least 2 ids, got {where} with {found}.")
     time = rows["frame" if "frame" in names else "t"].to_numpy()
     clock = Clock(unit=options.time_unit or 1.0, timestamps=timestamps, whole=bool((time == np.floor(time)).all()))
     if timestamps:
@@ -264,7 +242,7 @@ def _make_tracks(paths: list[Path], parts: list[_Part], options: _Options, where
 
 
 def _name_tracks(paths: list[Path], parts: list[_Part]) -> None:
-    """Add the name of the file to an id that other files have too, where ids of different files are different ids."""
+    """Add the name of the file to an id that other files have too, unless this means one id."""
     ids = [set(part.rows["id"]) for part in parts]
     count = Counter(label for each in ids for label in each)
     for path, part, different in zip(paths, parts, ids, strict=True):

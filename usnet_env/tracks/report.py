@@ -14,9 +14,7 @@ from usnet_env.tracks.samples import Clock, Samples
 
 _GAP = 3.0  # a gap is an interval of more than this many typical intervals of its id
 _UNEVEN = 0.1  # sampling is uneven if a tenth of the intervals differ from the typical one by more than this share
-_RATE = 0.2  # an id has another rate if its typical interval differs from the usual one by more than this share
 _RECORDED = (315_532_800, 4_102_444_800)  # seconds from 1970 to 1980 and to 2100
-_MOST_NAMED = 3
 
 
 @dataclass(frozen=True)
@@ -53,7 +51,6 @@ def find_problems(tracks: Samples) -> TrackReport:
     )
     warnings = (
         *_doubt_time_unit(tracks.clock),
-        *_doubt_rates(tracks, typical, usual),
         *_doubt_gaps(tracks, typical),
         *_doubt_jumps(tracks),
         *_doubt_degrees(tracks),
@@ -62,51 +59,36 @@ def find_problems(tracks: Samples) -> TrackReport:
 
 
 def _place(tracks: Samples, sample: int) -> str:
-    """The time and the id of a sample."""
     owner = int(np.searchsorted(tracks.offsets, sample, side="right")) - 1
     return f"{tracks.file_time(tracks.time[sample])} (id {tracks.ids[owner]})"
 
 
 def _doubt_time_unit(clock: Clock) -> Iterator[str]:
-    """Times that were read as seconds and are probably milliseconds, microseconds or nanoseconds since 1970."""
+    """Times that were read as seconds and are probably smaller units since 1970."""
     for unit in () if clock.timestamps or clock.unit != 1.0 else (1e-3, 1e-6, 1e-9):
         if _RECORDED[0] <= clock.origin * unit <= _RECORDED[1]:
             yield f"Times are read as seconds, but seem to count {unit:g} s since 1970 (--time-unit {unit:g})."
 
 
-def _doubt_rates(tracks: Samples, typical: Floats, usual: float) -> Iterator[str]:
-    """Ids with another sampling rate."""
-    other = np.flatnonzero(np.abs(typical - usual) > _RATE * usual)
-    if len(other):
-        names = ", ".join(str(tracks.ids[i]) for i in other[:_MOST_NAMED]) + ", …" * (len(other) > _MOST_NAMED)
-        yield f"{format_count(len(other), 'id')} sampled at another rate than every {format_number(usual)} s: {names}."
-
-
 def _doubt_gaps(tracks: Samples, typical: Floats) -> Iterator[str]:
-    """Intervals that are much longer than the typical one of the id, and uneven sampling."""
     interval, inner = np.diff(tracks.time), tracks.inner_steps
     expected = np.repeat(typical, np.diff(tracks.offsets))[:-1]
     gaps = np.flatnonzero(inner & (interval > _GAP * expected))
     if len(gaps):
         longest = int(gaps[interval[gaps].argmax()])
-        yield (
-            f"{format_count(len(gaps), 'gap')} longer than {_GAP:g} typical intervals; the longest takes "
-            f"{format_number(interval[longest])} s, after {_place(tracks, longest)}."
-        )
+        worst = f"the longest takes {format_number(interval[longest])} s, after {_place(tracks, longest)}"
+        yield f"{format_count(len(gaps), 'gap')} longer than {_GAP:g} typical intervals; {worst}."
     share = (inner & (np.abs(interval - expected) > _UNEVEN * expected)).sum() / max(int(inner.sum()), 1)
     if share > _UNEVEN:
         yield f"Sampling is uneven: {share:.0%} of the intervals differ from the typical one by more than 10 %."
 
 
 def _doubt_jumps(tracks: Samples) -> Iterator[str]:
-    """Single samples off the track, and other jumps."""
     jumps = find_jumps(tracks)
     fast = f"more than {JUMP:g} times as fast as 95 % of the steps ({format_number(jumps.usual, 3)} m/s)"
     if count := len(jumps.spikes):
-        yield (
-            f"{format_count(count, 'spike')}, a sample to which and from which a track moves {fast}, but not past it; "
-            f"the first is at {_place(tracks, int(jumps.spikes[0]))}."
-        )
+        where = _place(tracks, int(jumps.spikes[0]))
+        yield f"{format_count(count, 'spike')}, samples to and from which tracks move {fast}; the first is at {where}."
     steps = np.setdiff1d(jumps.steps, np.concatenate([jumps.spikes, jumps.spikes - 1]))
     if count := len(steps):
         fastest = int(steps[jumps.speed[steps].argmax()])
@@ -115,14 +97,10 @@ def _doubt_jumps(tracks: Samples) -> Iterator[str]:
 
 
 def _doubt_degrees(tracks: Samples) -> Iterator[str]:
-    """Coordinates that are said to be metres but look like longitude and latitude."""
     if tracks.frame != "metres" or not tracks.samples:
         return
     place = tracks.position[:, :2] + tracks.origin[:2]
     extent = float(np.ptp(place, axis=0).max())
     far = np.abs(place)
     if (far <= (180, 90)).all() and (place != np.round(place)).any() and 0 < extent <= 5 <= far.min(axis=0).max():
-        yield (
-            f"All x are from -180 to 180, all y from -90 to 90, and the tracks extend over {extent:.3g} m: they may be "
-            "degrees (then map the columns lon and lat)."
-        )
+        yield f"The tracks extend over {extent:.3g} m: x and y may be degrees (then map the columns lon and lat)."

@@ -55,10 +55,8 @@ class Jumps(NamedTuple):
 
 def find_jumps(tracks: Samples) -> Jumps:
     """Find the steps that are more than 5 times as fast as 95 % of the steps, and the single samples off the track."""
-    squares = np.zeros(max(tracks.samples - 1, 0))
-    for axis in range(3):
-        squares += np.diff(tracks.position[:, axis]) ** 2
-    speed = np.sqrt(squares) / np.where(tracks.inner_steps, np.diff(tracks.time), np.inf)
+    length = np.linalg.norm(np.diff(tracks.position, axis=0), axis=1)
+    speed = length / np.where(tracks.inner_steps, np.diff(tracks.time), np.inf)
     moving = speed[speed > 0]
     usual = float(np.quantile(moving, 0.95)) if len(moving) else 0.0
     fast = speed > JUMP * usual
@@ -69,7 +67,7 @@ def find_jumps(tracks: Samples) -> Jumps:
 
 
 def leave_out_spikes(tracks: SamplesT) -> SamplesT:
-    """The tracks without the single samples that lie off them."""
+    """The tracks without their spikes."""
     spikes = find_jumps(tracks).spikes
     if not len(spikes):
         return tracks
@@ -94,21 +92,14 @@ def close_jumps(tracks: SamplesT) -> SamplesT:
 
 
 def resample_positions(tracks: SamplesT, step: float, max_gap: float | None) -> SamplesT:
-    """The tracks at the times 0, ``step``, 2 ``step``, ...; see :meth:`Tracks.resample`.
-
-    Raises:
-        ArgumentError: the step is so short that the result has more than 10⁸ samples.
-    """
+    """The tracks at the times 0, ``step``, 2 ``step``, ...; see :meth:`Tracks.resample`."""
     parts = [slice(int(first), int(last)) for first, last in pairwise(tracks.offsets)]
     filled = [i for i, part in enumerate(parts) if part.stop - part.start > 1]
     counts = np.zeros(len(parts), np.int64)
     for i in filled:
         counts[i] = int(_grid_numbers(tracks.time[parts[i]] / step, step, max_gap)[1].sum())
     if counts.sum() > _MOST_GRID:
-        raise ArgumentError(
-            f"step must be so long that the result has at most {_MOST_GRID:g} samples, got {step:g} s and "
-            f"{counts.sum():g} samples."
-        )
+        raise ArgumentError(f"step must be longer, got {step:g} s, {counts.sum():g} samples of at most {_MOST_GRID:g}.")
     grids = [_resample_one(tracks.time[parts[i]], tracks.position[parts[i]], step, max_gap) for i in filled]
     times, places = (np.concatenate([grid[k] for grid in grids]) for k in (0, 1))
     leader = tracks.leader
@@ -139,10 +130,7 @@ def _resample_one(
 
 
 def _grid_numbers(at: Floats, step: float, max_gap: float | None) -> tuple[Indices, Indices]:
-    """The first grid time from each sample on, ``(S,)``, for sample times ``at`` ``(S,)`` in steps, and their number.
-
-    They are all grid times before the next sample if that is close enough, otherwise only the sample's own.
-    """
+    """The first grid time from each sample on, and the number of those before the next; ``at`` is in steps."""
     interval = np.diff(at)
     usual = max(_BRIDGE * float(np.quantile(interval, _TYPICAL_SHARE)), 1.0)
     longest = usual if max_gap is None else max_gap / step
@@ -171,38 +159,26 @@ def _fit_lines(at: Floats, position: Floats, number: Indices, place: Floats) -> 
     place[fitted] = (position[starts] + line)[where[fitted]]
 
 
-class _Lead(NamedTuple):
-    """How far ids are led at one step: the mean over the ids, the median lag in steps, and the number of followers."""
-
-    mean: float
-    lag: float
-    followers: int
-
-
 def choose_step(tracks: Samples) -> tuple[float, tuple[str, ...]]:
     """Choose the step of the grid, in seconds, and say why, a sentence each; an id must have two samples.
 
-    The noise of the positions is white, so it adds -σ² to the covariance of successive steps and nothing to later ones:
-    σ² = 2 c₂ - c₃ - c₁ (at least 0), with the covariances c_k of steps k apart. The shortest step that is tried is long
-    enough that the mean squared movement is at least four times its noise; each further step is √2 times as long, as
-    long as the tracks have 100 steps. Gross jumps count as steps of no length.
-
-    At each step, the lead of j over i is max_τ C(τ) - max_τ C(-τ), τ = 1, ..., 4, with the correlation C(τ) of the
-    changes of i's velocity with those of j's velocity τ steps before. The lead over i is that of the best j, less the
-    median for tracks that are shifted in time. It counts if it is significant and the delay is at most 4 steps. The
+    The shortest step that is tried is long enough that the mean squared movement is at least four times its noise; each
+    further step is √2 times as long, as long as the tracks have 100 steps. Gross jumps count as steps of no length. The
     shortest step with 80 % of the largest mean lead is chosen.
     """
     interval = float(f"{np.nanmedian(typical_intervals(tracks)):.9g}")  # differences of times have rounding errors
     tracks = close_jumps(tracks)
     noise, needed = _noise(_sample_velocities(tracks, interval))
-    factors = _step_factors(needed, tracks.duration / interval)
+    longest = tracks.duration / interval / (_LEAST_STEPS * needed)  # compared with the shortest step
+    powers = np.arange(1 + max(0, int(np.floor(np.log(longest) / np.log(_GROWTH) + 1e-9))))
+    factors = sorted({round(needed * _GROWTH ** int(k)) for k in powers})
     leads = [_measure_leads(_sample_velocities(tracks, factor * interval)) for factor in factors]
-    largest = max(lead.mean for lead in leads)
-    best = next(k for k, lead in enumerate(leads) if lead.mean >= _NEARLY * largest)
-    lead, step = leads[best], factors[best] * interval
+    largest = max(mean for mean, _, _ in leads)
+    best = next(k for k, (mean, _, _) in enumerate(leads) if mean >= _NEARLY * largest)
+    (_, lag, followers), step = leads[best], factors[best] * interval
     why, warnings = "no id follows another with a significant delay", []
     if largest:
-        after = f"about {format_number(lead.lag * step, 2)} s (median of {lead.followers})"
+        after = f"about {format_number(lag * step, 2)} s (median of {followers})"
         why = f"it is the shortest that shows clearly who follows: an id follows another after {after}"
         if best == 0 and needed > 1:
             warnings.append("Warning: the step is this long because of the noise; shorter delays may be missed.")
@@ -212,17 +188,8 @@ def choose_step(tracks: Samples) -> tuple[float, tuple[str, ...]]:
     return step, (f"The step is {format_number(step)} s, {sampled}: {why}{noisy}.", *warnings)
 
 
-def _step_factors(shortest: int, samples: float) -> list[int]:
-    """Steps to try, in sampling intervals, for tracks as long as ``samples`` intervals."""
-    count = 1 + max(0, int(np.floor(np.log(samples / (_LEAST_STEPS * shortest)) / np.log(_GROWTH) + 1e-9)))
-    return sorted({round(shortest * _GROWTH**k) for k in range(count)})
-
-
 def _sample_velocities(tracks: Samples, interval: float) -> Floats:
-    """Velocities of a part of the tracks at steps of ``interval``, ``(T, n, 3)`` metres per step; NaN where unseen.
-
-    The part is the stretch of 2048 steps in which most samples lie, and its longest tracks.
-    """
+    """Velocities ``(T, n, 3)`` of the longest tracks in the 2048 steps with the most samples; NaN where unseen."""
     length = _PART * interval
     edges = np.arange(0.0, tracks.duration + length, length / 2)
     counts = np.histogram(tracks.time, edges)[0] if len(edges) > 1 else np.ones(1)
@@ -244,7 +211,11 @@ def _sample_velocities(tracks: Samples, interval: float) -> Floats:
 
 
 def _noise(velocity: Floats) -> tuple[float, int]:
-    """Estimate the noise of the positions, metres, and the steps after which the movement exceeds it enough."""
+    """Estimate the noise of the positions, metres, and the steps after which the movement exceeds it enough.
+
+    White noise adds -σ² to the covariance c_1 of successive steps and nothing to those further apart, so
+    σ² = 2 c_2 - c_3 - c_1.
+    """
     mean = np.nanmean(velocity, axis=(0, 1)) if np.isfinite(velocity).any() else np.zeros(3)
     centred = np.nan_to_num(velocity - mean)
     known = np.isfinite(velocity[..., 0])
@@ -271,11 +242,15 @@ def _noise(velocity: Floats) -> tuple[float, int]:
     return float(np.sqrt(variance / axes)), needed
 
 
-def _measure_leads(velocity: Floats) -> _Lead:
-    """How far the velocities ``(T, n, 3)`` of some ids are led by those of others; see :func:`choose_step`."""
-    none = _Lead(0.0, 0.0, 0)
+def _measure_leads(velocity: Floats) -> tuple[float, float, int]:
+    """The mean lead over the ids with velocities ``(T, n, 3)``, the median lag in steps, and the number of followers.
+
+    The lead of j over i is max_τ C(τ) - max_τ C(-τ), τ = 1, ..., 4, with the correlation C(τ) of the changes of i's
+    velocity with those of j's velocity τ steps before. The lead over i is that of the best j, less the median for
+    tracks that are shifted in time. It counts if it is significant and the delay is at most 4 steps.
+    """
     if velocity.shape[1] < 2 or len(velocity) <= _FEWEST_STEPS:
-        return none
+        return 0.0, 0.0, 0
     known = np.isfinite(velocity[..., 0]).sum(axis=0)
     mean = np.nansum(velocity, axis=0) / np.maximum(known, 1)[:, None]
     changes = np.diff(np.nan_to_num(velocity - mean), axis=0)
@@ -301,5 +276,5 @@ def _measure_leads(velocity: Floats) -> _Lead:
             leads.append(float(lead.max()) - middle)
             delays.append(1 + int(curve[lead.argmax(), 1 : _LAGS + 1].argmax()))
     if len(leads) < max(1, len(focal) / _FEWEST):
-        return none
-    return _Lead(sum(leads) / len(focal), float(np.median(delays)), len(leads))
+        return 0.0, 0.0, 0
+    return sum(leads) / len(focal), float(np.median(delays)), len(leads)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usnet_env.arrays import Floats, Indices, Mask
-from usnet_env.config import ArgumentError, quote
+from usnet_env.config import ArgumentError, format_count, quote
 
 _DIGITS = 9  # decimals of a time that is written as a number, where float64 has as many
 _EPOCH = datetime(1970, 1, 1)
@@ -102,16 +102,10 @@ def sort_samples(
     leader: Indices | None = None,
     notes: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Sort samples by id and time, and move the origin of time and space to the first sample and the middle.
+    """The fields of :class:`Samples` but for ``frame`` and ``step``, of samples in any order, without repetitions.
 
     ``codes`` ``(S,)`` is the index of the id of each sample, ``time`` ``(S,)`` is in the clock's unit, or in seconds
     for timestamps, and ``axes`` are the two or three coordinates ``(S,)``, relative to ``origin`` if it is given.
-
-    Returns:
-        The fields of :class:`Samples` but for ``frame`` and ``step``. Repeated samples are left out, with a note.
-
-    Raises:
-        ArgumentError: two samples of an id have one time and different places.
     """
     start = float(time.min())
     latest = max(abs(start), abs(float(time.max())))
@@ -123,19 +117,16 @@ def sort_samples(
     order = np.lexsort((time, codes))
     codes, time = codes[order], time[order]
     position = np.zeros((len(time), 3))
-    for axis, values in enumerate(axes):
-        position[:, axis] = values[order]
+    position[:, : len(axes)] = np.stack(axes, axis=1)[order]
     doubled = np.flatnonzero((np.diff(codes) == 0) & (np.diff(time) <= 0))
     if len(doubled):
         differ = doubled[(position[doubled] != position[doubled + 1]).any(axis=1)]
         if len(differ):
-            moment, who = clock.file_time(float(time[differ[0]])), ids[codes[differ[0]]]
+            moment, who = quote(clock.file_time(float(time[differ[0]]))), quote(ids[codes[differ[0]]])
             raise ArgumentError(
-                f"time must differ between the samples of an id, got {quote(moment)} with two places for id "
-                f"{quote(who)}; {len(differ)} samples are at a time that their id has already."
+                f"time must differ between samples of an id, got {moment} with two places for id {who}."
             )
-        plural = "s" * (len(doubled) > 1)
-        notes = [*notes, f"Left out as repetitions (same id, time and place): {len(doubled)} sample{plural}."]
+        notes = [*notes, f"Left out as repetitions (same id, time and place): {format_count(len(doubled), 'sample')}."]
         order = np.delete(order, doubled + 1)
         codes, time, position = (np.delete(values, doubled + 1, axis=0) for values in (codes, time, position))
     if origin is None:
@@ -163,8 +154,8 @@ def match_leaders(
     """Which id each sample follows: ``(S,)``, -1 for none, or ``None`` if no leader has a track; and sentences.
 
     A label, of which ``index`` ``(S,)`` are the numbers, names the id of the same text, or else of an equal number:
-    ``0.0``, which pandas writes for whole numbers in a column with gaps, is the id 0. A number that equals several ids,
-    such as 1 and 01, is none of them. ``codes`` ``(S,)`` are the numbers of the samples' own ids.
+    pandas writes the id 0 as 0.0 in a column with gaps. A number that equals several ids, such as 1 and 01, is none of
+    them. ``codes`` ``(S,)`` are the numbers of the samples' own ids.
     """
     same = {str(name): k for k, name in enumerate(ids)}
     equal: dict[float | None, int] = {}
@@ -183,7 +174,7 @@ def match_leaders(
 
 
 def is_none(value: Any) -> bool:
-    """Whether a cell holds no value, as files write it: empty, ``NA``, ``nan`` and the like."""
+    """Whether a cell holds no value, as files write it."""
     return str(value).strip().lower() in _NO_VALUE
 
 

@@ -50,7 +50,7 @@ class TrackWindow:
 class Tracks(Samples):
     """The tracks of N ids: S samples, sorted by id and then by time. All arrays are read-only.
 
-    :func:`usnet_env.tracks.read_tracks` and :meth:`from_samples` make them; the constructor checks nothing.
+    :func:`usnet_env.tracks.read_tracks` and :meth:`from_samples` make them.
 
     Args:
         ids: the N ids as in the file, texts or whole numbers.
@@ -59,8 +59,8 @@ class Tracks(Samples):
         position: ``(S, 3)`` float64, metres from ``origin``; z is 0 in planar tracks.
         origin: ``(3,)`` float64, the coordinates of the local origin: metres, or longitude and latitude in degrees and
             height in metres.
-        leader: ``(S,)`` int64, index of the id that each id follows at that time (-1: none), or ``None`` if the file
-            has no column of leaders, or if none of the leaders in it has a track.
+        leader: ``(S,)`` int64, index of the id that each id follows at that time (-1: none), or ``None`` if no
+            leader is known.
         clock: how seconds are written as times of the file.
         frame: what the positions are, in words.
         notes: what the reader decided or found, a sentence each.
@@ -77,9 +77,8 @@ class Tracks(Samples):
             ids: ``(S,)`` id of each sample, texts or whole numbers; if both, all are texts.
             time: ``(S,)`` seconds.
             position: ``(S, 2)`` or ``(S, 3)`` metres.
-            leader: ``(S,)`` the id that each id follows, its own or ``""`` for none; ``None``: not known. As in files,
-                a leader is the id of the same text, or else of an equal number. One without a track counts as none, and
-                ``notes`` name it; if none of them has a track, it is not known who leads.
+            leader: ``(S,)`` the id that each id follows, its own or ``""`` for none; ``None``: not known. One without a
+                track counts as none; if none of them has a track, it is not known who leads.
 
         Raises:
             ArgumentError: lengths differ, values are not finite numbers, or an id has two samples at one time.
@@ -103,9 +102,8 @@ class Tracks(Samples):
 
         Where a grid step has at least three samples, the value at the grid time is that of a straight line that is
         fitted to the samples within half a step; otherwise it is interpolated linearly between the two samples around
-        it. Both are exact for straight flight at constant speed. An id has no sample at grid times that no two samples
-        enclose, or whose two samples are further apart than ``max_gap``. Spikes, single samples off the track, are left
-        out: a track jumps to them and back from them, and the way past them is no jump.
+        it. An id has no sample at grid times that no two samples enclose, or whose two samples are further apart than
+        ``max_gap``. Spikes, single samples to which a track jumps and back, are left out.
 
         Args:
             step: seconds between grid times. ``None`` chooses it: at least so long that the movement in a step exceeds
@@ -135,13 +133,11 @@ class Tracks(Samples):
     ) -> Iterator[TrackWindow]:
         """Cut resampled tracks into windows; tracks that are not resampled are resampled with a step that is chosen.
 
-        A window holds the ids that are seen in at least ``least_steps`` of its steps. Windows with fewer than two such
-        ids are left out.
-
         Args:
             length: number of steps of a window (T_ob); it has one more instant.
             stride: number of steps from the start of a window to the start of the next; ``None``: ``length``.
-            least_steps: number of steps in which an id must be seen, at most ``length``; ``None``: half of them.
+            least_steps: number of steps in which an id must be seen, at most ``length``; ``None``: half of them. A
+                window with fewer than two such ids is left out.
 
         Raises:
             ArgumentError: an argument is out of range, or the tracks are shorter than one window.
@@ -152,10 +148,8 @@ class Tracks(Samples):
         even = self if self.step is not None else self.resample()
         count, step = even.count_windows(length, stride), float(even.step or 1.0)
         if not count:
-            raise ArgumentError(
-                f"length must be at most {round(even.duration / step)}, the number of steps of {step:g} s in the "
-                f"tracks, got {quote(length)} (--window sets it)."
-            )
+            most = f"{round(even.duration / step)}, the steps of {step:g} s in the tracks"
+            raise ArgumentError(f"length must be at most {most}, got {length} (--window sets it).")
         number = np.round(even.time / step).astype(np.int64)
         known, starts = np.unique(number), np.arange(count) * stride
         filled = np.searchsorted(known, starts + length, side="right") > np.searchsorted(known, starts)
@@ -163,13 +157,12 @@ class Tracks(Samples):
         return (cut for cut in cuts if cut is not None)
 
     def count_windows(self, length: int, stride: int) -> int:
-        """Number of windows of ``length`` steps, every ``stride`` steps, in resampled tracks."""
+        """Number of windows in resampled tracks."""
         steps = round(self.duration / (self.step or 1.0))
         return 0 if steps < length else (steps - length) // stride + 1
 
 
 def _read_ids(name: str, value: Any, samples: int) -> tuple[Indices, tuple[str | int, ...]]:
-    """Which of the different ids each sample has, ``(S,)``, and these ids: whole numbers if all are, or else texts."""
     ids = as_array(name, value)
     plain = ids.tolist()
     if ids.shape != (samples,) or not samples or not all(isinstance(label, str | int) for label in plain):
@@ -181,10 +174,7 @@ def _read_ids(name: str, value: Any, samples: int) -> tuple[Indices, tuple[str |
 
 
 def _cut(tracks: Tracks, number: Indices, first: int, length: int, least_steps: int) -> TrackWindow | None:
-    """Cut the window that begins at grid time ``first``; ``None`` if fewer than two ids are seen long enough.
-
-    ``number`` ``(S,)`` is the grid time of each sample, in steps.
-    """
+    """Cut the window from grid time ``first`` on, if two ids are seen long enough; ``number`` ``(S,)`` in steps."""
     step = float(tracks.step or 0.0)
     inside = np.flatnonzero((number >= first) & (number <= first + length))
     owner = np.searchsorted(tracks.offsets, inside, side="right") - 1
@@ -197,7 +187,7 @@ def _cut(tracks: Tracks, number: Indices, first: int, length: int, least_steps: 
     kept = enough[column]
     left_out = tuple(tracks.ids[i] for i in rows[~enough])
     inside, column = inside[kept], (np.cumsum(enough) - 1)[column[kept]]
-    rows, seen = rows[enough].astype(np.int64), seen[:, enough]
+    rows, seen = rows[enough], seen[:, enough]
     origin = tracks.position[inside].mean(axis=0)
     position = np.zeros((length + 1, len(rows), 3))
     position[number[inside] - first, column] = tracks.position[inside] - origin
@@ -208,14 +198,5 @@ def _cut(tracks: Tracks, number: Indices, first: int, length: int, least_steps: 
         pairs = pd.DataFrame({"column": column, "leader": tracks.leader[inside]}).groupby(["column", "leader"]).size()
         often = pairs.sort_values(ascending=False, kind="stable").reset_index().drop_duplicates("column")
         leader = pd.Index(rows).get_indexer(often.sort_values("column")["leader"]).astype(np.int64)
-    return TrackWindow(
-        window=Window(places, moves, seen, alive, step=step),
-        ids=tuple(tracks.ids[i] for i in rows),
-        rows=rows,
-        start=first * step,
-        end=(first + length) * step,
-        step=step,
-        origin=origin,
-        leader=leader,
-        left_out=left_out,
-    )
+    window, ids = Window(places, moves, seen, alive, step=step), tuple(tracks.ids[i] for i in rows)
+    return TrackWindow(window, ids, rows, first * step, (first + length) * step, step, origin, leader, left_out)
