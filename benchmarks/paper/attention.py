@@ -7,9 +7,8 @@ Nothing is measured: a picture shows one window, in which the head has the index
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.collections import LineCollection
@@ -25,8 +24,7 @@ ATTENTION, HIT, REDUNDANT, MISSED = "#0072b2", "#009e73", "#d55e00", "#cc79a7"
 LEAST_WEIGHT = 0.02  # lines of a smaller attention weight are not drawn
 
 
-@dataclass(frozen=True)
-class Scene:
+class Scene(NamedTuple):
     """One window of one cluster, and the answer to it."""
 
     follow: str
@@ -44,13 +42,12 @@ class Scene:
 def find_scene(follow: str, followers: int, head: int, seed: int) -> Scene:
     """The first episode, from a seed on, whose head has an index; the detector gets the episode's seed."""
     env, detector = SingleClusterEnv(follow=follow, followers=followers), make_detector(DETECTOR)
-    while True:
-        observation, _ = env.reset(seed=seed)
-        if env.swarm.head[head]:
-            break
+    observation, _ = env.reset(seed=seed)
+    while not env.swarm.head[head]:
         seed += 1
-    window = Window.from_observation(observation)
+        observation, _ = env.reset(seed=seed)
     detector.reset(seed)
+    window = Window.from_observation(observation)
     return Scene(follow, followers, head, window, detector.detect(window))
 
 
@@ -86,11 +83,10 @@ def draw_heads(scene: Scene, path: Path) -> None:
 
 def draw_sizes(scenes: list[Scene], path: Path) -> None:
     """Draw the attention weights α of clusters of several sizes."""
-    verdicts = ["found" if scene.answer.candidates[scene.head] else "missed" for scene in scenes]
-    maps = {
-        f"m = {scene.followers}: head {verdict}": np.asarray(scene.answer.attention)
-        for scene, verdict in zip(scenes, verdicts, strict=True)
-    }
+    maps = {}
+    for scene in scenes:
+        verdict = "found" if scene.answer.candidates[scene.head] else "missed"
+        maps[f"m = {scene.followers}: head {verdict}"] = np.asarray(scene.answer.attention)
     title = f"Attention weights α of UAV i (row) to UAV i′ (column), {scenes[0].follow}"
     draw_heat_maps(maps, [scene.head for scene in scenes], path, title, "One window for each m (n = 1).")
 

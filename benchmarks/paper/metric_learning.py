@@ -12,7 +12,6 @@ gradient step on a swarm of f1 to f7 with its true clusters. A `random` start is
 from __future__ import annotations
 
 from functools import partial
-from itertools import cycle
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -20,8 +19,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import torch
+from attention import mark_uavs
 from scipy.stats import t as student
 from shared import COLORS, FOLLOW, RESULTS, Game, measure_and_draw, panels, parse, save_figure
+from sklearn.decomposition import PCA
 
 from detectors.clustering import make_clusterer
 from detectors.mc_gassl.features import gru_features, inputs_of
@@ -122,33 +123,25 @@ def draw_feature_space(path: Path, seed: int, uavs: int = 237, steps: int = 500)
     for line, (start, before) in zip(grid, starts.items(), strict=True):
         after, _ = train_further(before, window, labels, steps, seed)
         for axes, when, parameters in zip(line, ("before", f"after {steps} episodes"), (before, after), strict=True):
-            features = partial(gru_features, parameters=parameters)
-            clusterer = make_clusterer("kmeans", features=features, count=clusters)
+            clusterer = make_clusterer("kmeans", features=partial(gru_features, parameters=parameters), count=clusters)
             found = clusterer.cluster(window, np.random.default_rng(seed))
-            share = purity(truth.root, found.labels)
-            placed = head_in_cluster(truth.head, truth.root, found.labels)
+            share, placed = purity(truth.root, found.labels), head_in_cluster(truth.head, truth.root, found.labels)
             _draw_components(axes, np.asarray(found.features), labels, truth.head)
             axes.set_title(f"{start}, {when}\nK-Means: purity {share:.2f}, head-in-cluster {placed:.2f}", fontsize=10)
     caption = (
         f"One swarm and one training of each start (n = 1): f1, M = {clusters}, N = {uavs}. A point is the GRU feature "
-        "of a UAV, in the plane of the two principal components of its panel."
+        "of a UAV, in the plane of the two principal components of its panel; colours are true clusters."
     )
     save_figure(figure, path, "Feature space of metric learning", caption)
 
 
 def _draw_components(axes: Any, features: np.ndarray, labels: np.ndarray, head: np.ndarray) -> None:
-    """Draw the two principal components of ``(N, w)`` features; colours are true clusters, stars are heads."""
-    centred = features - features.mean(axis=0)
-    _, spread, directions = np.linalg.svd(centred, full_matrices=False)
-    place, shares = centred @ directions[:2].T, 100 * spread**2 / (spread**2).sum()
-    for label, color, marker in zip(range(labels.max() + 1), cycle(COLORS), cycle("os^Dv"), strict=False):
-        followers, heads = place[(labels == label) & ~head], place[(labels == label) & head]
-        look = {"marker": marker, "edgecolor": "white", "lw": 0.4, "label": f"cluster {label + 1}"}
-        axes.scatter(*followers.T, color=color, s=22, **look)
-        axes.scatter(*heads.T, color=color, marker="*", s=190, edgecolor="black", zorder=3)
-    axes.scatter([], [], color="white", marker="*", s=190, edgecolor="black", label="head")
-    axes.set_xlabel(f"principal component 1 ({shares[0]:.0f} % of the variance)", fontsize=9)
-    axes.set_ylabel(f"principal component 2 ({shares[1]:.0f} %)", fontsize=9)
+    """Draw the two principal components of ``(N, w)`` features, true clusters in colours."""
+    analysis = PCA(2)
+    mark_uavs(axes, analysis.fit_transform(features), head, np.array(COLORS)[labels % len(COLORS)], 22)
+    first, second = 100 * analysis.explained_variance_ratio_
+    axes.set_xlabel(f"principal component 1 ({first:.0f} % of the variance)", fontsize=9)
+    axes.set_ylabel(f"principal component 2 ({second:.0f} %)", fontsize=9)
 
 
 def main(argv: list[str] | None = None) -> None:

@@ -97,10 +97,7 @@ def draw(rows: pd.DataFrame, folder: Path) -> None:
         looks[label] = {"marker": marker, "mfc": fill, "ms": 11 if marker == "*" else 6, "color": color}
     figure, ((axes,),) = panels(11, 5.4)
     draw_intervals(axes, pd.concat([rows, rows.assign(follow="all")]), "follow", [*FOLLOW, "all"], "purity", looks)
-    for edge in range(len(FOLLOW)):
-        axes.axvline(edge + 0.5, color="#cccccc" if edge < len(FOLLOW) - 1 else "#777777", lw=0.8)
     axes.set(xlabel="follow strategy", ylabel="purity", xlim=(-0.5, len(FOLLOW) + 0.5), ylim=(0, 1.03))
-    axes.grid(visible=False, axis="x")
     count = describe_counts(rows, ["clusterer", "features", "follow"])
     caption = (
         f"Means of {count} windows a point; bars are 95 % intervals. M is given. The paper, in words: "
