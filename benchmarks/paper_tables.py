@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from paper.shared import RESULTS, read_rows
+from paper.shared import RESULTS, STUDIES, TITLES, read_rows
 from pivot import Say, across, markdown, mean, median, pivot, rate, size
 
 from usnet_env.evaluation import TRIVIAL
@@ -18,21 +18,14 @@ DATA = Path(__file__).parent / "paper" / "data"
 @cache
 def read_table2() -> pd.DataFrame:
     """The rows of P1, with the paper's 1,000 runs of each cell as rows of the detector ``the paper``."""
-    rates = pd.read_csv(DATA / "table2_detection_rate.csv")
-    runs = [
-        {"detector": "the paper", "follow": cell.ifs, "followers": cell.followers, "episode": np.arange(1000)}
-        | {"hit": (np.arange(1000) < round(10 * cell.detection_rate_percent)).astype(int)}
-        for cell in rates.itertuples()
-    ]
-    paper = pd.DataFrame(runs).explode(["episode", "hit"]).astype({"episode": int, "hit": int})
-    paper = paper.assign(decoys=0, mobility="iid", head_jitter=False)
+    cells = pd.read_csv(DATA / "table2_detection_rate.csv").rename(columns={"ifs": "follow"})
+    paper = cells.loc[cells.index.repeat(1000)].assign(episode=np.tile(np.arange(1000), len(cells)))
+    paper["hit"] = (paper.episode < (10 * paper.detection_rate_percent).round()).astype(int)
+    paper = paper.assign(detector="the paper", decoys=0, mobility="iid", head_jitter=False)
     rows = pd.concat([paper, read_rows(RESULTS / "paper" / "table2.csv.gz")])
     heads = rows.mobility + np.where(rows.head_jitter, " with jitter", "")
-    return rows.assign(heads=heads, chance=1 / (rows.followers + 1 + rows.decoys)).sort_values(
-        ["mobility", "head_jitter", "decoys"],
-        key=lambda values: values != "iid" if values.name == "mobility" else values,
-        kind="stable",
-    )
+    rows = rows.assign(heads=heads, chance=1 / (rows.followers + 1 + rows.decoys), flown=rows.mobility != "iid")
+    return rows.sort_values(["flown", "head_jitter", "decoys"], kind="stable")
 
 
 def table2_block() -> str:
@@ -50,32 +43,24 @@ def table2_block() -> str:
         },
     )
     chosen = rows[(rows.heads == "iid") & (rows.decoys == 0)].sort_values("follow", kind="stable")
-    sizes = sorted(set(chosen.followers))
-    columns = across("followers", sizes, _short_rate, "m={}")
+    columns = across("followers", sorted(set(chosen.followers)), _short_rate, "m={}")
     return f"{overview}\n\n{pivot(chosen, {'f': 'follow', 'detector': 'detector'}, columns)}"
 
 
 def _short_rate(rows: pd.DataFrame) -> str:
-    return rate("hit")(rows).replace(" %", "") + f"; {len(rows)}" if len(rows) else ""
+    return rate("hit", count=True)(rows).replace(" %", "").replace(",", "") if len(rows) else ""
 
 
 @cache
 def read_rounds() -> pd.DataFrame:
     """The rows of P2 with the paper's heads, trivial policies last."""
     rows = read_rows(RESULTS / "paper" / "rounds.csv.gz")
-    rows = rows[(rows.mobility == "iid") & ~rows.head_jitter]
     return rows.sort_values("detector", key=lambda names: names.isin(TRIVIAL).astype(str) + names, kind="stable")
 
 
 def rounds_block() -> str:
     """A table for each study of P2, below what the paper says."""
     rows, parts = read_rounds(), []
-    studies = {
-        "follow": ("f", "Against the follow strategy (M = 5, N = 82)", (rows.clusters == 5) & (rows.uavs == 82)),
-        "clusters": ("M", "Against the number of clusters (f1, N = 82)", (rows.follow == "f1") & (rows.uavs == 82)),
-        "uavs": ("N", "Against the number of UAVs (f3, M = 5)", (rows.follow == "f3") & (rows.clusters == 5)),
-        "example": ("N", "The example (f1, M = 8, N = 185)", rows.uavs == 185),
-    }
     columns: dict[str, Say] = {
         "n": size,
         "rounds": mean("rounds"),
@@ -85,28 +70,27 @@ def rounds_block() -> str:
         "exact": rate("exact"),
     }
     words = pd.read_csv(DATA / "multi_cluster_in_words.csv", index_col="study").words
-    for study, (heading, title, chosen) in studies.items():
-        column = "uavs" if study == "example" else study
-        part = rows[chosen].sort_values(column, kind="stable")
+    headings = {"follow": ("f", "follow"), "clusters": ("M", "clusters")}
+    for study, swarms in STUDIES.items():
+        heading, column = headings.get(study, ("N", "uavs"))
+        part = rows[rows[list(swarms)].isin(swarms).all(axis=1)].sort_values(column, kind="stable")
         table = pivot(part, {heading: column, "detector": "detector"}, columns)
-        parts += [f"### {title}", f"The paper, in words: {words[study]}.", table]
+        parts += [f"### {TITLES[study]}", f"The paper, in words: {words[study]}.", table]
     return "\n\n".join([*parts, _found_by_round(rows[rows.uavs == 185])])
 
 
 def _found_by_round(rows: pd.DataFrame) -> str:
     """Candidates of each round of the example, and heads found until then."""
+    named, hits = (
+        rows[name].astype(str).str.split(expand=True).fillna(0).astype(int).reindex(columns=range(4), fill_value=0)
+        for name in ("named", "hits")
+    )
+    found = 100 * hits.cumsum(axis=1) / 8
 
-    def say(number: int) -> Say:
-        def text(part: pd.DataFrame) -> str:
-            named, hits = (
-                part[name].astype(str).str.split().map(lambda one: [*map(int, one)]) for name in ("named", "hits")
-            )
-            candidates = named.map(lambda one: one[number] if number < len(one) else 0)
-            return f"{candidates.mean():.1f} / {100 * hits.map(lambda one: sum(one[: number + 1])).mean() / 8:.0f}"
+    def say(part: pd.DataFrame, number: int) -> str:
+        return f"{named.loc[part.index, number].mean():.1f} / {found.loc[part.index, number].mean():.0f}"
 
-        return text
-
-    columns = {f"round {number + 1}": say(number) for number in range(4)}
+    columns: dict[str, Say] = {f"round {number + 1}": partial(say, number=number) for number in range(4)}
     about = "Candidates of a round / share of the 8 heads found until then, %; the paper has 8 / 75 and 2 / 100:"
     return f"{about}\n\n{pivot(rows, {'detector': 'detector'}, {'n': size, **columns})}"
 
@@ -127,24 +111,22 @@ def purity_block() -> str:
 
 def losses_block() -> str:
     """First and last losses of metric learning by start; the mean of each training is one value."""
-    rows = read_rows(RESULTS / "paper" / "metric_learning.csv.gz")
-    rows["online"] = rows.follow != "off-line"
-    last = rows.groupby("online").step.transform("max") - rows.step
+    rows = read_rows(RESULTS / "paper" / "metric_learning.csv.gz").sort_values("start", kind="stable")
+    online = rows.follow != "off-line"
+    last = rows.groupby(online).step.transform("max") - rows.step
 
     def say(chosen: pd.Series) -> Say:
-        def text(part: pd.DataFrame) -> str:
-            losses = part[chosen.loc[part.index]].groupby("training", as_index=False).loss.mean()
-            return mean("loss", 3, group="training")(losses)
-
-        return text
+        return lambda part: mean("loss", 3, group="training")(
+            part[chosen.loc[part.index]].groupby("training", as_index=False).loss.mean()
+        )
 
     columns = {
         "trainings": lambda part: str(part.training.nunique()),
-        "off line, last 50 episodes": say(~rows.online & (last < 50)),
-        "on line, step 0": say(rows.online & (rows.step == 0)),
-        "on line, last 10 steps": say(rows.online & (last < 10)),
+        "off line, last 50 episodes": say(~online & (last < 50)),
+        "on line, step 0": say(online & (rows.step == 0)),
+        "on line, last 10 steps": say(online & (last < 10)),
     }
-    return pivot(rows.sort_values("start", kind="stable"), {"start": "start"}, columns)
+    return pivot(rows, {"start": "start"}, columns)
 
 
 def paper_algorithms() -> str:

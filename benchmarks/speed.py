@@ -16,7 +16,9 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from timeit import timeit
 from typing import Any
 
 import gymnasium as gym
@@ -26,7 +28,7 @@ from paper.shared import FOLLOW, RESULTS, ROOT, parse
 import usnet_env  # noqa: F401  registers the environments
 from usnet_env import Detection, Window, evaluate, make_detector
 from usnet_env.evaluation.play import as_agent, episode_seeds, play_episode
-from usnet_env.files import atomic_write
+from usnet_env.files import write_text
 from usnet_env.provenance import machine, versions
 from usnet_env.swarm import SwarmConfig, advance, register_formation, start
 from usnet_env.swarm.follow import FIELD_MODELS
@@ -51,15 +53,9 @@ print(1024 * next(int(line.split()[1]) for line in lines if line.startswith("VmH
 
 def take_turns(turns: int, *contestants: Callable[[], object]) -> np.ndarray:
     """Seconds ``(turns, contestants)`` of contestants that take turns, after one warm-up each."""
-
-    def seconds(function: Callable[[], object]) -> float:
-        begun = time.perf_counter()
-        function()
-        return time.perf_counter() - begun
-
     for contestant in contestants:
         contestant()
-    return np.array([[seconds(contestant) for contestant in contestants] for _ in range(turns)])
+    return np.array([[timeit(contestant, number=1) for contestant in contestants] for _ in range(turns)])
 
 
 def describe(what: str, ratios: np.ndarray, **values: object) -> dict[str, object]:
@@ -85,24 +81,22 @@ def stepping(turns: int, **arguments: Any) -> dict[str, object]:
     return describe(what, taken[:, 1] / taken[:, 0], uav_steps_per_second=rate)
 
 
-def spread(rng: np.random.Generator, roles: Roles) -> np.ndarray:
-    """Positions at a density that doesn't depend on N: 10,000 UAVs fill the arena of 1000 m x 1000 m x 100 m."""
-    uavs = len(roles.root)
-    side = 1000.0 * np.sqrt(uavs / SIZES[-1])
-    return rng.uniform(0.0, (side, side, 100.0), (uavs, 3))
-
-
 def scaling(follow: str, turns: int) -> dict[str, object]:
-    """One cluster of N UAVs flies one round, at a fixed density; the sizes take turns."""
+    """One cluster of N UAVs flies one round; the sizes take turns.
+
+    The density doesn't depend on N: 10,000 UAVs fill the arena of 1000 m x 1000 m x 100 m.
+    """
+
+    def spread(rng: np.random.Generator, roles: Roles) -> np.ndarray:
+        side = 1000.0 * np.sqrt(len(roles.root) / SIZES[-1])
+        return rng.uniform(0.0, (side, side, 100.0), (len(roles.root), 3))
+
     register_formation("spread", spread, replace=True)
-    rounds = []
-    for uavs in SIZES:
-        how: dict[str, Any] = {"clusters": 1, "uavs": uavs, "memory": 12, "observation_steps": 20}
-        config = SwarmConfig(follow=follow, formation="spread", mobility="straight", **how)
-        rngs = [np.random.default_rng(0)]
-        rounds.append((config, start(config, rngs), rngs))
-    taken = take_turns(turns, *(lambda one=one: advance(*one) for one in rounds))
-    seconds = np.median(taken, axis=0) / [uavs * rounds[0][0].steps for uavs in SIZES]
+    how: dict[str, Any] = {"clusters": 1, "memory": 12, "observation_steps": 20, "mobility": "straight"}
+    configs = [SwarmConfig(follow=follow, formation="spread", uavs=uavs, **how) for uavs in SIZES]
+    rngs = [np.random.default_rng(0)]
+    taken = take_turns(turns, *(partial(advance, config, start(config, rngs), rngs) for config in configs))
+    seconds = np.median(taken, axis=0) / [uavs * configs[0].steps for uavs in SIZES]
     what = "seconds of a UAV-step against N, one cluster at a fixed density"
     return {"what": what, "uavs": SIZES, "seconds_per_uav_step": seconds.tolist()}
 
@@ -115,16 +109,15 @@ def memory(_: int) -> dict[str, object]:
 
 def detectors(turns: int) -> dict[str, object]:
     """The same 20 windows (f1, N = 82) for each detector, and for the fastest baseline."""
-    env, windows = gym.make(GAME), []
-    for seed in range(20):
-        windows.append(Window.from_observation(env.reset(seed=seed)[0]))
+    env = gym.make(GAME)
+    windows = [Window.from_observation(env.reset(seed=seed)[0]) for seed in range(20)]
 
     def answer(name: str) -> Callable[[], object]:
         detector = make_detector(name)
         detector.reset(0)
         return lambda: [detector.detect(window) for window in windows]
 
-    taken = take_turns(turns, *(answer(name) for name in (REFERENCE, *DETECTORS)))
+    taken = take_turns(turns, *map(answer, (REFERENCE, *DETECTORS)))
     what = f"seconds of a window (f1, N = 82) over those of {REFERENCE}"
     return {
         name: describe(what, seconds / taken[:, 0], seconds=float(np.median(seconds)) / len(windows))
@@ -153,19 +146,16 @@ def evaluation(turns: int, episodes: int = 300) -> dict[str, object]:
         for episode in range(episodes):
             play_episode(env, agent, "", "waits", episode, episode_seeds(0, episode))
 
-    def with_folder() -> None:
+    def play(out: bool = False, **how: Any) -> None:
         with tempfile.TemporaryDirectory() as folder:
-            evaluate(GAME, Waits(), episodes=episodes, out=Path(folder) / "run")
+            evaluate(GAME, Waits(), episodes=episodes, out=Path(folder) / "run" if out else None, **how)
 
-    ways: dict[str, Callable[[], object]] = {
-        "evaluate": lambda: evaluate(GAME, Waits(), episodes=episodes),
-        "evaluate(out=…)": with_folder,
-        "evaluate(isolate=True)": lambda: evaluate(GAME, Waits(), episodes=episodes, isolate=True),
-        "evaluate(workers=2)": lambda: evaluate(GAME, Waits(), episodes=episodes, workers=2),
-    }
-    taken = take_turns(turns, loop, *ways.values())
+    ways = {"": {}, "(out=…)": {"out": True}, "(isolate=True)": {"isolate": True}, "(workers=2)": {"workers": 2}}
+    taken = take_turns(turns, loop, *(partial(play, **how) for how in ways.values()))
     what = f"seconds of {episodes} episodes with one answer of 10 ms, over those of a loop"
-    return {name: describe(what, seconds / taken[:, 0]) for name, seconds in zip(ways, taken.T[1:], strict=True)}
+    return {
+        f"evaluate{way}": describe(what, seconds / taken[:, 0]) for way, seconds in zip(ways, taken.T[1:], strict=True)
+    }
 
 
 def peers(turns: int) -> dict[str, object]:
@@ -189,14 +179,10 @@ def peers(turns: int) -> dict[str, object]:
         lambda: [tag.step(tag_actions) for _ in range(300)],
         lambda: [flock.step(flock_actions) for _ in range(3)],
     )
-    rates = (steps / taken).T
-    names = {
-        "simple_tag_v3": "MPE2's simple_tag_v3, 10 agents",
-        "vmas_flocking": "VMAS' flocking, 4,096 envs of 10 agents",
-    }
+    what, rates = "agent-steps a second of usnet over those of", (steps / taken).T
     return {
-        name: describe(f"agent-steps a second of usnet over those of {words}", rates[0] / rate)
-        for (name, words), rate in zip(names.items(), rates[1:], strict=True)
+        "simple_tag_v3": describe(f"{what} MPE2's simple_tag_v3, 10 agents", rates[0] / rates[1]),
+        "vmas_flocking": describe(f"{what} VMAS' flocking, 4,096 envs of 10 agents", rates[0] / rates[2]),
     }
 
 
@@ -224,8 +210,7 @@ def main(argv: list[str] | None = None) -> None:
     result |= {"machine": machine(), "versions": versions(("torch", "mpe2", "vmas")), "turns": given.turns}
     for part in given.parts:
         result[part] = PARTS[part](given.turns)
-        with atomic_write(given.out) as aside:
-            aside.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        write_text(given.out, json.dumps(result, indent=1) + "\n")
         print(json.dumps({part: result[part]}, indent=1), flush=True)
 
 

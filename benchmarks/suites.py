@@ -40,13 +40,13 @@ def published_seed(suite: Suite) -> int:
 
 def play(suite: Suite, detectors: list[str], episodes: int | None, folder: Path, **how: Any) -> list[pd.DataFrame]:
     """Play detectors; those with the same number of episodes share a folder, from which the same call goes on."""
-    groups: dict[int, list[str]] = {}
-    for name in detectors:
-        groups.setdefault(episodes or FEWER.get(suite.name, {}).get(name, suite.episodes), []).append(name)
-    how["time_limit"] = TIME_LIMITS.get(suite.name)
+    counts = {name: episodes or FEWER.get(suite.name, {}).get(name, suite.episodes) for name in detectors}
+    how |= {"time_limit": TIME_LIMITS.get(suite.name), "progress": True}
     return [
-        evaluate_suite(suite, names, episodes=count, out=folder / str(count), progress=True, **how).rows
-        for count, names in groups.items()
+        evaluate_suite(
+            suite, [name for name in counts if counts[name] == count], episodes=count, out=folder / str(count), **how
+        ).rows
+        for count in dict.fromkeys(counts.values())
     ]
 
 
@@ -68,12 +68,10 @@ def pack(suite: Suite, parts: list[pd.DataFrame], path: Path) -> None:
     rows = pd.concat([part for part in (old[~old.detector.isin(new.detector)], new) if len(part)])
     if (rows.groupby(["cell", "episode"]).swarm_seed.nunique() > 1).any():
         raise ValueError(f"the rows must be of the swarms of {path.name}: play with --seed {published_seed(suite)}.")
-    order = list(suite.cells)
     rows["exact"] = rows["exact"].astype("Int64")
     rows[["J", "f1_first", "seconds_per_round"]] = rows[["J", "f1_first", "seconds_per_round"]].map("{:.4g}".format)
-    keys = ["cell", "detector", "episode"]
-    rows = rows.sort_values(keys, key=lambda column: column.map(order.index) if column.name == "cell" else column)
-    write_rows(path, rows.replace("nan", None))
+    rows["cell"] = pd.Categorical(rows["cell"], list(suite.cells))
+    write_rows(path, rows.replace("nan", None).sort_values(["cell", "detector", "episode"]))
 
 
 def main(argv: list[str] | None = None) -> None:

@@ -23,9 +23,10 @@ from paper_tables import losses_block, paper_algorithms, purity_block, rounds_bl
 from pivot import Say, across, markdown, mean, median, pivot, rate, size
 
 from usnet_env.evaluation import list_suites
-from usnet_env.files import atomic_write
+from usnet_env.files import write_text
 
-BLOCK = re.compile(r"<!-- results:begin ?([\w-]*) -->\n.*?<!-- results:end -->", re.DOTALL)
+DETECTOR = {"detector": "detector"}  # lines of a table
+BLOCK = re.compile(r"(<!-- results:begin ?([\w-]*) -->)\n.*?<!-- results:end -->", re.DOTALL)
 PAGES = ("README.md", *(f"docs/results/{name}.md" for name in ("suites", "paper", "tracks", "speed")))
 SUITES = {
     "paper": "the game of the paper",
@@ -34,19 +35,8 @@ SUITES = {
     "field": "leaders are late, weak, indirect or hard to see",
 }
 #: The lines of README.md's table; the page of the suites has every detector.
-SHORT_LIST = (
-    "follow-mixture",
-    "follow-mixture(policy='map')",
-    "learned(policy='map')",
-    "lagged-network",
-    "lagged-regression",
-    "destroy-all",
-    "random",
-    "none",
-)
-
-
-# Frozen suites.
+SHORT_LIST = ["follow-mixture", "follow-mixture(policy='map')", "learned(policy='map')", "lagged-network"]
+SHORT_LIST += ["lagged-regression", "destroy-all", "random", "none"]
 
 
 @cache
@@ -64,29 +54,25 @@ def read_suite(name: str) -> pd.DataFrame:
 def suite_block(name: str) -> str:
     """A line for each detector, over all cells; which cells it failed in; a line for each cell."""
     rows, suite = read_suite(name), list_suites()[name]
-    detectors = list(dict.fromkeys(rows.detector))
     columns: dict[str, Say] = {"n": size, "exact": rate("exact"), "F1 in round 1": mean("f1_first"), "J": mean("J")}
-    parts = [pivot(rows, {"detector": "detector"}, {**columns, "seconds": median("seconds_per_round")})]
+    parts = [pivot(rows, DETECTOR, {**columns, "seconds": median("seconds_per_round")})]
     counts = rows.groupby("detector", sort=False).episode.max() + 1
     few = [f"`{label}` {count}" for label, count in counts.items() if count < suite.episodes]
     if few:
         parts.append(f"Slow detectors played only the first of the {suite.episodes} episodes: {', '.join(few)}.")
-    if rows.error.notna().any():
+    failed = rows[rows.error.notna()]
+    if len(failed):
         cells: dict[str, Say] = {"failed in": lambda part: ", ".join(dict.fromkeys(part["cell"]))}
-        parts.append(pivot(rows[rows.error.notna()], {"detector": "detector", "reason": "error"}, cells))
+        parts.append(pivot(failed, {**DETECTOR, "reason": "error"}, cells))
     order = list(suite.cells)
-    rows = rows.sort_values("cell", key=lambda cells: cells.map(order.index), kind="stable")
-    labels = {"cell": "cell"}
     if name == "scale":
         by_cell = across("cell", order, lambda part: f"{median('f1_first', '.2f')(part)}; {_seconds(part)}")
-        parts += [
-            "Median F1 in round 1; median seconds of an answer:",
-            pivot(read_suite(name), {"detector": "detector"}, by_cell),
-        ]
-    else:
-        percent = across("detector", detectors, lambda part: f"{100 * part.exact.mean():.0f}", "`{}`")
-        parts += ["Exact in percent, cell by cell:", pivot(rows, labels, percent)]
-    return "\n\n".join(parts)
+        return "\n\n".join(
+            [*parts, "Median F1 in round 1; median seconds of an answer:", pivot(rows, DETECTOR, by_cell)]
+        )
+    rows = rows.sort_values("cell", key=lambda cells: cells.map(order.index), kind="stable")
+    percent = across("detector", counts.index, lambda part: f"{100 * part.exact.mean():.0f}", "`{}`")
+    return "\n\n".join([*parts, "Exact in percent, cell by cell:", pivot(rows, {"cell": "cell"}, percent)])
 
 
 def _seconds(rows: pd.DataFrame) -> str:
@@ -95,17 +81,16 @@ def _seconds(rows: pd.DataFrame) -> str:
 
 def readme_block() -> str:
     """The tables of README.md: the best detector of each suite, some detectors, the paper's algorithms."""
-    suites, detectors = {name: read_suite(name) for name in SUITES}, set()
-    best = []
+    suites, best = {name: read_suite(name) for name in SUITES}, []
     for name, about in SUITES.items():
         rows, suite = suites[name], list_suites()[name]
-        detectors |= set(rows.detector)
         chosen = rows[rows.detector == rows.groupby("detector").exact.sum().idxmax()]
         played = f"{len(suite.cells)} × {suite.episodes}"
         best.append([f"`{name}`", about, played, f"`{chosen.detector.iloc[0]}`", rate("exact")(chosen)])
+    rows = pd.concat([part.assign(suite=name) for name, part in suites.items()])
+    detectors = set(rows.detector)
     names = len({label.partition("(")[0] for label in detectors})
     title = f"best of {len(detectors)} settings of {names} detectors"
-    rows = pd.concat([part.assign(suite=name) for name, part in suites.items()])
     rows = rows[rows.detector.isin(SHORT_LIST)]
     rows = rows.sort_values("detector", key=lambda labels: labels.map(SHORT_LIST.index), kind="stable")
     columns = across("suite", SUITES, rate("exact"), "`{}`: exact")
@@ -119,16 +104,13 @@ def readme_block() -> str:
             "candidates divided by N; lower is better, 1 is best. A name without arguments means the default settings. "
             "Intervals are 95 %; at 0 % or 100 % they use the number of seeds as n, so they can be wider than those of "
             "other rates. [All detectors and cells](docs/results/suites.md).",
-            pivot(rows, {"detector": "detector"}, columns),
+            pivot(rows, DETECTOR, columns),
             "GASSL plays P1, MC-GASSL plays P2; iid heads, f1 to f7, seed 2022, n after the semicolon. A *decoy* flies "
             "like a head, and no UAV follows it. The paper's J_m follows from the rounds and redundant candidates that "
             "its text reports.",
             paper_algorithms(),
         ]
     )
-
-
-# Recorded tracks and speed.
 
 
 def tracks_block() -> str:
@@ -140,10 +122,7 @@ def tracks_block() -> str:
     }
 
     def by_recording(metric: str) -> Say:
-        def text(part: pd.DataFrame) -> str:
-            return mean(metric, group="recording")(part.groupby("recording", as_index=False)[metric].mean())
-
-        return text
+        return lambda part: mean(metric, group="recording")(part.groupby("recording", as_index=False)[metric].mean())
 
     def right(heads: str, named: str) -> Say:
         return lambda part: f"{part[heads].sum() / part[named].sum():.0%}" if part[named].sum() else "–"
@@ -159,7 +138,7 @@ def tracks_block() -> str:
     }
     for (name, chosen), part in rows.groupby(["set", "chosen"], sort=False):
         steps = f"{part.step.min():g} to {part.step.max():g} s, chosen from each file" if chosen else "0.5 s, given"
-        parts += [f"## {titles[name]}; step {steps}", pivot(part, {"detector": "detector"}, columns)]
+        parts += [f"## {titles[name]}; step {steps}", pivot(part, DETECTOR, columns)]
     return "\n\n".join(parts)
 
 
@@ -200,17 +179,8 @@ BLOCKS: dict[str, Callable[[], str]] = {
 
 
 def fill(text: str) -> str:
-    """A page with its blocks replaced.
-
-    Raises:
-        KeyError: a block has an unknown name.
-    """
-
-    def replace(block: re.Match[str]) -> str:
-        name = f" {block[1]}" if block[1] else ""
-        return f"<!-- results:begin{name} -->\n\n{BLOCKS[block[1]]()}\n\n<!-- results:end -->"
-
-    return BLOCK.sub(replace, text)
+    """A page with its blocks replaced; a KeyError names a block that is unknown."""
+    return BLOCK.sub(lambda block: f"{block[1]}\n\n{BLOCKS[block[2]]()}\n\n<!-- results:end -->", text)
 
 
 def main(argv: list[str] | None = None, root: Path = ROOT) -> int:
@@ -225,8 +195,7 @@ def main(argv: list[str] | None = None, root: Path = ROOT) -> int:
         if check:
             print(f"{name} differs from the rows: run python benchmarks/tables.py", file=sys.stderr)
         else:
-            with atomic_write(root / name) as aside:
-                aside.write_text(new, encoding="utf-8")
+            write_text(root / name, new)
     return int(check and differ)
 
 

@@ -1,16 +1,14 @@
 """The paper's figures of attention: heat maps of α and α_l, the hierarchy of one cluster, and α for six sizes.
 
-    python benchmarks/paper/attention.py                      # all three pictures; they are computed (a minute)
-    python benchmarks/paper/attention.py --only hierarchy
+    python benchmarks/paper/attention.py          # they are computed (a minute)
 
 Nothing is measured: a picture shows one window, in which the head has the index of the paper's figure.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.collections import LineCollection
@@ -24,11 +22,9 @@ DETECTOR = "gassl"
 SIZES = (2, 5, 10, 25, 40, 50)
 ATTENTION, HIT, REDUNDANT, MISSED = "#0072b2", "#009e73", "#d55e00", "#cc79a7"
 LEAST_WEIGHT = 0.02  # lines of a smaller attention weight are not drawn
-EACH_SCALE = "▼ marks the column of the head. Each panel has a colour scale of its own."
 
 
-@dataclass(frozen=True)
-class Scene:
+class Scene(NamedTuple):
     """One window of one cluster, and the answer to it."""
 
     follow: str
@@ -46,51 +42,53 @@ class Scene:
 def find_scene(follow: str, followers: int, head: int, seed: int) -> Scene:
     """The first episode, from a seed on, whose head has an index; the detector gets the episode's seed."""
     env, detector = SingleClusterEnv(follow=follow, followers=followers), make_detector(DETECTOR)
-    while True:
-        observation, _ = env.reset(seed=seed)
-        if env.swarm.head[head]:
-            break
+    observation, _ = env.reset(seed=seed)
+    while not env.swarm.head[head]:
         seed += 1
-    window = Window.from_observation(observation)
+        observation, _ = env.reset(seed=seed)
     detector.reset(seed)
+    window = Window.from_observation(observation)
     return Scene(follow, followers, head, window, detector.detect(window))
 
 
-def draw_heat_map(axes: Any, alpha: np.ndarray, head: int, title: str) -> None:
-    """Draw one matrix of attention ``(N, N)``; a triangle marks the column of the head."""
-    image = axes.imshow(alpha, cmap="viridis", vmin=0.0, vmax=max(float(alpha.max()), 1e-9), aspect="equal")
-    axes.grid(visible=False)
-    axes.plot([head], [1.03], marker="v", color="#d55e00", ms=8, clip_on=False, transform=axes.get_xaxis_transform())
-    axes.set_title(title, fontsize=10, pad=14)
-    ticks = range(0, len(alpha), max(1, -(-len(alpha) // 10)))
-    for axis, label in ((axes.xaxis, "UAV i′"), (axes.yaxis, "UAV i")):
-        axis.set_ticks(list(ticks), [str(place + 1) for place in ticks], fontsize=7)
-        axis.set_label_text(label, fontsize=8)
-    axes.get_figure().colorbar(image, ax=axes, shrink=0.85).ax.tick_params(labelsize=7)
+def draw_heat_maps(maps: dict[str, np.ndarray], heads: list[int], path: Path, title: str, caption: str) -> None:
+    """Draw six matrices of attention ``(N, N)`` by title; a triangle marks the column of the head of each."""
+    figure, grid = panels(12.9, 8.4, 2, 3)
+    for axes, (words, alpha), head in zip(grid.ravel(), maps.items(), heads, strict=True):
+        image = axes.imshow(alpha, cmap="viridis", vmin=0.0, vmax=max(float(alpha.max()), 1e-9), aspect="equal")
+        axes.grid(visible=False)
+        axes.plot(
+            [head], [1.03], marker="v", color=REDUNDANT, ms=8, clip_on=False, transform=axes.get_xaxis_transform()
+        )
+        axes.set_title(words, fontsize=10, pad=14)
+        ticks = range(0, len(alpha), max(1, -(-len(alpha) // 10)))
+        for axis, label in ((axes.xaxis, "UAV i′"), (axes.yaxis, "UAV i")):
+            axis.set_ticks(list(ticks), [str(place + 1) for place in ticks], fontsize=7)
+            axis.set_label_text(label, fontsize=8)
+        figure.colorbar(image, ax=axes, shrink=0.85).ax.tick_params(labelsize=7)
+    caption += " ▼ marks the column of the head. Each panel has a colour scale of its own."
+    save_figure(figure, path, f"{title}: {DETECTOR}", caption)
 
 
 def draw_heads(scene: Scene, path: Path) -> None:
     """Draw the attention weights α and the attention values α_l of every attention head."""
     values = np.asarray(scene.answer.extras["attention_heads"])  # (T_0 + 1, N, N): velocities, then positions
-    titles = ["attention weights α"]
-    titles += [f"attention head {k + 1}: velocity at t{f' − {k}' if k else ''}" for k in range(len(values) - 1)]
-    titles += [f"attention head {len(values)}: position at t − {len(values) - 2}"]
-    figure, grid = panels(12.9, 8.4, 2, 3)
-    for axes, alpha, title in zip(grid.ravel(), [scene.answer.attention, *values], titles, strict=True):
-        draw_heat_map(axes, np.asarray(alpha), scene.head, title)
-    about = f"{DETECTOR}, {scene.follow}, m = {scene.followers}"
-    title = f"Attention of UAV i (row) to UAV i′ (column): {about}"
-    save_figure(figure, path, title, f"{scene.describe()} {EACH_SCALE}")
+    maps = {"attention weights α": np.asarray(scene.answer.attention)}
+    for k, alpha in enumerate(values[:-1]):
+        maps[f"attention head {k + 1}: velocity at t{f' − {k}' if k else ''}"] = alpha
+    maps[f"attention head {len(values)}: position at t − {len(values) - 2}"] = values[-1]
+    title = f"Attention of UAV i (row) to UAV i′ (column), {scene.follow}, m = {scene.followers}"
+    draw_heat_maps(maps, [scene.head] * len(maps), path, title, scene.describe())
 
 
 def draw_sizes(scenes: list[Scene], path: Path) -> None:
     """Draw the attention weights α of clusters of several sizes."""
-    figure, grid = panels(12.9, 8.4, 2, 3)
-    for axes, scene in zip(grid.ravel(), scenes, strict=True):
+    maps = {}
+    for scene in scenes:
         verdict = "found" if scene.answer.candidates[scene.head] else "missed"
-        draw_heat_map(axes, np.asarray(scene.answer.attention), scene.head, f"m = {scene.followers}: head {verdict}")
-    title = f"Attention weights α of UAV i (row) to UAV i′ (column): {DETECTOR}, {scenes[0].follow}"
-    save_figure(figure, path, title, f"One window for each m (n = 1). {EACH_SCALE}")
+        maps[f"m = {scene.followers}: head {verdict}"] = np.asarray(scene.answer.attention)
+    title = f"Attention weights α of UAV i (row) to UAV i′ (column), {scenes[0].follow}"
+    draw_heat_maps(maps, [scene.head for scene in scenes], path, title, "One window for each m (n = 1).")
 
 
 def list_leaders(attention: np.ndarray) -> np.ndarray:
@@ -131,47 +129,45 @@ def draw_hierarchy(scene: Scene, path: Path) -> None:
         tree.plot(*levels[[i, leaders[i]]].T, zorder=1, **look)
     tree.set(title="Hierarchy graph: candidate (top), and the largest attention of each other UAV")
     tree.set(xticks=[], yticks=[], ylim=(-0.6, 1.2))
+    is_head = np.arange(len(place)) == scene.head
     for axes, points in ((graph, place), (tree, levels)):
-        _mark_uavs(axes, points, scene.head, candidates)
+        mark_uavs(axes, points, is_head, np.where(is_head, "#e69f00", "#555555"), 40)
+        mark_candidates(axes, points, is_head, candidates, 400)
+        for i, point in enumerate(points):
+            beside = (15, -15) if candidates[i] or is_head[i] else (9, -11)
+            axes.annotate(str(i + 1), point, textcoords="offset points", xytext=beside, fontsize=8, zorder=5)
     tree.plot([], [], color=ATTENTION, label="link to the candidate")
     tree.plot([], [], color=REDUNDANT, ls="--", label="link to another UAV")
-    figure.legend(*tree.get_legend_handles_labels(), loc="outside lower center", ncols=6, fontsize=9, frameon=False)
     title = f"Attention and hierarchy: {DETECTOR}, {scene.follow}, m = {scene.followers}"
     save_figure(figure, path, title, scene.describe())
 
 
-def _mark_uavs(axes: Any, place: np.ndarray, head: int, candidates: np.ndarray) -> None:
-    """Mark the UAVs, the head and the candidates, and write their numbers beside them."""
-    is_head = np.arange(len(place)) == head
-    axes.scatter(*place.T, s=40, color="#555555", zorder=2, label="UAV")
-    star = {"marker": "*", "color": "#e69f00", "edgecolor": "black", "label": "head (the truth)"}
-    axes.scatter(*place[head], s=230, zorder=3, **star)
+def mark_uavs(axes: Any, place: np.ndarray, head: np.ndarray, colors: np.ndarray, size: float) -> None:
+    """Mark followers and, by stars, heads."""
+    axes.scatter(*place[~head].T, s=size, c=colors[~head], lw=0.3, edgecolors="white", zorder=2, label="follower")
+    star: Any = {"marker": "*", "edgecolors": "black", "lw": 0.8, "label": "head (the truth)"}
+    axes.scatter(*place[head].T, s=7 * size, c=colors[head], zorder=3, **star)
+
+
+def mark_candidates(axes: Any, place: np.ndarray, head: np.ndarray, candidates: np.ndarray, size: float) -> None:
+    """Mark candidates and missed heads by rings."""
     rings = {
-        "candidate: hit": (candidates & is_head, HIT, "o"),
-        "candidate: redundant": (candidates & ~is_head, REDUNDANT, "s"),
-        "missed head": (~candidates & is_head, MISSED, "o"),
+        "candidate: hit": (candidates & head, HIT, "o"),
+        "candidate: redundant": (candidates & ~head, REDUNDANT, "s"),
+        "missed head": (~candidates & head, MISSED, "o"),
     }
     for label, (chosen, color, marker) in rings.items():
         if chosen.any():
-            ring = {"facecolor": "none", "edgecolor": color, "lw": 2.2, "marker": marker, "label": label}
-            axes.scatter(*place[chosen].T, s=420, zorder=4, **ring)
-    for i, point in enumerate(place):
-        beside = (15, -15) if candidates[i] or is_head[i] else (9, -11)
-        axes.annotate(str(i + 1), point, textcoords="offset points", xytext=beside, fontsize=8, zorder=5)
+            ring: Any = {"facecolors": "none", "edgecolors": color, "lw": 2.2, "marker": marker, "label": label}
+            axes.scatter(*place[chosen].T, s=size, zorder=4, **ring)
 
 
 def main(argv: list[str] | None = None) -> None:
-    parser = parse(__doc__)
-    parser.add_argument("--only", choices=["heads", "hierarchy", "sizes"])
-    given = parser.parse_args(argv)
-    if given.only != "sizes":
-        scene = find_scene("f1", 15, 6, given.seed)
-        if given.only != "hierarchy":
-            draw_heads(scene, given.images / "attention-heads-f1-m15.png")
-        if given.only != "heads":
-            draw_hierarchy(scene, given.images / "hierarchy-f1-m15.png")
-    if given.only in (None, "sizes"):
-        draw_sizes([find_scene("f7", size, 1, given.seed) for size in SIZES], given.images / "attention-sizes-f7.png")
+    given = parse(__doc__).parse_args(argv)
+    scene = find_scene("f1", 15, 6, given.seed)
+    draw_heads(scene, given.images / "attention-heads-f1-m15.png")
+    draw_hierarchy(scene, given.images / "hierarchy-f1-m15.png")
+    draw_sizes([find_scene("f7", size, 1, given.seed) for size in SIZES], given.images / "attention-sizes-f7.png")
 
 
 if __name__ == "__main__":

@@ -8,13 +8,14 @@ It is the episode 0 of the study `example` of rounds.py.
 
 from __future__ import annotations
 
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from attention import ATTENTION, HIT, MISSED, REDUNDANT, draw_links
-from shared import COLORS, add_legend, panels, parse, save_figure
+from attention import ATTENTION, HIT, REDUNDANT, draw_links, mark_candidates, mark_uavs
+from shared import COLORS, panels, parse, save_figure
 
 import usnet_env.envs  # noqa: F401  registers the environments
 from usnet_env import make_detector
@@ -31,26 +32,15 @@ def draw_round(axes: Any, record: EpisodeRecord, number: int) -> None:
     r = max(number - 1, 0)
     alive, head, candidates = record.alive[r], record.head, record.candidates[r]
     place = np.asarray(record.position[r][-1, :, :2])
-    roots = list(np.flatnonzero(record.head))
-    colors = np.array(
-        [COLORS[roots.index(root) % len(COLORS)] if root in roots else "#999999" for root in record.root[r]]
-    )
+    color_of = dict(zip(np.flatnonzero(head), cycle(COLORS), strict=False))
+    colors = np.array([color_of.get(root, "#999999") for root in record.root[r]])
+    mark_uavs(axes, place[alive], head[alive], colors[alive], 18)
     if number and record.attention is not None:
         draw_links(axes, place, record.attention[r] * np.outer(alive, alive), LEAST_WEIGHT, 3.0, ATTENTION)
-    followers, heads = alive & ~head, alive & head
-    axes.scatter(*place[followers].T, s=14, c=colors[followers], lw=0.3, edgecolors="white", zorder=2, label="follower")
-    look = {"marker": "*", "edgecolors": "black", "lw": 0.8, "label": "head (colour: its cluster)"}
-    axes.scatter(*place[heads].T, s=150, c=colors[heads], zorder=3, **look)
-    rings = {
-        "candidate: hit": (candidates & heads, HIT, "o", 330),
-        "candidate: redundant": (candidates & followers, REDUNDANT, "s", 130),
-        "missed head": (~candidates & heads, MISSED, "o", 330),
-    }
-    for label, (chosen, color, marker, size) in rings.items() if number else ():
-        ring = {"facecolors": "none", "edgecolors": color, "marker": marker, "lw": 2.2, "label": label}
-        axes.scatter(*place[chosen].T, s=size, zorder=4, **ring)
+    if number:
+        mark_candidates(axes, place[alive], head[alive], candidates[alive], 250)
     words = f"Round {number}: {record.hits[r]} hit, {record.redundant[r]} redundant"
-    axes.set_title(words if number else f"Truth: {len(roots)} clusters, {record.uavs} UAVs", fontsize=11, loc="left")
+    axes.set_title(words if number else f"Truth: {head.sum()} clusters, {record.uavs} UAVs", fontsize=11, loc="left")
     axes.set(xlabel="x in m", ylabel="y in m")
     axes.set_aspect("equal", adjustable="datalim")
 
@@ -64,22 +54,21 @@ def draw_rates(axes: Any, record: EpisodeRecord) -> None:
     axes.plot(list(PAPER), list(PAPER.values()), "o", mfc="none", mec="black", ms=11, label="the paper")
     axes.set(xlabel="round", ylabel="percent", ylim=(-3, 106), title="After each round")
     axes.set_xticks(range(max(record.rounds, *PAPER) + 1))
-    axes.legend(fontsize=9, loc="center right")
 
 
 def draw(record: EpisodeRecord, path: Path) -> None:
     """Draw an episode: the truth, its first rounds and the last one, and the share of heads found."""
     rounds = [0, *range(1, min(record.rounds, MOST_ROUNDS)), record.rounds]
-    figure, grid = panels(16.8, 5.3 * -(-(len(rounds) + 1) // 3) + 1.1, -(-(len(rounds) + 1) // 3), 3)
-    axes = list(grid.ravel())
-    for panel, number in zip(axes, rounds, strict=False):
-        draw_round(panel, record, number)
-    draw_rates(axes[len(rounds)], record)
-    for panel in axes[len(rounds) + 1 :]:
-        panel.set_visible(False)
-    add_legend(figure, axes[1 : len(rounds)], 5)
+    lines = -(-(len(rounds) + 1) // 3)
+    figure, grid = panels(16.8, 5.3 * lines + 1.1, lines, 3)
+    for axes, number in zip(grid.ravel(), rounds, strict=False):
+        draw_round(axes, record, number)
+    draw_rates(grid.ravel()[len(rounds)], record)
+    for axes in grid.ravel()[len(rounds) + 1 :]:
+        axes.set_visible(False)
     caption = (
-        f"One game (n = 1) of f1, seen from above. Lines are as wide as the attention weights above {LEAST_WEIGHT}."
+        "One game (n = 1) of f1, seen from above; a cluster has one colour. "
+        f"Lines are as wide as the attention weights above {LEAST_WEIGHT}."
     )
     save_figure(figure, path, f"Round by round: {record.detector}", caption)
 

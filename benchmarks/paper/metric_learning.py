@@ -12,19 +12,25 @@ gradient step on a swarm of f1 to f7 with its true clusters. A `random` start is
 from __future__ import annotations
 
 from functools import partial
-from itertools import cycle
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import pandas as pd
+import torch
+from attention import mark_uavs
 from scipy.stats import t as student
-from shared import COLORS, FOLLOW, RESULTS, Game, add_legend, measure, panels, parse, read_rows, save_figure
+from shared import COLORS, FOLLOW, RESULTS, Game, measure_and_draw, panels, parse, save_figure
+from sklearn.decomposition import PCA
 
 from detectors.clustering import make_clusterer
-from detectors.mc_gassl.features import gru_features
-from detectors.mc_gassl.gru import load_meta_weights
-from detectors.mc_gassl.train import MetaTraining, online_losses, start_of, trained
+from detectors.mc_gassl.features import gru_features, inputs_of
+from detectors.mc_gassl.gru import GruParameters, draw_parameters, load_meta_weights, read_parameters
+from detectors.mc_gassl.train import MetaTraining, train_meta
+from detectors.mc_gassl.training_steps import OnlineTraining, train_online
+from detectors.mc_gassl.triplet import Metric
+from detectors.weights import read_arrays
 from usnet_env import Window
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation.play import episode_seeds
@@ -36,6 +42,7 @@ STARTS = {  # colour, line, label
     "meta": ("#0072b2", "-", "meta learning"),
 }
 PAPER_LOSS = 0.125  # the paper's meta loss settles near this value
+ONLINE_RATE = 1.0  # beta'
 SMOOTH = 50  # a point of the off-line curve is the mean over this many episodes
 
 
@@ -46,21 +53,32 @@ def draw_swarm(env: MultiClusterEnv, seed: int, episode: int) -> tuple[Window, n
     return Window.from_observation(observation), labels, env.swarm
 
 
-def play(task: list[Game], seed: int, strategies: int, episodes: int, steps: int) -> list[dict[str, Any]]:
+def make_generator(seed: int, purpose: int) -> torch.Generator:
+    """The random numbers of a training's random start (purpose 0), or of its on-line steps (5)."""
+    return torch.Generator().manual_seed(int(np.random.default_rng([seed, purpose, 0]).integers(2**63)))
+
+
+def train_further(
+    parameters: GruParameters, window: Window, labels: np.ndarray, steps: int, seed: int
+) -> tuple[GruParameters, list[float]]:
+    """On-line training on the true clusters of a window: the new parameters, and the loss before each step."""
+    settings = OnlineTraining(steps, ONLINE_RATE, Metric())
+    return train_online(parameters, inputs_of(window), torch.from_numpy(labels), settings, make_generator(seed, 5))
+
+
+def play(game: Game, seed: int, strategies: int, episodes: int, steps: int) -> list[dict[str, Any]]:
     """Train one start off line (``random`` is not trained), then on line with every follow strategy."""
-    (game,) = task
-    number = int(game["training"])
-    training = MetaTraining(
-        seed=int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1)[0]),
-        method="joint" if game["start"] == "joint" else "meta",
-        strategies=strategies,
-        episodes=episodes,
-    )
-    parameters, losses = (start_of(training), []) if game["start"] == "random" else trained(training)
-    curves = {"off-line": losses}
+    start, number = game["start"], game["training"]
+    own = int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1)[0])
+    parameters, curves = draw_parameters(make_generator(own, 0)), {}
+    if start != "random":
+        training = MetaTraining(seed=own, method=start, strategies=strategies, episodes=episodes)
+        with TemporaryDirectory() as folder:
+            parameters = read_parameters(read_arrays(train_meta(folder, training)))
+            curves["off-line"] = pd.read_csv(Path(folder) / "losses.csv").loss
     for place, follow in enumerate(FOLLOW):
         window, labels, _ = draw_swarm(MultiClusterEnv(follow=follow), seed, len(FOLLOW) * number + place)
-        curves[follow] = online_losses(parameters, window, labels, steps, training)[1]
+        curves[follow] = train_further(parameters, window, labels, steps, own)[1]
     return [
         {**game, "follow": follow, "step": step, "loss": float(loss)}
         for follow, curve in curves.items()
@@ -77,23 +95,20 @@ def curve_of(rows: pd.DataFrame, start: str, online: bool) -> tuple[np.ndarray, 
     return losses.index.to_numpy(), losses.mean(axis=1).to_numpy(), half.to_numpy()
 
 
-def draw(rows: pd.DataFrame, path: Path) -> None:
+def draw(rows: pd.DataFrame, folder: Path) -> None:
     """Draw the off-line loss (left) and the on-line loss (right)."""
-    figure, (axes,) = panels(11.5, 4.4, 1, 2, sharey=True)
-    for panel, online in zip(axes, (False, True), strict=True):
-        for start, (color, line, label) in STARTS.items():
-            if start == "random" and not online:
-                continue
-            place, mean, half = curve_of(rows, start, online)
-            panel.plot(place, mean, color=color, ls=line, label=label, zorder=3 if line != "-" else 2)
-            panel.fill_between(place, mean - half, mean + half, color=color, alpha=0.2, lw=0)
-    axes[0].axhline(PAPER_LOSS, color="black", lw=0.9, ls="-.", label=f"the paper's meta loss, about {PAPER_LOSS}")
-    axes[0].set_ylim(bottom=0)
-    axes[0].set(xlabel="episode", ylabel="triplet loss", title="Off line, on random follow strategies")
-    axes[1].set(xlabel="gradient step", title="On line, mean over f1 to f7, true clusters")
-    add_legend(figure, axes)
+    figure, ((left, right),) = panels(11.5, 4.4, 1, 2, sharey=True)
+    for start, (color, line, label) in STARTS.items():
+        for axes in (right,) if start == "random" else (left, right):
+            place, mean, half = curve_of(rows, start, online=axes is right)
+            axes.plot(place, mean, color=color, ls=line, label=label, zorder=3 if line != "-" else 2)
+            axes.fill_between(place, mean - half, mean + half, color=color, alpha=0.2, lw=0)
+    left.axhline(PAPER_LOSS, color="black", lw=0.9, ls="-.", label=f"the paper's meta loss, about {PAPER_LOSS}")
+    left.set_ylim(bottom=0)
+    left.set(xlabel="episode", ylabel="triplet loss", title="Off line, on random follow strategies")
+    right.set(xlabel="gradient step", title="On line, mean over f1 to f7, true clusters")
     caption = f"Means of n = {rows.training.nunique()} trainings; bands are 95 % intervals (Student's t)."
-    save_figure(figure, path, "Loss of metric learning", caption)
+    save_figure(figure, folder / "meta-loss.png", "Loss of metric learning", caption)
 
 
 def draw_feature_space(path: Path, seed: int, uavs: int = 237, steps: int = 500) -> None:
@@ -102,40 +117,31 @@ def draw_feature_space(path: Path, seed: int, uavs: int = 237, steps: int = 500)
     The upper panels begin with a random start, the lower ones with the meta-learned weights of the package.
     """
     window, labels, truth = draw_swarm(MultiClusterEnv(uavs=uavs), seed, 0)
-    training, clusters = MetaTraining(seed=seed), int(labels.max()) + 1
+    clusters = int(labels.max()) + 1
     figure, grid = panels(10.5, 9.6, 2, 2)
-    for line, start in zip(grid, ("random start", "meta-learned start"), strict=True):
-        before = start_of(training) if start == "random start" else load_meta_weights()
-        after, _ = online_losses(before, window, labels, steps, training)
+    starts = {"random start": draw_parameters(make_generator(seed, 0)), "meta-learned start": load_meta_weights()}
+    for line, (start, before) in zip(grid, starts.items(), strict=True):
+        after, _ = train_further(before, window, labels, steps, seed)
         for axes, when, parameters in zip(line, ("before", f"after {steps} episodes"), (before, after), strict=True):
-            features = partial(gru_features, parameters=parameters)
-            clusterer = make_clusterer("kmeans", features=features, count=clusters)
+            clusterer = make_clusterer("kmeans", features=partial(gru_features, parameters=parameters), count=clusters)
             found = clusterer.cluster(window, np.random.default_rng(seed))
-            share = purity(truth.root, found.labels)
-            placed = head_in_cluster(truth.head, truth.root, found.labels)
+            share, placed = purity(truth.root, found.labels), head_in_cluster(truth.head, truth.root, found.labels)
             _draw_components(axes, np.asarray(found.features), labels, truth.head)
             axes.set_title(f"{start}, {when}\nK-Means: purity {share:.2f}, head-in-cluster {placed:.2f}", fontsize=10)
-    add_legend(figure, [grid[0, 0]], clusters + 1)
     caption = (
         f"One swarm and one training of each start (n = 1): f1, M = {clusters}, N = {uavs}. A point is the GRU feature "
-        "of a UAV, in the plane of the two principal components of its panel."
+        "of a UAV, in the plane of the two principal components of its panel; colours are true clusters."
     )
     save_figure(figure, path, "Feature space of metric learning", caption)
 
 
 def _draw_components(axes: Any, features: np.ndarray, labels: np.ndarray, head: np.ndarray) -> None:
-    """Draw the two principal components of ``(N, w)`` features; colours are true clusters, stars are heads."""
-    centred = features - features.mean(axis=0)
-    _, spread, directions = np.linalg.svd(centred, full_matrices=False)
-    place, shares = centred @ directions[:2].T, 100 * spread**2 / (spread**2).sum()
-    for label, color, marker in zip(range(labels.max() + 1), cycle(COLORS), cycle("os^Dv"), strict=False):
-        followers, heads = place[(labels == label) & ~head], place[(labels == label) & head]
-        look = {"marker": marker, "edgecolor": "white", "lw": 0.4, "label": f"cluster {label + 1}"}
-        axes.scatter(*followers.T, color=color, s=22, **look)
-        axes.scatter(*heads.T, color=color, marker="*", s=190, edgecolor="black", zorder=3)
-    axes.scatter([], [], color="white", marker="*", s=190, edgecolor="black", label="head")
-    axes.set_xlabel(f"principal component 1 ({shares[0]:.0f} % of the variance)", fontsize=9)
-    axes.set_ylabel(f"principal component 2 ({shares[1]:.0f} %)", fontsize=9)
+    """Draw the two principal components of ``(N, w)`` features, true clusters in colours."""
+    analysis = PCA(2)
+    mark_uavs(axes, analysis.fit_transform(features), head, np.array(COLORS)[labels % len(COLORS)], 22)
+    first, second = 100 * analysis.explained_variance_ratio_
+    axes.set_xlabel(f"principal component 1 ({first:.0f} % of the variance)", fontsize=9)
+    axes.set_ylabel(f"principal component 2 ({second:.0f} %)", fontsize=9)
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -149,13 +155,9 @@ def main(argv: list[str] | None = None) -> None:
     if given.feature_space:
         draw_feature_space(given.images / "feature-space.png", given.seed)
         return
-    if not given.draw:
-        how = {name: getattr(given, name) for name in ("seed", "strategies", "episodes", "steps")}
-        tasks: list[list[Game]] = [
-            [{"training": number, "start": start}] for number in range(given.trainings) for start in STARTS
-        ]
-        measure(given.rows, tasks, partial(play, **how), given.workers)
-    draw(read_rows(given.rows), given.images / "meta-loss.png")
+    how = {name: getattr(given, name) for name in ("seed", "strategies", "episodes", "steps")}
+    games: list[Game] = [{"training": k, "start": start} for k in range(given.trainings) for start in STARTS]
+    measure_and_draw(given, games, partial(play, **how), draw)
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import time
 from functools import cache, partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -25,14 +26,11 @@ from shared import (
     FOLLOW,
     RESULTS,
     Game,
-    add_legend,
     describe_counts,
     draw_intervals,
-    interval,
-    measure,
+    measure_and_draw,
     panels,
     parse,
-    read_rows,
     save_figure,
 )
 
@@ -42,16 +40,10 @@ from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation.play import episode_seeds
 from usnet_env.objectives import head_in_cluster, purity
 
-#: The clusterers and their estimators of M: the gap statistic (the paper's rule, and ours), the eigengap, or their own.
-CLUSTERERS = {
-    "kmeans": ("gap-one-se", "gap"),
-    "snmf": ("eigengap",),
-    "spectral": ("eigengap",),
-    "agglomerative": ("eigengap",),
-    "hdbscan": ("own",),
-}
-FEATURES = ("raw", "scaled", "velocities", "gru-single", "gru-mean", "gru-series")
-EPISODES_A_TASK = 10
+#: The clusterers and their estimators of M: the gap statistic, the eigengap, or their own.
+CLUSTERERS = dict.fromkeys(("snmf", "spectral", "agglomerative"), "eigengap") | {"kmeans": "gap", "hdbscan": "own"}
+SWARM = ("follow", "clusters", "uavs", "mobility", "head_jitter")
+FEATURES = ("raw", "scaled", "velocities", "gru-single")
 #: The algorithms of the paper's picture: clusterer, features, label, marker. Metric learning is GRU and K-Means.
 PICTURED = (
     ("kmeans", "raw", "K-Means, raw metres", "o"),
@@ -64,78 +56,54 @@ PICTURED = (
 )
 
 
-def list_methods(clusterers: list[str], features: list[str], counts: list[str]) -> list[Game]:
-    """All combinations; HDBSCAN takes no M."""
-    return [
-        {"clusterer": name, "features": feature, "count": rule}
-        for name in clusterers
-        for count in counts
-        if (name, count) != ("hdbscan", "given")
-        for rule in (CLUSTERERS[name] if count == "estimated" else ("given",))
-        for feature in features
-    ]
-
-
 @cache
 def make_features(name: str) -> Any:
     """The argument ``features`` of a clusterer."""
-    if not name.startswith("gru-"):
+    if name != "gru-single":
         return name
     from detectors.mc_gassl.features import gru_features  # they need PyTorch
     from detectors.mc_gassl.gru import load_meta_weights
 
-    mode: Any = name.removeprefix("gru-")
-    return partial(gru_features, parameters=load_meta_weights(), mode=mode)
+    return partial(gru_features, parameters=load_meta_weights())
 
 
-def play(task: list[Game], seed: int) -> list[dict[str, Any]]:
-    """Cluster the first windows of some episodes by one method."""
-    method = {name: str(task[0][name]) for name in ("clusterer", "features", "count")}
-    swarm = {name: value for name, value in task[0].items() if name not in (*method, "episode")}
-    env, rows = MultiClusterEnv(**swarm), []
-    count: Any = swarm["clusters"] if method["count"] == "given" else method["count"]
-    clusterer = make_clusterer(method["clusterer"], count=count, features=make_features(method["features"]))
-    for game in task:
-        swarm_seed, detector_seed = episode_seeds(seed, int(game["episode"]))
-        observation, _ = env.reset(seed=swarm_seed)
-        window, truth = Window.from_observation(observation), env.swarm
-        begun = time.perf_counter()
-        found = clusterer.cluster(window, np.random.default_rng(detector_seed))
-        seconds = time.perf_counter() - begun
-        values = {
-            "found": found.count,
-            "purity": purity(truth.root, found.labels),
-            "head_in_cluster": head_in_cluster(truth.head, truth.root, found.labels),
-        }
-        rows.append({**game, **values, "seconds": seconds})
-    return rows
+def play(game: Game, seed: int) -> list[dict[str, Any]]:
+    """Cluster the first window of an episode."""
+    swarm_seed, detector_seed = episode_seeds(seed, game["episode"])
+    env = MultiClusterEnv(**{name: game[name] for name in SWARM})
+    observation, _ = env.reset(seed=swarm_seed)
+    window, truth = Window.from_observation(observation), env.swarm
+    count = game["clusters"] if game["count"] == "given" else game["count"]
+    clusterer = make_clusterer(game["clusterer"], count=count, features=make_features(game["features"]))
+    begun = time.perf_counter()
+    found = clusterer.cluster(window, np.random.default_rng(detector_seed))
+    seconds = time.perf_counter() - begun
+    values = {
+        "found": found.count,
+        "purity": purity(truth.root, found.labels),
+        "head_in_cluster": head_in_cluster(truth.head, truth.root, found.labels),
+    }
+    return [{**game, **values, "seconds": seconds}]
 
 
-def draw(rows: pd.DataFrame, path: Path) -> None:
+def draw(rows: pd.DataFrame, folder: Path) -> None:
     """Draw the paper's picture: purity of its four algorithms for each follow strategy, M given."""
-    rows = rows[rows["count"] == "given"]
-    figure, ((axes,),) = panels(11, 5.4)
-    places = [*FOLLOW, "all"]
-    for number, (clusterer, features, label, marker) in enumerate(PICTURED):
-        chosen = rows[(rows.clusterer == clusterer) & (rows.features == features)]
-        shift = 0.8 * ((number + 0.5) / len(PICTURED) - 0.5)
-        parts = {place: chosen if place == "all" else chosen[chosen.follow == place] for place in places}
-        means = {places.index(place) + shift: interval(part, "purity") for place, part in parts.items() if len(part)}
+    rows, looks = rows[rows["count"] == "given"], {}
+    named = {(clusterer, features): label for clusterer, features, label, _ in PICTURED}
+    rows = rows.assign(detector=[named.get(key, "") for key in zip(rows.clusterer, rows.features, strict=True)])
+    for number, (_, features, label, marker) in enumerate(PICTURED):
         color = COLORS[number // 2] if marker != "*" else COLORS[-1]
-        look = {"mfc": "white" if features == "raw" else color, "ms": 11 if marker == "*" else 6, "color": color}
-        draw_intervals(axes, means, marker=marker, label=label, **look)
-    for edge in range(len(FOLLOW)):
-        axes.axvline(edge + 0.5, color="#cccccc" if edge < len(FOLLOW) - 1 else "#777777", lw=0.8)
-    axes.set_xticks(range(len(places)), places)
-    axes.set(xlabel="follow strategy", ylabel="purity", xlim=(-0.5, len(places) - 0.5), ylim=(0, 1.03))
-    axes.grid(visible=False, axis="x")
-    add_legend(figure, [axes])
+        fill = "white" if features == "raw" else color
+        looks[label] = {"marker": marker, "mfc": fill, "ms": 11 if marker == "*" else 6, "color": color}
+    figure, ((axes,),) = panels(11, 5.4)
+    draw_intervals(axes, pd.concat([rows, rows.assign(follow="all")]), "follow", [*FOLLOW, "all"], "purity", looks)
+    axes.set(xlabel="follow strategy", ylabel="purity", xlim=(-0.5, len(FOLLOW) + 0.5), ylim=(0, 1.03))
     count = describe_counts(rows, ["clusterer", "features", "follow"])
     caption = (
-        f"Means of {count} windows a point; bars are 95 % intervals. M is given. The "
-        "paper, in words: metric learning is at least 0.1 above each of the others on average."
+        f"Means of {count} windows a point; bars are 95 % intervals. M is given. The paper, in words: "
+        "metric learning is at least 0.1 above each of the others on average."
     )
-    save_figure(figure, path, "Purity of clustering, M = 5, N = 82", caption)
+    save_figure(figure, folder / "purity.png", "Purity of clustering, M = 5, N = 82", caption)
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -146,19 +114,14 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("--follow", nargs="+", default=list(FOLLOW))
     parser.add_argument("--episodes", type=int, default=30)
     given = parser.parse_args(argv)
-    flight: Game = {"clusters": 5, "uavs": 82, "mobility": "iid", "head_jitter": False}
-    tasks: list[list[Game]] = [
-        [
-            {**method, "follow": follow, **flight, "episode": episode}
-            for episode in range(first, min(first + EPISODES_A_TASK, given.episodes))
-        ]
-        for follow in given.follow
-        for method in list_methods(given.clusterer, given.features, given.count)
-        for first in range(0, given.episodes, EPISODES_A_TASK)
+    games: list[Game] = [
+        {"clusterer": clusterer, "features": features, "count": "given" if count == "given" else CLUSTERERS[clusterer]}
+        | {"follow": follow, "clusters": 5, "uavs": 82, "mobility": "iid", "head_jitter": False, "episode": episode}
+        for follow, clusterer, features, count in product(given.follow, given.clusterer, given.features, given.count)
+        for episode in range(given.episodes)
+        if (clusterer, count) != ("hdbscan", "given")  # it takes no M
     ]
-    if not given.draw:
-        measure(given.rows, tasks, partial(play, seed=given.seed), given.workers)
-    draw(read_rows(given.rows), given.images / "purity.png")
+    measure_and_draw(given, games, partial(play, seed=given.seed), draw)
 
 
 if __name__ == "__main__":

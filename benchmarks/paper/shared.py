@@ -6,8 +6,7 @@ import argparse
 import gzip
 import io
 import textwrap
-import time
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,11 +27,25 @@ SEED = 2022  # of all rows and scenes; no detector of the paper was tuned on it
 FOLLOW = ("f1", "f2", "f3", "f4", "f5", "f6", "f7")
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c510a", "#000000")
 MARKERS = "osD^vPX"
+#: The swarms of each study of P2, and its title.
+STUDIES: dict[str, dict[str, Sequence[Any]]] = {
+    "follow": {"follow": FOLLOW, "clusters": [5], "uavs": [82]},
+    "clusters": {"follow": ["f1"], "clusters": [2, 3, 5, 8, 10], "uavs": [82]},
+    "uavs": {"follow": ["f3"], "clusters": [5], "uavs": [40, 60, 82, 120, 160, 200]},
+    "example": {"follow": ["f1"], "clusters": [8], "uavs": [185]},
+}
+TITLES = {
+    "follow": "Against the follow strategy (M = 5, N = 82)",
+    "clusters": "Against the number of clusters (f1, N = 82)",
+    "uavs": "Against the number of UAVs (f3, M = 5)",
+    "example": "The example (f1, M = 8, N = 185)",
+}
 RATES = {"exact", "success", "hit"}  # metrics of 0 and 1
 _DPI, _PALETTE = 110, 255  # pixels an inch and colours of a committed picture
-_SAVED = 20.0  # seconds after which new rows are written
 
-Game = dict[str, Hashable]
+Game = dict[str, Any]
+Play = Callable[[Game], list[dict[str, Any]]]
+Draw = Callable[[pd.DataFrame, Path], None]  # the rows, and the folder of the picture
 
 
 def parse(words: str | None, rows: Path | None = None) -> argparse.ArgumentParser:
@@ -60,40 +73,35 @@ def write_rows(path: Path, rows: pd.DataFrame) -> None:
         aside.write_bytes(gzip.compress(content, mtime=0) if path.suffix == ".gz" else content)
 
 
-def measure(
-    path: Path, tasks: Sequence[list[Game]], play: Callable[[list[Game]], list[dict[str, Any]]], workers: int
-) -> pd.DataFrame:
-    """Play the tasks of which a file lacks a game, and keep their rows in it, also after an interruption.
+def measure(path: Path, games: Sequence[Game], play: Play, workers: int) -> None:
+    """Play the games that a file lacks, and keep their rows in it, also after an interruption.
 
     Args:
         path: the file of the rows.
-        tasks: each a list of games that are played together; a game is what its rows begin with.
-        play: plays a task and returns its rows; a function of a module or a ``functools.partial`` of one.
+        games: what their rows begin with.
+        play: plays a game and returns its rows; a function of a module or a ``functools.partial`` of one.
         workers: number of processes.
     """
-    rows, keys = read_rows(path) if path.exists() else pd.DataFrame(), list(tasks[0][0])
-    known = list(rows[keys].itertuples(index=False, name=None)) if len(rows) else []
-    missing = [task for task in tasks if not {tuple(game.values()) for game in task} <= set(known)]
-    replaced = {tuple(game.values()) for task in missing for game in task}
-    rows, made = rows[[key not in replaced for key in known]] if known else rows, []
-
-    def save() -> None:
-        whole = pd.concat([part for part in (rows, pd.DataFrame(made)) if len(part)])
-        write_rows(path, whole.sort_values(keys, kind="stable").round(4))
-
-    saved = time.monotonic()
+    keys, rows = list(games[0]), []
+    old = read_rows(path) if path.exists() else pd.DataFrame(columns=keys)
+    known = set(old[keys].itertuples(index=False, name=None))
+    missing = [game for game in games if tuple(game.values()) not in known]
     try:
-        with progress_bar("tasks") as progress:
+        with progress_bar("games") as progress:
             for done, found in enumerate(map_tasks(play, missing, workers=workers), 1):
-                made += found
+                rows += found
                 progress(done, len(missing))
-                if time.monotonic() - saved > _SAVED:
-                    save()
-                    saved = time.monotonic()
     finally:
-        if made:
-            save()
-    return read_rows(path)
+        if rows:
+            whole = pd.concat([part for part in (old, pd.DataFrame(rows)) if len(part)])
+            write_rows(path, whole.sort_values(keys, kind="stable").round(4))
+
+
+def measure_and_draw(given: argparse.Namespace, games: Sequence[Game], play: Play, draw: Draw) -> None:
+    """Do what a command line says: measure the games unless rows are only drawn, and draw the rows."""
+    if not given.draw:
+        measure(given.rows, games, play, given.workers)
+    draw(read_rows(given.rows), given.images)
 
 
 def interval(rows: pd.DataFrame, metric: str, group: str = "episode") -> Interval:
@@ -123,22 +131,38 @@ def panels(width: float, height: float, rows: int = 1, columns: int = 1, **how: 
     return figure, grid
 
 
-def draw_intervals(axes: Any, intervals: Mapping[float, Interval], scale: float = 1.0, **look: Any) -> None:
-    """Draw means with error bars at their places on the first axis."""
-    mean, low, high = scale * np.array([[one.mean, one.low, one.high] for one in intervals.values()]).reshape(-1, 3).T
-    axes.errorbar(list(intervals), mean, [mean - low, high - mean], ls="none", lw=1.2, **look)
+def draw_intervals(
+    axes: Any,
+    rows: pd.DataFrame,
+    x: str,
+    places: Sequence[Any],
+    metric: str,
+    looks: Mapping[str, Any],
+    scale: float = 1,
+) -> None:
+    """Draw the means of a metric with error bars over the places of a column ``x``, the detectors side by side.
 
-
-def add_legend(figure: Figure, axes: Iterable[Any], columns: int = 4) -> None:
-    """Add a legend below all panels, which lists each label once."""
-    found = {label: line for one in axes for line, label in zip(*one.get_legend_handles_labels(), strict=True)}
-    figure.legend(found.values(), found.keys(), loc="outside lower center", ncols=columns, fontsize=9, frameon=False)
+    ``looks`` has arguments of ``Axes.errorbar`` for each detector.
+    """
+    for number, (name, look) in enumerate(looks.items()):
+        found = {places.index(place): interval(cell, metric) for place, cell in rows[rows.detector == name].groupby(x)}
+        mean, low, high = scale * np.array(list(found.values())).reshape(-1, 3).T
+        at = np.array(list(found)) + 0.75 * ((number + 0.5) / len(looks) - 0.5)
+        axes.errorbar(at, mean, [mean - low, high - mean], ls="none", lw=1.2, label=name, **look)
+    axes.set_xticks(range(len(places)), places)
 
 
 def save_figure(figure: Figure, path: Path, title: str, caption: str) -> None:
-    """Write a picture with a title and a caption as a small PNG; the caption says what n and the bars are."""
+    """Write a picture as a small PNG, with a title, a caption, and a legend of all labels below the panels.
+
+    The caption says what n and the bars are.
+    """
     lines = textwrap.fill(caption, int(12.5 * figure.get_figwidth()))
     figure.suptitle(f"{title}\n{lines}", fontsize=10, x=0.01, ha="left")
+    labels = {label: line for one in figure.axes for line, label in zip(*one.get_legend_handles_labels(), strict=True)}
+    if labels:
+        place: Any = "outside lower center"
+        figure.legend(labels.values(), labels.keys(), loc=place, ncols=4, fontsize=9, frameon=False)
     content = io.BytesIO()
     figure.savefig(content, format="png", dpi=_DPI)
     path.parent.mkdir(parents=True, exist_ok=True)

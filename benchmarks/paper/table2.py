@@ -25,14 +25,11 @@ from shared import (
     MARKERS,
     RESULTS,
     Game,
-    add_legend,
     describe_counts,
     draw_intervals,
-    interval,
-    measure,
+    measure_and_draw,
     panels,
     parse,
-    read_rows,
     save_figure,
 )
 
@@ -45,16 +42,6 @@ PAPER = Path(__file__).parent / "data" / "table2_detection_rate.csv"  # percent 
 MANY, FEW = 100, 30  # episodes of a cell with up to 15 followers, and with more
 
 
-def list_tasks(detectors: list[str], cells: list[tuple[str, int]], flight: Game, episodes: int | None) -> list[Any]:
-    """The episodes of all cells, small swarms first."""
-    return [
-        [{"detector": name, "follow": follow, "followers": followers, **flight, "episode": episode}]
-        for follow, followers in sorted(cells, key=lambda cell: (cell[1], cell[0]))
-        for name in detectors
-        for episode in range(episodes or (MANY if followers <= 15 else FEW))
-    ]
-
-
 def make_seed(seed: int, game: Game, branch: int) -> int:
     """Seed of an episode's swarm (branch 0) or detector (branch 1); every detector gets the same swarms."""
     name = int.from_bytes(f"{game['follow']}/{game['mobility']}".encode(), "little")
@@ -62,50 +49,42 @@ def make_seed(seed: int, game: Game, branch: int) -> int:
     return int(np.random.SeedSequence(seed, spawn_key=key).generate_state(1)[0])
 
 
-def play(task: list[Game], seed: int) -> list[dict[str, Any]]:
+def play(game: Game, seed: int) -> list[dict[str, Any]]:
     """Play one episode."""
-    (game,) = task
-    swarm = {name: value for name, value in game.items() if name not in ("detector", "episode")}
-    env, detector = SingleClusterEnv(**swarm), make_detector(str(game["detector"]))
+    env = SingleClusterEnv(**{name: value for name, value in game.items() if name not in ("detector", "episode")})
     observation, _ = env.reset(seed=make_seed(seed, game, 0))
-    window = Window.from_observation(observation)
+    window, detector = Window.from_observation(observation), make_detector(game["detector"])
     detector.reset(make_seed(seed, game, 1))
     begun = time.perf_counter()
     answer = detector.detect(window)
+    seconds = time.perf_counter() - begun
     found = {
         "named": int(answer.candidates.any()),
         "hit": int(np.array_equal(answer.candidates, env.swarm.head)),
         "explained": float(np.mean(answer.extras.get("explained", np.nan))),
     }
-    return [{**game, **found, "seconds": time.perf_counter() - begun}]
+    return [{**game, **found, "seconds": seconds}]
 
 
-def draw(rows: pd.DataFrame, path: Path) -> None:
+def draw(rows: pd.DataFrame, folder: Path) -> None:
     """Draw the rates of the paper's setting against m, a panel for each follow strategy."""
     rows = rows[(rows.mobility == "iid") & (rows.decoys == 0) & ~rows.head_jitter]
-    paper, detectors = pd.read_csv(PAPER), list(dict.fromkeys(rows.detector))
-    figure, grid = panels(13.2, 7.2, 2, 4, sharex=True, sharey=True)
+    paper, names = pd.read_csv(PAPER), list(dict.fromkeys(rows.detector))
+    looks = {name: {"color": COLORS[k], "marker": MARKERS[k], "ms": 4} for k, name in enumerate(names)}
+    figure, grid = panels(13.2, 7.2, 2, 4, sharey=True)
     grid[1, 3].set_visible(False)
     for axes, follow in zip(grid.ravel(), FOLLOW, strict=False):
-        for number, detector in enumerate(detectors):
-            shift = 0.7 * ((number + 0.5) / len(detectors) - 0.5)
-            cells = rows[(rows.follow == follow) & (rows.detector == detector)].groupby("followers")
-            means = {FOLLOWERS.index(size) + shift: interval(cell, "hit") for size, cell in cells}
-            draw_intervals(axes, means, 100, color=COLORS[number], marker=MARKERS[number], ms=4, label=detector)
+        draw_intervals(axes, rows[rows.follow == follow], "followers", FOLLOWERS, "hit", looks, 100)
         theirs = paper[paper.ifs == follow]
         places = [FOLLOWERS.index(size) for size in theirs.followers]
         axes.plot(places, theirs.detection_rate_percent, "o", mfc="none", mec="black", ms=9, label="the paper")
-        axes.set_title(follow, fontsize=10.5)
-        axes.set_xticks(range(len(FOLLOWERS)), FOLLOWERS)
-        axes.set(xlabel="followers m", ylabel="rate, %" if axes in grid[:, 0] else "")
-        axes.tick_params(labelbottom=True)
-    add_legend(figure, [grid[0, 0]])
+        axes.set(xlabel="followers m", ylabel="rate, %" if axes in grid[:, 0] else "", title=follow)
     count = describe_counts(rows, ["detector", "follow", "followers"])
     caption = (
         "Percent of episodes in which the head is the only candidate. "
         f"{count} episodes a point; bars are 95 % Wilson intervals. Circles: 1,000 runs."
     )
-    save_figure(figure, path, "Detection rate of P1, one cluster", caption)
+    save_figure(figure, folder / "detection-rates.png", "Detection rate of P1, one cluster", caption)
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -119,11 +98,14 @@ def main(argv: list[str] | None = None) -> None:
     given = parser.parse_args(argv)
     words = [word.partition(":") for word in given.cells.split(",")]
     cells = [(follow, int(size)) for follow, _, chosen in words for size in ([chosen] if chosen else FOLLOWERS)]
-    flight: Game = {"decoys": given.decoys, "mobility": given.mobility, "head_jitter": given.head_jitter}
-    if not given.draw:
-        tasks = list_tasks(given.detector or list(DETECTORS), cells, flight, given.episodes)
-        measure(given.rows, tasks, partial(play, seed=given.seed), given.workers)
-    draw(read_rows(given.rows), given.images / "detection-rates.png")
+    games: list[Game] = [
+        {"detector": name, "follow": follow, "followers": followers, "decoys": given.decoys}
+        | {"mobility": given.mobility, "head_jitter": given.head_jitter, "episode": episode}
+        for follow, followers in sorted(cells, key=lambda cell: cell[1])  # small swarms first
+        for name in given.detector or DETECTORS
+        for episode in range(given.episodes or (MANY if followers <= 15 else FEW))
+    ]
+    measure_and_draw(given, games, partial(play, seed=given.seed), draw)
 
 
 if __name__ == "__main__":
