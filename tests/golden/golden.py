@@ -10,15 +10,18 @@
 from __future__ import annotations
 
 import argparse
+import io
 import json
 import subprocess
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import pandas as pd
 
+from usnet_env.cli import main
 from usnet_env.evaluation import evaluate, load_suite
 
 FOLDER = Path(__file__).parent
@@ -70,9 +73,9 @@ def detect(files: Iterable[Path]) -> dict[str, object]:
     """The answers of ``usnet detect --json`` by the name of the file; of a refused file, its exit status."""
     answers: dict[str, object] = {}
     for file in files:
-        command = [sys.executable, "-m", "usnet_env", "detect", str(file), "--json"]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        answers[file.name] = json.loads(done.stdout) if done.returncode == 0 else {"status": done.returncode}
+        with redirect_stdout(io.StringIO()) as printed:
+            status = main(["detect", str(file), "--json"])
+        answers[file.name] = {"status": status} if status else json.loads(printed.getvalue())
     return answers
 
 
@@ -107,7 +110,7 @@ def compare(old: Path, new: Path) -> int:
     return len(lines)
 
 
-def main() -> None:
+def run_command() -> None:
     """Run one of the three commands."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("command", choices=["rows", "detect", "compare"])
@@ -126,4 +129,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_command()
