@@ -62,20 +62,17 @@ def find_groups(record: EpisodeRecord, r: int) -> Indices:
 
 
 def attention_sheet(record: EpisodeRecord, r: int) -> NDArray[np.uint8]:
-    """The weights of round ``r`` (from 0), and beside them those of each attention head, as a grey image.
+    """The weights of round ``r`` (from 0) as a grey image; the largest weight of a row is white.
 
-    Rows and columns are the living UAVs, sorted by their found group, so that groups are blocks on the diagonal. The
-    largest weight of a row is white.
+    Rows and columns are the living UAVs, sorted by their found group, so that groups are blocks on the diagonal.
     """
     assert record.attention is not None
-    groups = np.where(find_groups(record, r) < 0, record.uavs, find_groups(record, r))
-    order = np.lexsort((~record.candidates[r], groups))
+    groups = find_groups(record, r)
+    order = np.lexsort((~record.candidates[r], np.where(groups < 0, record.uavs, groups)))
     order = order[record.alive[r][order]]
-    heads = () if record.attention_heads is None else record.attention_heads[r]
-    maps = np.stack([record.attention[r], *heads])[:, order][..., order]
-    maps /= np.maximum(maps.max(axis=2, keepdims=True), 1e-12)
-    framed = np.pad(maps, ((0, 0), (1, 1), (1, 1)), constant_values=0.3)
-    return (255 * np.hstack(list(framed)).clip(0, 1)).astype(np.uint8)
+    weights = record.attention[r][np.ix_(order, order)]
+    weights /= np.maximum(weights.max(axis=1, keepdims=True), 1e-12)
+    return (255 * weights.clip(0, 1)).astype(np.uint8)
 
 
 class EpisodeWriter:
@@ -186,11 +183,6 @@ class EpisodeWriter:
             self.log(f"scores/{word}", rr.BarChart(record.scores[r, who], color=_MARKS[word], abscissa=who))
         if record.attention is not None:
             self.log("mind/attention", rr.Image(attention_sheet(record, r)))
-        if record.features is not None:
-            size = 2 * max(float(np.abs(record.features[r]).max()), 1e-12)
-            look = {"labels": [self.names[i] for i in living], "show_labels": False, "colors": colors[living]}
-            look["radii"] = np.where(record.candidates[r], 0.022, 0.01)[living]
-            self.log("mind/features", rr.Points2D(record.features[r, living] / size, **look))
 
     def _log_rings(self, path: str, r: int, who: Mask, color: int, labels: Sequence[str]) -> None:
         rings = np.flatnonzero(who).tolist()
