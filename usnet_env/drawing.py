@@ -308,7 +308,7 @@ def annotate_points(axes: Axes, places: Floats, names: Sequence[str], **style: A
             escape_math(name), places[k].tolist(), (0, 0), textcoords="offset points", annotation_clip=False, **style
         )
         with warnings.catch_warnings(action="ignore"):  # of missing characters, which the file shows as boxes
-            size = text.get_window_extent().size
+            size = np.array(text.get_window_extent().size)
         centres = point + np.array(_BESIDE) * (size / (2, 1) + (7 * pixels, 0))
         low = np.clip(centres - size / 2, (frame.x0, frame.y0), (frame.x1, frame.y1) - size)
         shared = np.minimum(low[:, None] + size, taken[:, 2:]) - np.maximum(low[:, None], taken[:, :2])
