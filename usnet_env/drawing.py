@@ -1,7 +1,6 @@
 """Pictures of a swarm: one drawing of a round, which ``render``, figures and animations share, and the look of figures.
 
-Matplotlib is an optional dependency (``pip install 'usnet[render]'``), imported when a figure is drawn. Its global
-state (pyplot, ``rcParams``) is not changed.
+Matplotlib is an extra; its global state (pyplot, ``rcParams``) is not changed.
 """
 
 from __future__ import annotations
@@ -258,10 +257,7 @@ def describe_frame(
 
 
 class EpisodeFrames:
-    """Renders the frames of one episode: on axes that stay in place, with the UAVs destroyed in earlier rounds.
-
-    The axes fit the first window with a margin, and grow if a later window does not fit.
-    """
+    """Renders the frames of one episode: on axes that only grow, with the UAVs destroyed in earlier rounds."""
 
     def __init__(self) -> None:
         self.limits: Limits | None = None
@@ -294,10 +290,7 @@ def escape_math(text: str) -> str:
 
 
 def annotate_points(axes: Axes, places: Floats, names: Sequence[str], **style: Any) -> None:
-    """Write names beside points ``(n, 2)``, inside the frame, where they cover the fewest other names and points.
-
-    The limits of ``axes`` and their place in the figure must be final; ``style`` is that of the texts.
-    """
+    """Write names beside points ``(n, 2)`` of final ``axes`` where they cover the fewest other names and points."""
     figure: Any = axes.get_figure(root=True)
     pixels = figure.dpi / 72
     frame = axes.get_window_extent().padded(-4 * pixels)

@@ -36,7 +36,7 @@ _AXES = {
 
 
 def _list_links(root: Indices, followers: Mask, heads: Mask) -> Indices:
-    """``(L, 2)`` int64: which of ``followers`` ``(N,)`` follow which of ``heads`` ``(N,)``, another UAV."""
+    """``(L, 2)``: which of ``followers`` ``(N,)`` follow which of ``heads`` ``(N,)``."""
     linked = np.flatnonzero(followers & (root >= 0) & heads[root] & (root != np.arange(len(root))))
     return np.column_stack([linked, root[linked]])
 
@@ -140,7 +140,7 @@ class EpisodeRecord:
 
     @property
     def rounds(self) -> int:
-        """R, the rounds played."""
+        """R."""
         return int(self.position.shape[0])
 
     @property
@@ -196,20 +196,12 @@ class EpisodeRecord:
         return last_seen_position(position.reshape(-1, self.uavs, 3), seen.reshape(-1, self.uavs))
 
     def communication_links(self, number: int) -> Indices:
-        """The true communication links of a round (from 1): the paper's edge sets E_{j,t} of all clusters, §II-A.
-
-        Returns:
-            ``(L, 2)`` int64: every living follower and its living head, in ascending order of the followers.
-        """
+        """``(L, 2)``: the living followers of a round (from 1) and their living heads, the paper's E_{j,t}, §II-A."""
         alive = self.alive[number - 1]
         return _list_links(self.root[number - 1], alive, self.head & alive)
 
     def hierarchy(self, number: int) -> Indices | None:
-        """The links that the detector found in a round (from 1): of living UAVs to the candidates that they follow.
-
-        Returns:
-            ``(L, 2)`` int64: each UAV and its candidate, in ascending order; ``None`` without ``leader_estimate``.
-        """
+        """``(L, 2)``: the living UAVs of a round (from 1) and the candidates that they follow by the answer."""
         if self.leader_estimate is None:
             return None
         alive, candidates = self.alive[number - 1], self.candidates[number - 1]

@@ -35,8 +35,8 @@ def record_episode(
 ) -> EpisodeRecord:
     """Play one episode to its end, and record the windows, the truth and the answers.
 
-    The detector receives windows only. The truth is read from ``env.unwrapped.swarm``. Where it is unknown, as in
-    recorded tracks without leaders, the record is not ``labelled`` and holds what the detector found.
+    Where the truth is unknown, as in recorded tracks without leaders, the record is not ``labelled`` and holds what the
+    detector found.
 
     Args:
         env: an environment of this project; wrappers must keep the form of observations and actions.
@@ -144,10 +144,7 @@ def _make_record(
 
 
 class RecordReplay(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
-    """Write episodes as episode files, used like Gymnasium's ``RecordVideo``.
-
-    An episode is written when it ends, or with the rounds that were played when :meth:`reset` or :meth:`close` is
-    called before. Its answers are the actions alone, unless :meth:`note` is called with the detection before each step.
+    """Write episodes as episode files, used like Gymnasium's ``RecordVideo``; also those that are left before the end.
 
     Args:
         env: an environment of this project; wrappers below must keep the form of observations and actions.
@@ -173,8 +170,6 @@ class RecordReplay(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorA
         self.folder = as_path("folder", folder)
         self._trigger, self._label = trigger, label
         self._episode = -1
-        self._seed: int | None = None
-        self._observation: Any = None
         self._noted: Detection | None = None
         self._rounds: list[PlayedRound[Detection]] = []
         self._seconds: list[float] = []
@@ -189,7 +184,7 @@ class RecordReplay(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorA
         return self._observation, info
 
     def note(self, detection: Detection) -> None:
-        """Keep the detection from which the next action is made: its scores, clusters, leaders and the rest."""
+        """Keep the detection from which the next action is made; without it, the record holds the action alone."""
         self._noted = detection
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
@@ -213,7 +208,6 @@ class RecordReplay(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorA
         super().close()
 
     def _write(self) -> None:
-        """Write the rounds that were played since the last call, if there are any and the trigger wants them."""
         if self._rounds and (self._trigger is None or self._trigger(self._episode)):
             record = _make_record(self.env, self._rounds, self._seconds, self._seed, None, self._label)
             record.save(self.folder / f"episode-{self._episode}.npz")
