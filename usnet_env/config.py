@@ -196,8 +196,7 @@ class Config(BaseModel):
 
     def part(self, kind: type[ConfigT], **changes: Any) -> ConfigT:
         """The values of those fields that another config has too, with changes, as this config."""
-        shared = [name for name in kind.model_fields if name in type(self).model_fields and name not in changes]
-        return kind(**{name: getattr(self, name) for name in shared}, **changes)
+        return kind(**{name: value for name, value in self if name in kind.model_fields} | changes)
 
 
 def describe_arguments(config: BaseModel) -> dict[str, Any]:

@@ -83,9 +83,8 @@ class Living:
 class Clusterer(Parameters):
     """Base class: clusters the living UAVs of one window. A subclass implements :meth:`partition`.
 
-    The constructor only stores its keyword arguments. A window without living UAVs has no cluster; with one living UAV
-    it has one. A living UAV that was never seen has the mean features of the others. A ``count`` above the number of
-    living UAVs is lowered to it. K-Means and SNMF may return fewer clusters than ``count``.
+    A living UAV that was never seen has the mean features of the others. K-Means and SNMF may return fewer clusters
+    than ``count``, and no clusterer returns more than there are living UAVs.
 
     Args:
         count: the number of clusters, or how to estimate it: ``"gap"``, the gap statistic of the features, or
@@ -260,11 +259,7 @@ register_clusterer = CLUSTERERS.register
 
 
 def make_clusterer(name: str, /, **arguments: Any) -> Clusterer:
-    """Create the clusterer of this name: ``make_clusterer("spectral", count="eigengap")``.
-
-    Raises:
-        ArgumentError: there is no such clusterer, or it does not take such an argument.
-    """
+    """Create the clusterer of this name: ``make_clusterer("spectral", count="eigengap")``."""
     factory = CLUSTERERS.find(name)
     check_call(f"clusterer {name!r}", factory, arguments)
     return factory(**arguments)
