@@ -21,10 +21,7 @@ _SCORES = ("logits", "probs", "probability", "loc", "scores")  # keys under whic
 
 
 def observation_of(window: Window) -> Observation:
-    """Convert a window to the observation of an environment, the inverse of ``Window.from_observation``.
-
-    The arrays are writable copies; recorded tracks also have ``step`` ``(1,)``, seconds.
-    """
+    """Convert a window to the observation of an environment, with ``step`` ``(1,)`` seconds for recorded tracks."""
     numbers = {"round": window.round} if window.step is None else {"round": window.round, "step": window.step}
     return {
         "position": window.position.copy(),
@@ -36,7 +33,7 @@ def observation_of(window: Window) -> Observation:
 
 
 class PolicyDetector(Detector):
-    """A policy of Stable-Baselines3 or TorchRL, or a PyTorch module, as a detector.
+    """A policy of Stable-Baselines3 or TorchRL, or a PyTorch module, as a detector that acts deterministically.
 
     The attributes of the policy decide which of three interfaces is used:
 
@@ -48,13 +45,10 @@ class PolicyDetector(Detector):
     * any other callable, such as a ``torch.nn.Module``: it is called with the observation as tensors with a leading
       axis of length 1 and returns N scores; UAVs with a score above ``threshold`` are candidates.
 
-    The policy always acts deterministically. Destroyed UAVs are never candidates.
-
     Args:
         policy: the policy: ``model.policy`` of a Stable-Baselines3 model, not the model with its environment.
-        observe: function that converts a window to the observation of the policy, for policies that were trained in a
-            wrapped environment; ``None``: :func:`observation_of`, but without ``step`` if the policy has an
-            ``observation_space`` that lacks it.
+        observe: function that converts a window to the observation of a policy that was trained in a wrapped
+            environment; ``None``: :func:`observation_of`, without ``step`` if its ``observation_space`` lacks it.
         threshold: threshold on the scores for the third interface: 0 for logits, 0.5 for probabilities.
 
     Raises:
@@ -85,7 +79,10 @@ class PolicyDetector(Detector):
     def detect(self, window: Window) -> Detection:
         """Return the policy's deterministic action on the window as a detection."""
         self.check_arguments()
-        observation = (self.observe or self._observe)(window)
+        observation: Any = observation_of(window) if self.observe is None else self.observe(window)
+        space = getattr(self.policy, "observation_space", None)
+        if self.observe is None and isinstance(space, spaces.Dict) and "step" not in space.spaces:
+            observation.pop("step", None)
         if callable(getattr(self.policy, "predict", None)):
             candidates, scores = self._act_by_predict(observation, window)
         elif hasattr(self.policy, "in_keys") and hasattr(self.policy, "out_keys"):
@@ -95,20 +92,12 @@ class PolicyDetector(Detector):
             candidates = scores > self.threshold
         return Detection(candidates=candidates & window.alive, scores=scores)
 
-    def _observe(self, window: Window) -> Observation:
-        """The parts of the observation; a policy that was trained in a simulation would refuse ``step``."""
-        observation, space = observation_of(window), getattr(self.policy, "observation_space", None)
-        if isinstance(space, spaces.Dict) and "step" not in space.spaces:
-            observation.pop("step", None)
-        return observation
-
     def _act_by_predict(self, observation: Any, window: Window) -> tuple[Mask, Floats]:
         predict, masks = self.policy.predict, {}
         if "action_masks" in inspect.signature(predict).parameters:
             masks = {"action_masks": np.stack([np.ones(window.uavs, bool), window.alive], axis=1).ravel()}
         state, first = self._memory
-        given = {"state": state, "episode_start": np.array([first]), "deterministic": True, **masks}
-        action, state = predict(observation, **given)
+        action, state = predict(observation, state=state, episode_start=np.array([first]), deterministic=True, **masks)
         self._memory = state, False
         candidates = _to_candidates(action, window.uavs)
         scores = self._read_probabilities(observation, window.uavs)
@@ -140,8 +129,7 @@ class PolicyDetector(Detector):
 
     def _call_policy(self, given: Any) -> Any:
         """Call the policy without gradients and in evaluation mode; restore the training mode at the end."""
-        modules = self.policy.modules() if hasattr(self.policy, "modules") else []
-        training = [module for module in modules if module.training]
+        training = [module for module in getattr(self.policy, "modules", list)() if module.training]
         for module in training:
             module.training = False
         try:
@@ -154,9 +142,9 @@ class PolicyDetector(Detector):
 
 def _to_tensors(observation: Any, policy: Any) -> Any:
     """An observation, a mapping of arrays or one array, as tensors with a leading axis on the policy's device."""
-    weight = next(iter(policy.parameters()), None) if hasattr(policy, "parameters") else None
     if isinstance(observation, dict):
         return {name: _to_tensors(value, policy) for name, value in observation.items()}
+    weight = next(iter(getattr(policy, "parameters", list)()), None)
     device = "cpu" if weight is None else weight.device
     return import_module("torch").as_tensor(np.asarray(observation), device=device)[None]
 

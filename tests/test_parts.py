@@ -153,13 +153,10 @@ def test_a_label_of_literals_is_read_as_what_it_was_made_of(arguments):
     assert parse_label(format_label("a-name", arguments), {}) == ("a-name", arguments)
 
 
-def test_labels_of_values_that_are_no_literals_are_short_and_differ():
+def test_labels_of_values_that_are_no_literals_are_one_line():
     assert format_label("x", {"table": np.arange(3), "function": check_number}) == (
         "x(function=check_number, table=array([0, 1, 2]))"
     )
-    long, other = (format_label("x", {"table": np.arange(first, 500)}) for first in (0, 1))
-    assert long != other
-    assert len(long) < 120
 
 
 @pytest.mark.parametrize(

@@ -120,7 +120,7 @@ def test_arguments_in_brackets_and_beside_them():
         ("no_such_module:X", {}, r"detector 'no_such_module:X' can't be loaded: ModuleNotFoundError: .*\."),
         ("math:nothing", {}, r"detector 'math:nothing' can't be loaded: AttributeError: .*\."),
         (".relative:X", {}, r"detector '\.relative:X' can't be loaded: .*\."),
-        ("math:pi", {}, r"detector 'math:pi' must be a class or a function that returns a detector, got 3\.14.*\."),
+        ("math:pi", {}, r"detector 'math:pi' must be a class or a function, got 3\.14.*\."),
         (f"{__name__}:Lacking", {}, r"detector '.*:Lacking' must have the methods detect\(window\) and reset\(seed\)"),
         (f"{__name__}:NeedsOne", {}, r"detector '.*:NeedsOne' is missing a required argument: 'count'"),
     ],

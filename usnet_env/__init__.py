@@ -43,7 +43,3 @@ def __getattr__(name: str) -> Any:  # the evaluation imports SciPy and tables, w
     if name in ("evaluate", "make_detector", "register_detector"):
         return getattr(import_module("usnet_env.evaluation" if name == "evaluate" else "usnet_env.plugins"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})

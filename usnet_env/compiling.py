@@ -21,13 +21,11 @@ _held: set[str] = set()  # the lock files that this process holds
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Return a decorator that compiles a function at its first call; ``options`` are those of :func:`numba.njit`.
 
-    Numba keeps machine code beside the source or in the user's cache folder; where it can write neither, the function
-    is compiled again in every process. Of several processes that need the same code, one compiles it, and the others
-    wait and load it (except on Windows): Numba's own cache mixes up the code of two processes that compile different
-    signatures of one function at the same time.
-
-    The options are always given, since Numba compiles a function without options by those of its first caller.
+    Where no folder can be written, the function is compiled again in every process. Of several processes that need the
+    same code, one compiles it, and the others wait and load it (except on Windows): Numba's own cache mixes up the code
+    of two processes that compile different signatures of one function at the same time.
     """
+    # They are always given: Numba compiles a function without options by those of its first caller.
     options = {"fastmath": False, "error_model": "python", **options}
 
     def compile_function(function: Callable[..., Any]) -> Any:

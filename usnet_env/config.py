@@ -72,10 +72,7 @@ def format_number(value: float, digits: int = 6) -> str:
 
 def quote(value: object) -> str:
     """Format ``value`` for an error message: its ``repr`` on one line of at most 80 characters."""
-    try:
-        shown = _SHORT_REPR.repr(value[: 2 * _LONGEST_VALUE] if isinstance(value, str | bytes) else value)
-    except ValueError:  # Python does not write integers of thousands of digits
-        shown = f"a value of type {type(value).__name__}"
+    shown = _SHORT_REPR.repr(value[: 2 * _LONGEST_VALUE] if isinstance(value, str | bytes) else value)
     line = " ".join(shown.split())
     return line if len(line) <= _LONGEST_VALUE else line[: _LONGEST_VALUE - 1] + "…"
 
@@ -161,9 +158,7 @@ def _to_sentence(error: ValidationError, config: type[Config]) -> str:
         case "missing" if len(first["loc"]) == 1:
             return f"{name} must be given."
     takes = _EXPECTED.get(first["type"], first["msg"].removeprefix("Input should be ").rstrip("."))
-    takes = "a list" if "Sequence" in takes else takes
-    if takes == "a list" and isinstance(first["input"], str) and "," in first["input"]:
-        takes += f" such as [{first['input'][:_LONGEST_VALUE]}]"
+    takes = "a list, such as [7, 5]" if takes == "a list" or "Sequence" in takes else takes
     return f"{name} must be {takes}, got {quote(first['input'])}."
 
 
@@ -191,19 +186,17 @@ class Config(BaseModel):
         if not isinstance(values, dict):  # a config in another one
             return values
 
-        def is_declared(name: str, value: Any) -> bool:  # an argument may be declared as a list or an array
-            field = cls.model_fields.get(name)
-            return field is not None and type(value).__name__ in str(field.annotation)
-
-        return {
-            name: value if isinstance(value, list | np.ndarray) and is_declared(name, value) else _to_python(value)
+        types = {name: str(field.annotation) for name, field in cls.model_fields.items()}
+        kept = {  # of arguments that are declared as a list or an array
+            name: value
             for name, value in values.items()
+            if isinstance(value, list | np.ndarray) and type(value).__name__ in types.get(name, "")
         }
+        return {name: _to_python(value) for name, value in values.items()} | kept
 
     def part(self, kind: type[ConfigT], **changes: Any) -> ConfigT:
         """The values of those fields that another config has too, with changes, as this config."""
-        shared = [name for name in kind.model_fields if name in type(self).model_fields and name not in changes]
-        return kind(**{name: getattr(self, name) for name in shared}, **changes)
+        return kind(**{name: value for name, value in self if name in kind.model_fields} | changes)
 
 
 def describe_arguments(config: BaseModel) -> dict[str, Any]:
@@ -232,11 +225,7 @@ def takes_arguments(
 
 
 def list_arguments(**parts: str) -> Callable[[ClassT], ClassT]:
-    """Decorate a class whose constructor :func:`takes_arguments`, to complete its docstring.
-
-    Args:
-        parts: texts by name: each replaces its name in braces. A table of the arguments replaces ``{arguments}``.
-    """
+    """Decorate a class, to replace ``{arguments}`` in its docstring by a table of them, and names of texts by these."""
 
     def complete(described: ClassT) -> ClassT:
         rows = [

@@ -66,14 +66,9 @@ class Detection:
         put(self, "candidates", frozen_array("candidates", self.candidates, bool, (None,)))
         uavs = len(self.candidates)
         put(self, "scores", frozen_array("scores", self.scores, np.float64, (uavs,)))
-        optional = {
-            "clusters": (np.int64, (uavs,)),
-            "leader": (np.int64, (uavs,)),
-            "attention": (np.float64, (uavs, uavs)),
-        }
-        for name, (kind, shape) in optional.items():
+        for name, kind, axes in (("clusters", np.int64, 1), ("leader", np.int64, 1), ("attention", np.float64, 2)):
             if (value := getattr(self, name)) is not None:
-                put(self, name, frozen_array(name, value, kind, shape))
+                put(self, name, frozen_array(name, value, kind, (uavs,) * axes))
         if self.leader is not None and not ((self.leader >= -1) & (self.leader < uavs)).all():
             raise ArgumentError(f"leader must hold indices from -1 to {uavs - 1}, got {quote(self.leader)}.")
         put(self, "extras", named_values("extras", self.extras))

@@ -1,7 +1,6 @@
 """Pictures of a swarm: one drawing of a round, which ``render``, figures and animations share, and the look of figures.
 
-Matplotlib is an optional dependency (``pip install 'usnet[render]'``), imported when a figure is drawn. Its global
-state (pyplot, ``rcParams``) is not changed.
+Matplotlib is an extra; its global state (pyplot, ``rcParams``) is not changed.
 """
 
 from __future__ import annotations
@@ -26,7 +25,6 @@ from usnet_env.files import as_path, atomic_write
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.text import Text
 
 # The first nine are Paul Tol's "muted" scheme without its grey. The others differ for normal and colour-blind eyes, on
 # white and on black. Further clusters reuse the colours.
@@ -66,7 +64,6 @@ _METADATA: dict[str, Any] = {  # without the date and the versions, so that equa
     "png": {"Software": None},
     "pdf": {"Creator": None, "Producer": None, "CreationDate": None},
 }
-_FONTS = ("Noto Sans CJK JP", "WenQuanYi Zen Hei", "Microsoft YaHei", "Arial Unicode MS", "DejaVu Sans Mono")
 _BESIDE = [(side, row) for row in (1, -1, 0, 2, -2, 3, -3, 4, -4) for side in (1, -1, 0) if side or row]  # of a point
 
 #: The square that a map shows, in metres: its centre (x, y) and half of its side.
@@ -145,9 +142,8 @@ def draw_legend(axes: Axes, labels: Mapping[str, str], **place: Any) -> None:
     link = Line2D([], [], color="#777777", alpha=0.6, linewidth=1)
     sizes = {mark: {"s": min(max(style["s"], 40), 180)} for mark, style in _STYLES.items()}
     keys = [link if mark == LINK_MARK else axes.scatter([], [], **_STYLES[mark] | sizes[mark]) for mark in labels]
-    look: dict[str, Any] = {"frameon": False, "labelspacing": 0.9, "scatterpoints": 1}
-    place = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "fontsize": 9.5} | place
-    axes.legend(keys, list(labels.values()), **look | place)
+    look: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "fontsize": 9.5, "frameon": False}
+    axes.legend(keys, list(labels.values()), **look | {"labelspacing": 0.9, "scatterpoints": 1} | place)
 
 
 def _draw_tracks(axes: Axes, position: Singles, seen: Mask, colors: NDArray[np.str_]) -> None:
@@ -191,17 +187,17 @@ def draw_round(
     limits: Limits | None = None,
     truth: bool = True,
 ) -> Figure:
-    """Draw a window and a round's answer, seen from above; the arrays have one place for each of N UAVs.
+    """Draw a window and a round's answer, seen from above.
 
     Args:
         position: ``(T_ob + 1, N, 3)`` metres.
         seen: ``(T_ob + 1, N)`` bool.
-        alive: bool, before the candidates are destroyed.
-        head: bool, H_0.
-        root: int64, the head of each UAV; a head's or decoy's own index; -1: no head.
-        decoy: bool.
-        candidates: bool, or ``None`` before the first answer.
-        number: int64, the number of each head's cluster, which gives its colour; ``None``: heads are counted.
+        alive: ``(N,)`` bool, before the candidates are destroyed.
+        head: ``(N,)`` bool, H_0.
+        root: ``(N,)`` int64, the head of each UAV; a head's or decoy's own index; -1: no head.
+        decoy: ``(N,)`` bool.
+        candidates: ``(N,)`` bool, or ``None`` before the first answer.
+        number: ``(N,)`` int64, the number of each head's cluster, which gives its colour; ``None``: heads are counted.
         destroyed_at: ``(N, 3)`` metres, last positions of destroyed UAVs (NaN: unknown); ``None``: not drawn.
         axes: the axes to draw on; ``None``: a new figure.
         title: the title above the picture.
@@ -234,14 +230,10 @@ def draw_round(
     axes.add_collection(LineCollection(links, colors=colors[linked], alpha=0.28, linewidths=0.7, zorder=1))
     _draw_tracks(axes, position[:, shown], (seen & alive)[:, shown], colors[shown])
 
-    def draw(mark: str, who: Mask, **look: Any) -> None:
-        if who.any():
-            axes.scatter(everywhere[who, 0], everywhere[who, 1], **{"zorder": 6, **_STYLES[mark], **look})
-
-    for mark in (DECOY_MARK, CANDIDATE_MARK, HIT_MARK, REDUNDANT_MARK, MISSED_MARK, DESTROYED_MARK):
-        draw(mark, marks.get(mark, gone & ~gone))
-    for mark in (HEAD_MARK, FOLLOWER_MARK):
-        draw(mark, marks[mark], c=colors[marks[mark]])
+    for mark, who in marks.items():
+        if mark != LINK_MARK and who.any():
+            look = {"zorder": 6} | _STYLES[mark] | ({"c": colors[who]} if mark in (HEAD_MARK, FOLLOWER_MARK) else {})
+            axes.scatter(everywhere[who, 0], everywhere[who, 1], **look)
     if legend:
         counts = {mark: int(who.sum()) for mark, who in marks.items()}
         draw_legend(axes, {mark: f"{mark} ({count})" for mark, count in counts.items() if count})
@@ -265,10 +257,7 @@ def describe_frame(
 
 
 class EpisodeFrames:
-    """Renders the frames of one episode: on axes that stay in place, with the UAVs destroyed in earlier rounds.
-
-    The axes fit the first window with a margin, and grow if a later window does not fit.
-    """
+    """Renders the frames of one episode: on axes that only grow, with the UAVs destroyed in earlier rounds."""
 
     def __init__(self) -> None:
         self.limits: Limits | None = None
@@ -300,19 +289,8 @@ def escape_math(text: str) -> str:
     return text.replace("$", r"\$")
 
 
-def text_size(text: Text) -> tuple[float, float]:
-    """Width and height of a text in pixels. Characters that the font lacks count as boxes."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the figure's file shows them
-        box = text.get_window_extent()
-    return float(box.width), float(box.height)
-
-
 def annotate_points(axes: Axes, places: Floats, names: Sequence[str], **style: Any) -> None:
-    """Write names beside points ``(n, 2)``, inside the frame, where they cover the fewest other names and points.
-
-    The limits of ``axes`` and their place in the figure must be final; ``style`` is that of the texts.
-    """
+    """Write names beside points ``(n, 2)`` of final ``axes`` where they cover the fewest other names and points."""
     figure: Any = axes.get_figure(root=True)
     pixels = figure.dpi / 72
     frame = axes.get_window_extent().padded(-4 * pixels)
@@ -322,7 +300,8 @@ def annotate_points(axes: Axes, places: Floats, names: Sequence[str], **style: A
         text = axes.annotate(
             escape_math(name), places[k].tolist(), (0, 0), textcoords="offset points", annotation_clip=False, **style
         )
-        size = np.array(text_size(text))
+        with warnings.catch_warnings(action="ignore"):  # of missing characters, which the file shows as boxes
+            size = np.array(text.get_window_extent().size)
         centres = point + np.array(_BESIDE) * (size / (2, 1) + (7 * pixels, 0))
         low = np.clip(centres - size / 2, (frame.x0, frame.y0), (frame.x1, frame.y1) - size)
         shared = np.minimum(low[:, None] + size, taken[:, 2:]) - np.maximum(low[:, None], taken[:, :2])
@@ -341,8 +320,6 @@ def caption_figure(figure: Figure, title: str, caption: str) -> None:
 def write_figure(figure: Figure, path: str | os.PathLike[str], formats: Sequence[str] = ("png",)) -> list[Path]:
     """Write a figure in some formats; the same figure gives the same bytes, and each file appears whole.
 
-    Characters that the font of a text lacks are written in other common fonts, if they are installed.
-
     Args:
         figure: the figure.
         path: the file; its suffix is replaced by that of each format.
@@ -352,19 +329,12 @@ def write_figure(figure: Figure, path: str | os.PathLike[str], formats: Sequence
         ArgumentError: the place can't be written to.
     """
     from matplotlib import rc_context
-    from matplotlib.font_manager import fontManager
-    from matplotlib.text import Text
 
     files = [as_path("path", path).with_suffix(f".{kind}") for kind in formats]
-    installed = set(fontManager.get_font_names())
     with warnings.catch_warnings(record=True, action="always") as caught, rc_context({"pdf.fonttype": 42}):
-        figure.draw_without_rendering()  # labels of ticks have their texts from then on
-        for text in figure.findobj(Text):
-            text.set_fontfamily([*text.get_fontfamily(), *(name for name in _FONTS if name in installed)])
-        caught.clear()
-        for file in files:
+        for file, kind in zip(files, formats, strict=True):
             with atomic_write(file) as aside:
-                figure.savefig(aside, format=file.suffix[1:], dpi=200, metadata=_METADATA[file.suffix[1:]])
+                figure.savefig(aside, format=kind, dpi=200, metadata=_METADATA[kind])
     if any("missing from font" in str(each.message) for each in caught):
         warnings.warn("The fonts of this machine lack some characters of the figure: it has boxes there.", stacklevel=2)
     return files

@@ -37,9 +37,8 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
         yield aside
         os.replace(aside, final)
     except OSError as error:
-        raise ArgumentError(
-            f"path must be a file that can be written, got {quote(str(final))}: {error.strerror}."
-        ) from None
+        sentence = f"path must be a file that can be written, got {quote(str(final))}: {error.strerror}."
+        raise ArgumentError(sentence) from None
     finally:
         with suppress(OSError):  # after success it no longer exists
             aside.unlink()
@@ -58,6 +57,5 @@ def reserve_folder(folder: Path) -> Path:
         with TemporaryFile(dir=folder):
             return folder
     except OSError as error:
-        raise ArgumentError(
-            f"out must be a folder that can be written, got {quote(str(folder))}: {error.strerror}."
-        ) from None
+        sentence = f"out must be a folder that can be written, got {quote(str(folder))}: {error.strerror}."
+        raise ArgumentError(sentence) from None

@@ -31,9 +31,6 @@ def _ratio(part: Indices, whole: Indices) -> Floats:
     return np.asarray(np.where(whole > 0, part / np.maximum(whole, 1), 0.0))
 
 
-# One round, any leading axes
-
-
 def hits_and_redundant(head: Mask, alive: Mask, candidates: Mask) -> tuple[Indices, Indices]:
     """Number of candidates of a round that are living heads (hits), and number of the other candidates (redundant).
 
@@ -47,8 +44,8 @@ def hits_and_redundant(head: Mask, alive: Mask, candidates: Mask) -> tuple[Indic
 def single_cluster_objective(head: ArrayLike, candidates: ArrayLike) -> Floats:
     """P1's objective J_s = |C_1 & H_0| - |C_1|, to be maximised; the maximum is 0.
 
-    With one head it is the paper's 1{i_L in C_1} - |C_1|; there may be any number. The formula gives 0 for an empty set
-    of candidates, too; where a UAV leads, it scores -1, like a miss (decision (k) on docs/game.md).
+    With one head it is the paper's 1{i_L in C_1} - |C_1|. An empty set of candidates, for which the formula gives 0,
+    scores -1 where a UAV leads, like a miss (decision (k) on docs/game.md).
     """
     named, hits = _count(candidates), _count(head, candidates)
     return np.asarray(np.where(named > 0, hits - named, np.where(np.any(head, axis=-1), -1.0, 0.0)))
@@ -72,9 +69,6 @@ def f1(head: ArrayLike, candidates: ArrayLike) -> Floats:
 def exact(head: ArrayLike, candidates: ArrayLike) -> Mask:
     """Whether the set of candidates ``(..., N)`` equals the set of heads."""
     return np.asarray((np.asarray(head, bool) == np.asarray(candidates, bool)).all(axis=-1))
-
-
-# One episode: heads (N,), and the candidates C_1 to C_R of its rounds (R, N)
 
 
 def remaining_heads(head: ArrayLike, candidates_per_round: ArrayLike) -> Mask:
@@ -102,9 +96,6 @@ def found_all_heads(head: ArrayLike, candidates_per_round: ArrayLike) -> bool:
     return not remaining_heads(head, candidates_per_round)[-1].any()
 
 
-# Scores and clusters of one round
-
-
 def average_precision(head: ArrayLike, scores: ArrayLike) -> float:
     """Area under the precision-recall curve of the scores, as scikit-learn's ``average_precision_score`` defines it.
 
@@ -125,8 +116,7 @@ def average_precision(head: ArrayLike, scores: ArrayLike) -> float:
 def purity(root: ArrayLike, clusters: ArrayLike) -> float:
     """Purity of a clustering: share of the UAVs whose head is the most frequent head in their cluster.
 
-    Only UAVs with a head count, a head as its own; one without a cluster counts as wrong. The value is 0 if no UAV has
-    a head. Purity says little about the heads: see :func:`head_in_cluster`.
+    Only UAVs with a head count, a head as its own; one without a cluster counts as wrong. It is 0 if no UAV has a head.
     """
     roots, label = np.asarray(root), np.asarray(clusters)
     counted = roots >= 0
@@ -140,9 +130,8 @@ def purity(root: ArrayLike, clusters: ArrayLike) -> float:
 def head_in_cluster(head: ArrayLike, root: ArrayLike, clusters: ArrayLike) -> float:
     """Share of the heads whose cluster is the one that holds most of their followers.
 
-    Heads are few, so a clustering that puts all of them in wrong clusters still has a high purity. Only heads with
-    followers count; without any, the value is 0. The cluster of the followers is their most frequent label except -1;
-    if several labels tie, each of them is accepted.
+    Only heads with followers count; without any, the value is 0. The cluster of the followers is their most frequent
+    label except -1; if several labels tie, each of them is accepted.
     """
     heads, roots, label = np.asarray(head, bool), np.asarray(root), np.asarray(clusters)
     correct = []
@@ -152,9 +141,6 @@ def head_in_cluster(head: ArrayLike, root: ArrayLike, clusters: ArrayLike) -> fl
             values, counts = np.unique(label[followers & (label >= 0)], return_counts=True)
             correct.append(label[i] in values[counts == counts.max(initial=0)])
     return float(np.mean(correct)) if correct else 0.0
-
-
-# Trees: a follower may lead others
 
 
 def find_roots(leader: ArrayLike) -> Indices:
@@ -200,8 +186,7 @@ def leader_accuracy(leader: ArrayLike, estimate: ArrayLike, *, roots: bool = Fal
 def group_leader_accuracy(leader: ArrayLike, scores: ArrayLike) -> float:
     """Share of the groups whose head has the highest score of its group; the groups are known.
 
-    A group is a head with all that follow it, directly or through others. If k members tie at the top and the head is
-    one of them, the group counts 1/k. The value is 0 if no UAV follows another one.
+    If k members tie at the top and the head is one of them, the group counts 1/k. It is 0 without groups.
     """
     roots, values, shares = find_roots(leader), np.asarray(scores), []
     for head in np.unique(roots[(roots >= 0) & (roots != np.arange(len(roots)))]):

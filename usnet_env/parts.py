@@ -12,7 +12,6 @@ import inspect
 import re
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
-from hashlib import sha256
 from importlib.metadata import EntryPoint, entry_points
 from types import FunctionType
 from typing import Any, Generic, TypeVar
@@ -23,7 +22,7 @@ PartT = TypeVar("PartT")
 
 REGISTRIES: dict[str, Registry[Any]] = {}  # all registries of this process by the kind of their parts
 _NAME = re.compile(r"\w[\w.-]*")
-_LONGEST_LABEL_VALUE, _LONGEST_ERROR = 80, 300  # characters
+_LONGEST_ERROR = 300  # characters
 
 
 @cache
@@ -41,12 +40,10 @@ class Registry(Mapping[str, PartT], Generic[PartT]):
         argument: the argument that selects a part by name: ``"follow"``.
         group: the group of entry points; one is loaded when its part is looked up for the first time.
         home: the module that creates this registry; another process imports it to register the same parts.
-        accept: checks what a program registers or an entry point names, and returns the part; called with the object
-            and, for an entry point, the subject of a refusal.
+        accept: checks an object, with the subject of a refusal, and returns the part.
         own: the parts of this package.
         reserved: further values of the argument, which no part may have as its name.
-        classes: whether a part is a class or function that is called later; otherwise an entry point that names a
-            class declares an instance of it.
+        classes: whether parts are classes or functions; otherwise an entry point of a class declares an instance.
     """
 
     def __init__(
@@ -140,6 +137,13 @@ def are_equal(one: Any, other: Any) -> bool:
         return False
 
 
+def check_factory(factory: Any, subject: str = "factory") -> Callable[..., Any]:
+    """Accept a class or a function for a registry of parts that are made by calls."""
+    if not callable(factory):
+        raise ArgumentError(f"{subject} must be a class or a function, got {quote(factory)}.")
+    return factory
+
+
 def describe_error(error: BaseException) -> str:
     """Describe an exception on one line of some hundred characters."""
     text = " ".join(str(error).split()).rstrip(".")
@@ -148,13 +152,9 @@ def describe_error(error: BaseException) -> str:
 
 
 def named_parameters(factory: Callable[..., Any]) -> dict[str, inspect.Parameter]:
-    """The parameters that can be given by name; none if the signature of a class in C can't be read."""
-    try:
-        parameters = inspect.signature(factory).parameters
-    except (TypeError, ValueError):
-        return {}
+    """The parameters that can be given by name."""
     by_name = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
-    return {name: parameter for name, parameter in parameters.items() if parameter.kind in by_name}
+    return {name: each for name, each in inspect.signature(factory).parameters.items() if each.kind in by_name}
 
 
 def check_call(subject: str, factory: Callable[..., Any], arguments: Mapping[str, Any]) -> None:
@@ -166,8 +166,6 @@ def check_call(subject: str, factory: Callable[..., Any], arguments: Mapping[str
         for name in arguments.keys() - known.keys():
             raise unknown_argument(name, subject, known) from None
         raise ArgumentError(f"{subject} is {error}; it takes {', '.join(known)}.") from None
-    except ValueError:  # the signature of a class in C can't be read: the call then reports wrong arguments
-        return
 
 
 def format_label(name: str, arguments: Mapping[str, Any]) -> str:
@@ -177,14 +175,9 @@ def format_label(name: str, arguments: Mapping[str, Any]) -> str:
 
 
 def _format_value(value: Any) -> str:
-    """Format a value: a literal in full, since it may be typed again; another one short, with a hash if it was cut."""
-    text = value.__qualname__ if isinstance(value, FunctionType) else repr(value)  # an address differs from run to run
-    line = " ".join(text.split())
-    if isinstance(value, str | bytes | list | tuple | set | dict):
-        return text
-    if len(line) > _LONGEST_LABEL_VALUE:
-        line = f"{line[:_LONGEST_LABEL_VALUE]}…#{sha256(text.encode()).hexdigest()[:8]}"
-    return line
+    if isinstance(value, FunctionType):
+        return value.__qualname__  # its repr has an address, which differs from run to run
+    return repr(value) if isinstance(value, str | bytes | list | tuple | set | dict) else " ".join(repr(value).split())
 
 
 def parse_label(text: Any, more: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:

@@ -9,17 +9,15 @@ from __future__ import annotations
 
 import inspect
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from importlib import import_module
 from operator import attrgetter
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from usnet_env.config import ArgumentError, MissingExtraError, quote, unknown_name
 from usnet_env.detection import Detection, Tags, read_tags
-from usnet_env.parts import Registry, are_equal, check_call, format_label, named_parameters, parse_label
+from usnet_env.parts import Registry, are_equal, check_call, check_factory, format_label, named_parameters, parse_label
 from usnet_env.window import Window
-
-Factory = Callable[..., Any]
 
 
 @runtime_checkable
@@ -33,14 +31,8 @@ class DetectorLike(Protocol):
         """Return the answer for one window."""
 
 
-def _check_factory(factory: Any, subject: str = "factory") -> Factory:
-    if not callable(factory):
-        raise ArgumentError(f"{subject} must be a class or a function that returns a detector, got {quote(factory)}.")
-    return factory
-
-
 #: All detectors by name: classes, and functions that return a detector.
-DETECTORS = Registry("detector", "detector", "usnet.detectors", __name__, _check_factory, classes=True)
+DETECTORS = Registry("detector", "detector", "usnet.detectors", __name__, check_factory, classes=True)
 
 #: Register a class, or a function that returns a detector; see :meth:`usnet_env.parts.Registry.register`.
 register_detector = DETECTORS.register
@@ -52,10 +44,10 @@ def detector_names() -> list[str]:
 
 
 class DetectorEntry(NamedTuple):
-    """A registered or installed detector, and what it declares to need and to use."""
+    """A detector's name, the first line of its docstring (or why it is not available), and its tags."""
 
     name: str
-    description: str  #: the first line of its docstring, or ``not available`` with the reason
+    description: str
     tags: Tags
 
 
@@ -75,12 +67,8 @@ def make_detector(name: str, /, **arguments: Any) -> DetectorLike:
     """Create a detector.
 
     Args:
-        name: a registered name or ``module:Class``, with or without arguments in brackets:
-            ``"lagged-regression(clusters=5)"``.
+        name: a registered name or ``module:Class``, with or without arguments: ``"lagged-regression(clusters=5)"``.
         arguments: further arguments of the detector's constructor.
-
-    Returns:
-        The detector, before its first reset.
 
     Raises:
         ArgumentError: there is no such detector, it can't be imported, or its constructor doesn't take the arguments.
@@ -88,7 +76,13 @@ def make_detector(name: str, /, **arguments: Any) -> DetectorLike:
     """
     plain, given = parse_label(name, arguments)
     subject = f"detector {plain!r}"
-    factory = _find_factory(plain)
+    module, colon, attribute = plain.partition(":")
+    if colon:
+        factory = DETECTORS.load(plain, lambda: attrgetter(attribute)(import_module(module)))
+    elif plain in DETECTORS:
+        factory = DETECTORS[plain]
+    else:
+        raise unknown_name("detector", plain, [*DETECTORS, "module:Class"])
     check_call(subject, factory, given)
     detector = factory(**given)
     if not isinstance(detector, DetectorLike):
@@ -96,23 +90,12 @@ def make_detector(name: str, /, **arguments: Any) -> DetectorLike:
     return detector
 
 
-def _find_factory(name: str) -> Factory:
-    """The class or function for a name without brackets."""
-    module, colon, attribute = name.partition(":")
-    if colon:
-        return DETECTORS.load(name, lambda: attrgetter(attribute)(import_module(module)))
-    if name not in DETECTORS:
-        raise unknown_name("detector", name, [*DETECTORS, "module:Class"])
-    return DETECTORS[name]
-
-
 def detector_label(detector: Any, arguments: Mapping[str, Any] | None = None) -> str:
     """Return the label of a detector in tables, such as ``lagged-regression(clusters=5)``.
 
     Args:
-        detector: a name as :func:`make_detector` takes it, or a detector. The label of a detector object is the name
-            under which its class is registered, or the name of its class, with all arguments that differ from their
-            defaults.
+        detector: a name as :func:`make_detector` takes it, or a detector. The label of an object is the registered
+            name of its class, or else the name of the class, with all arguments that differ from their defaults.
         arguments: further arguments, if ``detector`` is a name.
     """
     if isinstance(detector, str):

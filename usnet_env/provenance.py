@@ -7,7 +7,6 @@ import platform
 from collections.abc import Iterable
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 from typing import Any
 
 _PACKAGES = ("usnet", "numpy", "scipy", "scikit-learn", "numba", "gymnasium")
@@ -24,8 +23,5 @@ def versions(more: Iterable[str] = ()) -> dict[str, str]:
 
 def machine() -> dict[str, Any]:
     """The processor, the number of cores and the platform, on which run times depend."""
-    processor = platform.processor() or platform.machine()
-    with suppress(OSError, StopIteration):
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        processor = next(line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    return {"cpu": processor, "cores": os.cpu_count(), "platform": f"{platform.system()} {platform.machine()}"}
+    cpu = platform.processor() or platform.machine()
+    return {"cpu": cpu, "cores": os.cpu_count(), "platform": f"{platform.system()} {platform.machine()}"}

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 from usnet_env.arrays import Mask, Singles
 from usnet_env.config import ArgumentError, quote, real_number, whole_number
 
-_SHORTEST_STEP, _LONGEST_STEP = 1e-9, 1e9  # seconds
 _HOLDS = {"b": "only 0 and 1 (or booleans)", "i": "whole numbers", "f": "finite numbers that its type can hold"}
 
 
@@ -84,14 +83,16 @@ class Window:
         instants, uavs = position.shape[:2]
         if instants < 2 or uavs < 1:
             raise ArgumentError(f"position must hold at least 2 instants of 1 UAV, got shape {position.shape}.")
-        put = object.__setattr__
-        put(self, "position", position)
-        put(self, "velocity", frozen_array("velocity", self.velocity, np.float32, (instants - 1, uavs, 3)))
-        put(self, "seen", frozen_array("seen", self.seen, bool, (instants, uavs)))
-        put(self, "alive", frozen_array("alive", self.alive, bool, (uavs,)))
-        put(self, "round", whole_number("round", self.round, 1))
-        if self.step is not None:
-            put(self, "step", real_number("step", self.step, _SHORTEST_STEP, _LONGEST_STEP))
+        checked = {
+            "position": position,
+            "velocity": frozen_array("velocity", self.velocity, np.float32, (instants - 1, uavs, 3)),
+            "seen": frozen_array("seen", self.seen, bool, (instants, uavs)),
+            "alive": frozen_array("alive", self.alive, bool, (uavs,)),
+            "round": whole_number("round", self.round, 1),
+            "step": None if self.step is None else real_number("step", self.step, 1e-9, 1e9),
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
 
     @property
     def uavs(self) -> int:

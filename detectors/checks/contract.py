@@ -8,6 +8,7 @@ import pickle
 import random
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any
 from unittest import SkipTest
 
@@ -117,18 +118,16 @@ def check_same_seed_same_answer(detector: Any) -> None:
 
 
 def check_leaves_all_else_alone(detector: Any) -> None:
-    """The window and the global random generators of Python, NumPy and PyTorch (if imported) stay as they are."""
+    """The global random generators of Python, NumPy and PyTorch (if imported) stay as they are."""
     player, window = copy.deepcopy(detector), draw_window(detector, miss_rate=0.1, destroyed=2, round=2)
     _play(player, [window])  # it may import a library
     random.random()  # so that a detector that seeds a generator is noticed
     np.random.rand()  # noqa: NPY002
     if torch := sys.modules.get("torch"):
         torch.rand(1)
-    before, arrays = _read_generators(), dict(vars(window))
-    _play(player, [window])
+    before = _read_generators()
+    _play(player, [window])  # its arrays are read-only
     after = _read_generators()
-    for name, value in arrays.items():  # the arrays themselves are read-only
-        _require(getattr(window, name) is value, f"detect must leave the window unchanged, got another {name}.")
     changed = [name for name in before if before[name] != after[name]]
     _require(not changed, f"a detector must leave global generators alone, got a change of {', '.join(changed)}.")
 
@@ -142,26 +141,18 @@ def _read_generators() -> dict[str, Any]:
 
 
 def check_any_window(detector: Any) -> None:
-    """``detect`` answers small, large and hovering swarms, one cluster, and missing samples.
-
-    For fewer than 3 UAVs, which hold no cluster, it may raise an :class:`usnet_env.ArgumentError` instead.
-    """
+    """``detect`` answers any swarm and missing samples, or raises an ``ArgumentError`` for fewer than 3 UAVs."""
     player, small = copy.deepcopy(detector), draw_window(detector, 3, 1)
     large, single = draw_window(detector, 60, 7), draw_window(detector, 16, 1)
     for window in (small, large, single, draw_gaps(detector), hover(small)):
         _play(player, [window])
     for uavs in (1, 2):
-        try:
+        with suppress(ArgumentError):
             _play(player, [pick_uavs(small, np.arange(uavs))])
-        except ArgumentError:
-            continue
 
 
 def check_order_of_uavs(detector: Any) -> None:
-    """Indices carry no meaning: permuting the UAVs permutes the detection, exactly or in distribution.
-
-    The distribution is compared by a permutation test on the mean candidates and the mean ranks of the UAVs.
-    """
+    """Permuting the UAVs permutes the detection, exactly or by a permutation test on mean candidates and mean ranks."""
     window = draw_window(detector)
     order = np.random.default_rng(_SEED).permutation(window.uavs)  # the reverse order would keep pairs of neighbours
     back, shuffled = np.argsort(order), pick_uavs(window, order)

@@ -6,8 +6,7 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 from unittest import SkipTest
 
 from detectors.checks.contract import CHECKS, CheckError
@@ -15,13 +14,12 @@ from usnet_env.config import ArgumentError, quote, unknown_name
 from usnet_env.plugins import make_detector
 
 
-@dataclass(frozen=True)
-class CheckResult:
-    """The result of one check: its name, status, ``reason`` (empty if it passed), duration and the exception raised."""
+class CheckResult(NamedTuple):
+    """The result of one check; its status is ``"passed"``, ``"failed"``, ``"expected failure"`` or ``"skipped"``."""
 
     check: str
-    status: Literal["passed", "failed", "expected failure", "skipped"]
-    reason: str
+    status: str
+    reason: str  #: empty if it passed
     seconds: float
     error: BaseException | None = None
 
@@ -42,18 +40,13 @@ def check_detector(
     on_fail: Literal["raise"] | None = "raise",
     callback: Callable[[CheckResult], None] | None = None,
 ) -> list[CheckResult]:
-    """Run all conformance checks on a detector, as scikit-learn's ``check_estimator`` does on an estimator.
+    """Run all conformance checks on copies of a detector; one result per check, in the order of :data:`CHECKS`.
 
     Args:
-        detector: an object with ``detect`` and ``reset``, or a name as :func:`usnet_env.make_detector` takes it. The
-            checks use copies of it.
+        detector: an object with ``detect`` and ``reset``, or a name as :func:`usnet_env.make_detector` takes it.
         expected_failed_checks: names of checks that this detector can't pass, each with the reason.
         on_fail: ``"raise"`` to raise an error after a failure, or ``None`` to only return the results.
         callback: function that is called with each result as soon as it exists.
-
-    Returns:
-        One result per check, in the order of :data:`CHECKS`. A check that was expected to fail and doesn't counts as
-        passed.
 
     Raises:
         DetectorChecksError: a check failed unexpectedly. It is raised after all checks have run.
@@ -86,16 +79,16 @@ def _check_names(excuses: Mapping[str, str]) -> Mapping[str, str]:
 
 def _run_check(check: Callable[[Any], None], detector: Any, excuses: Mapping[str, str]) -> CheckResult:
     begin, name = time.perf_counter(), check.__name__
+    status, reason, error = "passed", "", None
     try:
         check(detector)
     except SkipTest as skip:
-        return CheckResult(name, "skipped", str(skip), time.perf_counter() - begin)
+        status, reason = "skipped", str(skip)
     except (Exception, SystemExit) as failure:
-        reason, seconds = _describe(failure), time.perf_counter() - begin
+        status, reason, error = "failed", _describe(failure), failure
         if name in excuses:
-            return CheckResult(name, "expected failure", f"{excuses[name]} ({reason})", seconds, failure)
-        return CheckResult(name, "failed", reason, seconds, failure)
-    return CheckResult(name, "passed", "", time.perf_counter() - begin)
+            status, reason = "expected failure", f"{excuses[name]} ({reason})"
+    return CheckResult(name, status, reason, time.perf_counter() - begin, error)
 
 
 def _describe(failure: BaseException) -> str:
@@ -110,16 +103,14 @@ def _describe(failure: BaseException) -> str:
 def parametrize_with_checks(
     detectors: Iterable[Any], *, expected_failed_checks: Callable[[Any], Mapping[str, str] | None] = lambda _: None
 ) -> Any:
-    """Make a pytest decorator with one case per detector and check.
-
-    The decorated function takes the arguments ``detector`` and ``check`` and calls ``check(detector)``.
+    """Make a pytest decorator with one case per detector and check, for a function that calls ``check(detector)``.
 
     Args:
         detectors: as of :func:`check_detector`.
-        expected_failed_checks: function that takes a detector and returns the names of the checks that it can't pass,
-            each with the reason; these cases are marked ``xfail``.
+        expected_failed_checks: function of a detector, which returns the names of the checks that it can't pass, each
+            with the reason; these cases are marked ``xfail``.
     """
-    import pytest  # pytest is no dependency of the other functions
+    import pytest  # only here
 
     cases = []
     for detector in map(_find_detector, detectors):

@@ -26,8 +26,7 @@ from detectors.clustering.features import (
 from detectors.parameters import Count, Lags, Parameters
 from detectors.series.votes import spread
 from usnet_env.arrays import Floats, Indices
-from usnet_env.config import ArgumentError, quote
-from usnet_env.parts import Registry, check_call
+from usnet_env.parts import Registry, check_call, check_factory
 from usnet_env.window import Window
 
 _LEAST = 1e-12  # entry of a factor: the multiplicative update would keep an entry of 0 forever
@@ -36,21 +35,13 @@ _TOLERANCE = 1e-5  # the factorisation stops when an update reduces the loss by 
 
 @dataclass(frozen=True, eq=False)
 class Clustering:
-    """The clusters of one window and what they were computed from.
+    """The clusters of one window and what they were computed from."""
 
-    Args:
-        labels: ``(N,)`` int64, 0 to ``count`` - 1 for living UAVs, -1 for destroyed ones.
-        count: the number of clusters; 0 if no UAV is alive.
-        features: ``(N, d)`` or ``(N, T, d)``, 0 for destroyed UAVs, or ``None``.
-        affinity: ``(N, N)``, the similarity of every two UAVs from 0 to 1, or ``None`` if it was not computed.
-        extras: ``"estimate"`` is the number of clusters that was given or estimated before clustering.
-    """
-
-    labels: Indices
-    count: int
-    features: Floats | None = None
-    affinity: Floats | None = None
-    extras: Mapping[str, Any] = field(default_factory=dict)
+    labels: Indices  #: ``(N,)`` int64, 0 to ``count`` - 1 for living UAVs, -1 for destroyed ones
+    count: int  #: the number of clusters; 0 if no UAV is alive
+    features: Floats | None = None  #: ``(N, d)`` or ``(N, T, d)``, 0 for destroyed UAVs
+    affinity: Floats | None = None  #: ``(N, N)``, similarities from 0 to 1, or ``None`` if they were not computed
+    extras: Mapping[str, Any] = field(default_factory=dict)  #: ``"estimate"``: the number that was given or estimated
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,9 +83,8 @@ class Living:
 class Clusterer(Parameters):
     """Base class: clusters the living UAVs of one window. A subclass implements :meth:`partition`.
 
-    The constructor only stores its keyword arguments. A window without living UAVs has no cluster; with one living UAV
-    it has one. A living UAV that was never seen has the mean features of the others. A ``count`` above the number of
-    living UAVs is lowered to it. K-Means and SNMF may return fewer clusters than ``count``.
+    A living UAV that was never seen has the mean features of the others. K-Means and SNMF may return fewer clusters
+    than ``count``, and no clusterer returns more than there are living UAVs.
 
     Args:
         count: the number of clusters, or how to estimate it: ``"gap"``, the gap statistic of the features, or
@@ -141,13 +131,7 @@ class Clusterer(Parameters):
 
     @abstractmethod
     def partition(self, living: Living, count: int, rng: np.random.Generator) -> NDArray[np.integer[Any]]:
-        """Assign a label to each of the n ≥ 2 living UAVs, ``(n,)``; any whole numbers are valid labels.
-
-        Args:
-            living: features and affinity of the living UAVs.
-            count: the number of clusters, 1 to n; n if the clusterer finds it itself (``count="own"``).
-            rng: generator of all random numbers.
-        """
+        """Assign a label, any whole number, to each of the n ≥ 2 living UAVs, ``(n,)``, for ``count`` clusters."""
 
 
 class KMeans(Clusterer):
@@ -261,16 +245,7 @@ class Hdbscan(Clusterer):
         return found
 
 
-Factory = Callable[..., Clusterer]
-
-
-def _check_factory(factory: Any, subject: str = "factory") -> Factory:
-    if not callable(factory):
-        raise ArgumentError(f"{subject} must be a class or a function that returns a clusterer, got {quote(factory)}.")
-    return factory
-
-
-_BUILT_IN: dict[str, Factory] = {
+_BUILT_IN: dict[str, Callable[..., Clusterer]] = {
     "kmeans": KMeans,
     "spectral": Spectral,
     "snmf": SymmetricNMF,
@@ -279,16 +254,12 @@ _BUILT_IN: dict[str, Factory] = {
 }
 
 #: All clusterers by name.
-CLUSTERERS = Registry("clusterer", "clusterer", "usnet.clusterers", __name__, _check_factory, _BUILT_IN, classes=True)
+CLUSTERERS = Registry("clusterer", "clusterer", "usnet.clusterers", __name__, check_factory, _BUILT_IN, classes=True)
 register_clusterer = CLUSTERERS.register
 
 
 def make_clusterer(name: str, /, **arguments: Any) -> Clusterer:
-    """Create the clusterer of this name: ``make_clusterer("spectral", count="eigengap")``.
-
-    Raises:
-        ArgumentError: there is no such clusterer, or it does not take such an argument.
-    """
+    """Create the clusterer of this name: ``make_clusterer("spectral", count="eigengap")``."""
     factory = CLUSTERERS.find(name)
     check_call(f"clusterer {name!r}", factory, arguments)
     return factory(**arguments)

@@ -50,8 +50,8 @@ class GapStatistic:
 def compute_gap_statistic(features: Floats, rng: np.random.Generator) -> GapStatistic:
     """Estimate the number of clusters of ``features`` ``(n, d)`` by the gap statistic.
 
-    The formulas are in the docstring of this module; ``rng`` draws the reference sets and the starts of K-Means. M̂ is
-    K_max (:func:`compute_max_count`) if no k satisfies the rule, and at most the number of different rows.
+    ``rng`` draws the reference sets and the starts of K-Means. M̂ is K_max (:func:`compute_max_count`) if no k satisfies
+    the rule, and at most the number of different rows.
     """
     distinct = len(np.unique(features, axis=0))
     max_count = min(compute_max_count(len(features)), distinct)

@@ -11,7 +11,7 @@ from usnet_env.replay import EpisodeRecord
 ROUNDS, SAMPLES, UAVS = 2, 21, 12
 HEADS, DECOY = (0, 5), 11
 #: Fields of what the detector thought, with one value for each round.
-MIND = ("clusters", "leader_estimate", "attention", "attention_heads", "probability", "features", "reasons")
+MIND = ("clusters", "leader_estimate", "attention", "probability", "reasons")
 
 
 def small_episode(**changes: Any) -> EpisodeRecord:
@@ -46,9 +46,7 @@ def small_episode(**changes: Any) -> EpisodeRecord:
         "clusters": clusters,
         "leader_estimate": leader,
         "attention": attention,
-        "attention_heads": np.stack([attention, np.swapaxes(attention, 1, 2)], axis=1),
         "probability": 0.1 + 0.8 * head * np.ones((ROUNDS, 1)),
-        "features": rng.normal(size=(ROUNDS, UAVS, 2)),
         "reasons": [{"0": "Adds 21 nats to 4 followers.", "3": "Adds 2 nats."}, {"5": "Adds 30 nats."}],
         "problem": "P2",
         "env_id": "USNET/MultiCluster-v0",

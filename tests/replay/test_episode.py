@@ -14,7 +14,7 @@ from usnet_env import ArgumentError
 from usnet_env.replay import EpisodeRecord
 
 DATA = Path(__file__).parent / "data"  # small_episode() as earlier versions of the file held it
-LATER = ("attention_heads", "probability", "features", "reasons")  # fields that version 4 added
+LATER = ("probability", "reasons")  # fields that version 4 added
 
 
 @pytest.fixture(scope="module")
@@ -94,8 +94,6 @@ def test_files_of_earlier_versions_still_open(version, absent):
         ({"root": np.full((ROUNDS, UAVS), UAVS)}, "root"),
         ({"leader_estimate": np.full((ROUNDS, UAVS), -2)}, "leader_estimate"),
         ({"attention": np.zeros((ROUNDS, UAVS))}, "attention"),
-        ({"attention_heads": np.zeros((ROUNDS, UAVS, UAVS))}, "attention_heads"),
-        ({"features": np.zeros((ROUNDS, UAVS, 3))}, "features"),
         ({"observers": np.zeros((2, 3))}, "observers"),
         ({"alive": np.ones((ROUNDS, UAVS), bool)}, "alive"),
     ],

@@ -107,21 +107,13 @@ def test_refuses_other_answers(says):
 
 
 def test_the_mind_of_the_detector_is_recorded():
-    """Values of extras that have another form are left out."""
     heads, others = roles(0)
-    features = np.random.default_rng(0).normal(size=(16, 3, 4))
-    extras = {"probability": np.linspace(0, 1, 16), "features": features, "attention_heads": np.ones((2, 16, 16))}
-    extras |= {"heads": heads[:1], "reasons": ["Because."]}
+    extras = {"probability": np.linspace(0, 1, 16), "heads": heads[:1], "reasons": ["Because."]}
     record = record_episode(multi(), Scripted((others[0],), heads, extras=extras), 0, 7)
     np.testing.assert_array_equal(record.probability[0], extras["probability"])
-    assert record.attention_heads.shape == (2, 2, 16, 16)
     assert record.reasons == [{str(heads[0]): "Because."}] * 2
-    flat = features.reshape(16, -1)
-    spread = np.linalg.svd(flat - flat.mean(axis=0), compute_uv=False)[:2]
-    np.testing.assert_allclose(np.linalg.norm(record.features[1], axis=0), spread, rtol=1e-5)
-    odd = {"features": np.ones(3), "attention_heads": np.ones((2, 16, 3))}
-    bare = record_episode(multi(), Scripted(heads, extras=odd), 0, 7)
-    assert bare.probability is bare.features is bare.attention_heads is bare.reasons is None
+    bare = record_episode(multi(), Scripted(heads), 0, 7)
+    assert bare.probability is bare.attention is bare.reasons is None
 
 
 # --- the wrapper -----------------------------------------------------------------------------------------------------
@@ -151,7 +143,7 @@ def test_the_episodes_of_the_trigger_are_written(tmp_path):
     found = EpisodeRecord.load(tmp_path / "new" / "episode-3.npz")
     assert (found.seed, found.detector, found.env_id) == (3, "mine", "USNET/MultiCluster-v0")
     np.testing.assert_array_equal(found.scores, found.candidates)
-    assert repr(found).startswith(f"<EpisodeRecord of USNET/MultiCluster-v0: {found.rounds} rounds, 12 UAVs, ")
+    assert repr(found).startswith(f"<EpisodeRecord: mine on USNET/MultiCluster-v0, {found.rounds} rounds, 12 UAVs")
 
 
 def test_a_noted_detection_is_kept_whole(tmp_path):

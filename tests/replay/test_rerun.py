@@ -115,15 +115,11 @@ def test_marks_and_scores_are_the_answers(chunks):
     assert bars == {name: pytest.approx(episode.scores[0, who].tolist()) for name, who in expected.items()}
 
 
-def test_attention_and_features_are_those_of_the_record(chunks):
+def test_attention_is_that_of_the_record(chunks):
     episode = small_episode()
     first, second = attention_sheet(episode, 0), attention_sheet(episode, 1)
-    assert (first.shape, second.shape) == ((UAVS + 2, 3 * (UAVS + 2)), (UAVS, 3 * UAVS))  # framed, beside two heads
-    np.testing.assert_array_equal(first[:, : UAVS + 2], first[:, UAVS + 2 : 2 * (UAVS + 2)])
-    assert first[1 : UAVS + 1, 1 : UAVS + 1].max(axis=1).tolist() == [255] * UAVS
-    points = column(chunks, "/mind/features", "Points2D:positions")
-    plane = episode.features[1]
-    np.testing.assert_allclose(points[-1], plane[episode.alive[1]] / (2 * np.abs(plane).max()), rtol=1e-5)
+    assert (first.shape, second.shape) == ((UAVS, UAVS), (UAVS - 2, UAVS - 2))
+    np.testing.assert_array_equal(first[:, 0], [255] * 5 + [0] * 7)  # the first group follows UAV 0
     assert len(column(chunks, "/mind/attention", "Image:buffer")) == ROUNDS
 
 
@@ -194,7 +190,7 @@ def test_records_without_a_mind_or_a_sighting_can_be_written(tmp_path):
     assert write_recording(unseen, tmp_path / "unseen.rrd").stat().st_size > 0
     bare = large_episode(candidates=np.ones((1, 60), bool))
     found = read(write_recording(bare, tmp_path / "bare.rrd"))
-    assert not any("features" in chunk.entity_path for chunk in found)
+    assert not any("attention" in chunk.entity_path for chunk in found)
     assert column(found, "/world/verdict/hit", "Ellipsoids3D:show_labels") == [[True]]
     assert column(found, "/world/verdict/redundant", "Boxes3D:show_labels") == [[False]]  # too many
 

@@ -41,14 +41,9 @@ for _command in (evaluate, demo, detect, list_, replay, report):
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit status.
+    """Run the command line with arguments ``argv``, by default those of this process, and return its exit status.
 
-    Args:
-        argv: the arguments after ``usnet``; by default those of this process.
-
-    Returns:
-        The exit status: 0 for success, 1 for a failure, 2 if an argument was refused or a detector failed, 130 after an
-        interruption.
+    It is 0 for success, 1 for a failure, 2 if an argument was refused or a detector failed, 130 after an interruption.
     """
     context: click.Context | None = None
     try:

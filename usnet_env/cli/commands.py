@@ -16,7 +16,7 @@ class CommandGroup(click.Group):
     """A group that also has the commands of entry points; each is imported when it is used or listed."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """List the names of all commands; one that cannot be imported is left out with a warning."""
+        """List all commands, without those that can't be imported."""
         names = set(self.commands)
         for name in find_entry_points(GROUP):
             try:

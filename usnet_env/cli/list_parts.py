@@ -21,10 +21,7 @@ _NAMES = ("envs", "detectors", *_REGISTRIES, "suites")
 @click.command(name="list", short_help="List envs, detectors, follow strategies and other parts.")
 @click.argument("part", type=click.Choice(_NAMES), required=False)
 def list_(part: str | None) -> None:
-    """List the available environments, detectors or other parts, with one line about each.
-
-    The list of detectors also shows what a detector needs. Without a word, it lists what can be listed.
-    """
+    """List the available parts of a kind, with one line about each; without a word, what can be listed."""
     from rich.table import Table
     from rich.text import Text
 

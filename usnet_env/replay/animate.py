@@ -1,13 +1,10 @@
-"""An animation of one game: what the detector sees beside the truth, round by round, as a GIF or MP4.
-
-It is made from the neutral episode file alone. Matplotlib is an extra (``pip install 'usnet[render]'``) and brings
-Pillow, which writes the GIF, and moviepy, which brings the program ffmpeg for the MP4.
-"""
+"""An animation of one game: what the detector sees beside the truth, round by round, as a GIF or MP4."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -63,15 +60,11 @@ class Painter:
         known = record.position[record.seen & record.alive[:, None]]
         self.limits = drawing.limits_around(known, 0.08, find_least_side(record))
         self.header = self.figure.text(0.02, 0.975, "", fontsize=12, va="top")
-        names = {drawing.HEAD_MARK: "head", drawing.FOLLOWER_MARK: "follower"}
-        if not record.labelled:
-            names = {mark: drawing.TRACK_WORDS[mark] for mark in names}
-        else:
-            names |= {drawing.CANDIDATE_MARK: "candidate", drawing.HIT_MARK: "hit"}
-            names |= {drawing.REDUNDANT_MARK: "redundant", drawing.MISSED_MARK: "not named"}
-            names |= {drawing.DECOY_MARK: "decoy"} if record.decoys.any() else {}
-            names |= {} if record.recorded else {drawing.DESTROYED_MARK: "destroyed"}
-        place = {"loc": "center", "bbox_to_anchor": (0.5, 0.35), "ncols": len(names), "fontsize": 9, "markerscale": 0.7}
+        marks = [drawing.HEAD_MARK, drawing.FOLLOWER_MARK, drawing.CANDIDATE_MARK, drawing.HIT_MARK]
+        marks += [drawing.REDUNDANT_MARK, drawing.MISSED_MARK, *[drawing.DECOY_MARK] * bool(record.decoys.any())]
+        marks += [drawing.DESTROYED_MARK] * (not record.recorded)
+        names = {mark: mark for mark in marks} if record.labelled else drawing.TRACK_WORDS
+        place = {"loc": "center", "bbox_to_anchor": (0.5, 0.35), "ncols": 4, "fontsize": 8, "markerscale": 0.6}
         drawing.draw_legend(bottom, names, **place)
 
     def draw(self, scene: Scene) -> None:
@@ -87,13 +80,11 @@ class Painter:
             right |= {"head": np.zeros_like(record.head), "root": np.full(record.uavs, -1)}
         right["candidates"] = named if record.labelled and scene.phase == VERDICT else None
         look: dict[str, Any] = {"legend": False, "limits": self.limits}
-        for axes in (self.observed, self.truth):
+        left = window | {"candidates": named, "truth": False, "title": "What the detector sees"}
+        right["title"] = "The truth" if record.labelled else "What it found"
+        for axes, picture in ((self.observed, left), (self.truth, right)):
             axes.clear()
-        drawing.draw_round(
-            **window | {"candidates": named}, axes=self.observed, title="What the detector sees", truth=False, **look
-        )
-        drawing.draw_round(**right, axes=self.truth, title="The truth" if record.labelled else "What it found", **look)
-        for axes in (self.observed, self.truth):
+            drawing.draw_round(**picture, axes=axes, **look)
             axes.set(xlabel="", ylabel="")
         words = f"{name_round(record)} {scene.round} of {record.rounds}: {scene.text}"
         self.header.set_text(drawing.escape_math(words))
@@ -111,22 +102,8 @@ def write_frames(
                 writer.grab_frame()
 
 
-def _find_ffmpeg() -> str:
-    """The program ffmpeg that moviepy installs, or else the system's."""
-    try:
-        from imageio_ffmpeg import get_ffmpeg_exe
-
-        return str(get_ffmpeg_exe())
-    except (ImportError, RuntimeError):
-        return "ffmpeg"
-
-
 def animate(record: EpisodeRecord, path: str | os.PathLike[str], *, frames: int = 8) -> Path:
-    """Write an animation of an episode; the file appears whole.
-
-    Two maps from above share fixed axes. The left one shows what the detector sees: equal dots whose tracks grow, then
-    rings around its candidates. The right one shows the truth: heads as stars, followers in the colour of their head,
-    hits, redundant candidates, destroyed UAVs, and how followers without a head join another one.
+    """Write an animation of an episode: beside what the detector sees and names, the truth; the file appears whole.
 
     Args:
         record: the episode.
@@ -144,8 +121,12 @@ def animate(record: EpisodeRecord, path: str | os.PathLike[str], *, frames: int 
     from matplotlib import rc_context
     from matplotlib.animation import FFMpegWriter, PillowWriter
 
-    kind = PillowWriter if place.suffix.lower() == ".gif" else FFMpegWriter
-    with rc_context({"animation.ffmpeg_path": _find_ffmpeg()}):
+    kind, program = PillowWriter if place.suffix.lower() == ".gif" else FFMpegWriter, "ffmpeg"
+    with suppress(ImportError, RuntimeError):
+        from imageio_ffmpeg import get_ffmpeg_exe  # moviepy brings it
+
+        program = get_ffmpeg_exe()
+    with rc_context({"animation.ffmpeg_path": program}):
         if not kind.isAvailable():
             raise ArgumentError(f"path must end in .gif where ffmpeg is not installed, got {quote(str(place))}.")
         with atomic_write(place) as aside:

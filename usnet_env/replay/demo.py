@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -37,20 +36,14 @@ DEMO: dict[str, Any] = {
 def run_demo(
     out: str | os.PathLike[str] = "runs/demo", *, seed: int = 3, detector: str = "lagged-correlation", **arguments: Any
 ) -> dict[str, Path]:
-    """Play one episode of ``USNET/MultiCluster-v0``, print a line for each round, and keep the episode.
+    """Play and print one episode of ``USNET/MultiCluster-v0``, and return the paths of its files by what they are.
 
     Args:
-        out: folder for ``episode.npz``, ``replay.rrd`` (for the Rerun viewer), ``episode.png`` and ``report.html``.
-            Without its extra, a file is left out, and a line says which extra is missing.
+        out: folder for ``episode.npz``, ``replay.rrd``, ``episode.png`` and ``report.html``. A file whose extra is not
+            installed is left out, and a line says so.
         seed: seed of the swarm; the detector's seed is derived from it.
         detector: name of the detector.
         arguments: of the environment, such as ``clusters``, instead of those of :data:`DEMO`.
-
-    Returns:
-        The paths of the written files, by ``"episode"``, ``"replay"``, ``"picture"`` and ``"page"``.
-
-    Raises:
-        ArgumentError: the environment or the registry of detectors refuses an argument, or ``out`` can't be written to.
     """
     folder, game, seed = as_path("out", out), DEMO | arguments, whole_number("seed", seed, 0)
     player = make_detector(detector)
@@ -65,12 +58,8 @@ def run_demo(
     print(f"\n{describe_outcome(record)}\n")
     written = {"episode": record.save(folder / "episode.npz")}
     print(f"episode  {written['episode']}  (the whole record; read it with usnet_env.replay.EpisodeRecord.load)")
-    makers: dict[str, tuple[Callable[..., Path], str]] = {
-        "replay": (write_recording, "replay.rrd"),
-        "picture": (write_picture, "episode.png"),
-        "page": (write_page, "report.html"),
-    }
-    for name, (make, file) in makers.items():
+    makers = (("replay", write_recording), ("picture", write_picture), ("page", write_page))
+    for (name, make), file in zip(makers, ("replay.rrd", "episode.png", "report.html"), strict=True):
         try:
             written[name] = make(record, folder / file)
         except MissingExtraError as missing:

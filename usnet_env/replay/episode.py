@@ -12,19 +12,17 @@ from typing import Any
 import numpy as np
 
 from usnet_env.arrays import Floats, Indices, Mask, Singles
-from usnet_env.config import ArgumentError, format_count, quote
+from usnet_env.config import ArgumentError, quote
 from usnet_env.drawing import last_seen_position
 from usnet_env.files import as_path, atomic_write
 from usnet_env.objectives import hits_and_redundant
 
-#: Version 2 added ``attention`` and ``communication_links``, version 3 ``labelled``, version 4 ``attention_heads``,
-#: ``probability``, ``features``, ``reasons``, ``choices`` and ``observers``. In version 5 ``leader`` became ``root``.
-#: Older files are read as well.
-FORMAT_VERSION = 5
+FORMAT_VERSION = 5  #: Older files are read as well: in version 5 ``leader`` became ``root``, the others added arrays.
 _FORMAT = "usnet-episode"
 _LINKS = "communication_links"  # derived from ``root`` when a file is written, for readers without this class
+_UNUSED = (_LINKS, "attention_heads", "features")  # arrays of files that are not read
 _KINDS = {"Singles": np.float32, "Floats": np.float64, "Indices": np.int64, "Mask": np.bool_}
-#: The axes of the arrays: R rounds, S instants, T velocities between them, N UAVs; other letters have any length.
+#: The axes of the arrays: R rounds, S instants, T velocities between them, N UAVs, K observers.
 _AXES = {
     **dict.fromkeys(("head", "decoy"), "N"),
     **dict.fromkeys(("objective", "over_budget", "seconds"), "R"),
@@ -32,15 +30,13 @@ _AXES = {
     "position": "RSN3",
     "velocity": "RTN3",
     "seen": "RSN",
-    "features": "RN2",
     "attention": "RNN",
-    "attention_heads": "RHNN",
     "observers": "K4",
 }
 
 
 def _list_links(root: Indices, followers: Mask, heads: Mask) -> Indices:
-    """``(L, 2)`` int64: which of ``followers`` ``(N,)`` follow which of ``heads`` ``(N,)``, another UAV."""
+    """``(L, 2)``: which of ``followers`` ``(N,)`` follow which of ``heads`` ``(N,)``."""
     linked = np.flatnonzero(followers & (root >= 0) & heads[root] & (root != np.arange(len(root))))
     return np.column_stack([linked, root[linked]])
 
@@ -49,11 +45,8 @@ def _list_links(root: Indices, followers: Mask, heads: Mask) -> Indices:
 class EpisodeRecord:
     """One episode of R rounds with N UAVs: the observer's windows, the truth, and the detector's answers.
 
-    Arrays are read-only copies. Their first axis counts the rounds, except in ``head``, ``decoy`` and ``observers``.
-    ``alive`` and ``root`` hold for the window of the round, before the round's candidates are destroyed.
-
-    :meth:`communication_links` and :meth:`hierarchy` are the edges of the paper's cluster graph (§II-A): the true ones
-    and those that the detector found.
+    Arrays are read-only copies. ``alive`` and ``root`` hold for the window of the round, before the round's candidates
+    are destroyed.
 
     Args:
         position: ``(R, T_ob + 1, N, 3)`` float32, metres, as observed; 0 where unseen.
@@ -73,9 +66,7 @@ class EpisodeRecord:
         leader_estimate: ``(R, N)`` int64, the UAV that each follows by the answer (-1: none), or ``None``.
         attention: ``(R, N, N)`` float32, row i holds the attention weights of UAV i on all UAVs (the paper's
             α_{i,i'}); it and the arrays and texts below may be ``None``.
-        attention_heads: ``(R, H, N, N)`` float32, the weights of each of the detector's H attention heads.
         probability: ``(R, N)`` float64, the detector's probability that each UAV is a head.
-        features: ``(R, N, 2)`` float32, the detector's feature space, in the plane of its two principal axes.
         reasons: for each round a sentence by UAV (``"17"``): why the detector takes it for a head.
         choices: for each round a text by agent: what the agents of a game of several agents chose.
         observers: ``(K, 4)`` float64, position and sensing range of each observer in metres.
@@ -105,9 +96,7 @@ class EpisodeRecord:
     clusters: Indices | None = None
     leader_estimate: Indices | None = None
     attention: Singles | None = None
-    attention_heads: Singles | None = None
     probability: Floats | None = None
-    features: Singles | None = None
     reasons: Sequence[Mapping[str, str]] | None = None
     choices: Sequence[Mapping[str, str]] | None = None
     observers: Floats | None = None
@@ -121,10 +110,8 @@ class EpisodeRecord:
     labelled: bool = True
 
     def __repr__(self) -> str:
-        return (
-            f"<EpisodeRecord of {self.env_id or 'a game'}: {format_count(self.rounds, 'round')}, {self.uavs} UAVs, "
-            f"detector {self.detector!r}, seed {self.seed}>"
-        )
+        size = f"{self.rounds} rounds, {self.uavs} UAVs"
+        return f"<EpisodeRecord: {self.detector} on {self.env_id}, {size}, seed {self.seed}>"
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -139,7 +126,7 @@ class EpisodeRecord:
     def find_fault(self) -> str:
         """What is impossible in the record, or contradicts itself; an empty text if nothing does."""
         sizes = dict(zip("RSN", self.position.shape, strict=False))
-        sizes |= {"T": sizes.get("S", 0) - 1, "2": 2, "3": 3, "4": 4}
+        sizes |= {"T": sizes.get("S", 0) - 1, "3": 3, "4": 4}
         given = {name: value for name in _AXES if (value := getattr(self, name)) is not None}
         for name, value in given.items():
             if tuple(map(sizes.get, _AXES[name], value.shape)) != value.shape or value.ndim != len(_AXES[name]):
@@ -153,7 +140,7 @@ class EpisodeRecord:
 
     @property
     def rounds(self) -> int:
-        """R, the rounds played."""
+        """R."""
         return int(self.position.shape[0])
 
     @property
@@ -209,20 +196,12 @@ class EpisodeRecord:
         return last_seen_position(position.reshape(-1, self.uavs, 3), seen.reshape(-1, self.uavs))
 
     def communication_links(self, number: int) -> Indices:
-        """The true communication links of a round (from 1): the paper's edge sets E_{j,t} of all clusters, §II-A.
-
-        Returns:
-            ``(L, 2)`` int64: every living follower and its living head, in ascending order of the followers.
-        """
+        """``(L, 2)``: the living followers of a round (from 1) and their living heads, the paper's E_{j,t}, §II-A."""
         alive = self.alive[number - 1]
         return _list_links(self.root[number - 1], alive, self.head & alive)
 
     def hierarchy(self, number: int) -> Indices | None:
-        """The links that the detector found in a round (from 1): of living UAVs to the candidates that they follow.
-
-        Returns:
-            ``(L, 2)`` int64: each UAV and its candidate, in ascending order; ``None`` without ``leader_estimate``.
-        """
+        """``(L, 2)``: the living UAVs of a round (from 1) and the candidates that they follow by the answer."""
         if self.leader_estimate is None:
             return None
         alive, candidates = self.alive[number - 1], self.candidates[number - 1]
@@ -254,7 +233,7 @@ class EpisodeRecord:
         place = as_path("path", path)
         try:
             with place.open("rb") as source, np.load(source, allow_pickle=False) as file:
-                arrays: dict[str, Any] = {name: file[name] for name in file.files if name != _LINKS}
+                arrays: dict[str, Any] = {name: file[name] for name in file.files if name not in _UNUSED}
             words = json.loads(str(arrays.pop("metadata")))
             version = words.pop("version") if words.pop("format") == _FORMAT else None
             if version in range(1, 5):

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from usnet_env import drawing
-from usnet_env.config import ArgumentError, format_count, quote
+from usnet_env.config import ArgumentError, quote
 from usnet_env.files import as_path
 from usnet_env.replay.episode import EpisodeRecord
 from usnet_env.replay.story import describe_outcome, describe_round, name_game, name_round
@@ -48,10 +48,7 @@ def check_ending(path: str | os.PathLike[str], *endings: str) -> Path:
 
 
 def draw_episode(record: EpisodeRecord) -> Figure:
-    """Draw an episode: a map for each round, and an explanation.
-
-    Returns:
-        A matplotlib figure. Of more than six rounds it shows the first five and the last, all with the same scale.
+    """Draw an episode: maps with the same scale of all rounds, or of more than six the first five and the last.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -61,16 +58,14 @@ def draw_episode(record: EpisodeRecord) -> Figure:
     rows = -(-len(numbers) // columns)
     figure = drawing.new_figure(max(5.4 * columns + 2.8, 9.0), 5.8 * rows + 1.2)
     figure.set_layout_engine("constrained")
-    hidden = f" The picture shows {len(numbers)} of {format_count(record.rounds, name_round(record).lower())}."
-    about = drawing.escape_math(f"{describe_outcome(record)} {_ABOUT if record.labelled else _ABOUT_UNKNOWN}")
-    about += hidden * (len(numbers) < record.rounds)
-    drawing.caption_figure(figure, drawing.escape_math(name_game(record)), about)
+    about = f"{describe_outcome(record)} {_ABOUT if record.labelled else _ABOUT_UNKNOWN}"
+    if len(numbers) < record.rounds:
+        about += f" The picture shows {len(numbers)} of {record.rounds} {name_round(record).lower()}s."
+    drawing.caption_figure(figure, drawing.escape_math(name_game(record)), drawing.escape_math(about))
     grid = figure.subplots(rows, columns, squeeze=False).ravel()
     scenes = [describe_scene(record, number) for number in numbers]
-    least = find_least_side(record)
-    squares = [
-        drawing.limits_around(scene["position"][scene["seen"] & scene["alive"]], least=least) for scene in scenes
-    ]
+    shown = [scene["position"][scene["seen"] & scene["alive"]] for scene in scenes]
+    squares = [drawing.limits_around(place, least=find_least_side(record)) for place in shown]
     marks: dict[str, Any] = {}
     for axes, number, scene, (x, y, _) in zip(grid, numbers, scenes, squares, strict=False):
         title = drawing.escape_math(f"{name_round(record)} {number}: {describe_round(record, number)}")

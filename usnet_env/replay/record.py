@@ -10,9 +10,9 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
-from usnet_env.arrays import Floats, Indices
+from usnet_env.arrays import Indices
 from usnet_env.config import ArgumentError, describe_arguments, optional_seed, quote
 from usnet_env.detection import Detection, fit_window
 from usnet_env.envs.play import PlayedRound, play_rounds
@@ -35,8 +35,8 @@ def record_episode(
 ) -> EpisodeRecord:
     """Play one episode to its end, and record the windows, the truth and the answers.
 
-    The detector receives windows only. The truth is read from ``env.unwrapped.swarm``. Where it is unknown, as in
-    recorded tracks without leaders, the record is not ``labelled`` and holds what the detector found.
+    Where the truth is unknown, as in recorded tracks without leaders, the record is not ``labelled`` and holds what the
+    detector found.
 
     Args:
         env: an environment of this project; wrappers must keep the form of observations and actions.
@@ -73,45 +73,16 @@ def _check_environment(env: Any) -> None:
         raise ArgumentError(f"env must be a USNET environment, got {quote(env)}.")
 
 
-def _stack(values: Sequence[NDArray[Any] | None], absent: int = 0) -> Any:
+def _stack(values: Sequence[ArrayLike | None], absent: int = 0) -> Any:
     """Stack an optional part of the answers; it is full of ``absent`` where a round lacks it, ``None`` if all do."""
     given = [value for value in values if value is not None]
-    if not given or len({value.shape for value in given}) > 1:
-        return None
-    return np.stack([np.full_like(given[0], absent) if value is None else value for value in values])
+    return np.stack([np.full_like(given[0], absent) if value is None else value for value in values]) if given else None
 
 
-def _read_extra(answer: Detection, name: str, fits: Callable[[tuple[int, ...]], bool]) -> Floats | None:
-    """Finite numbers in ``extras`` whose shape ``fits``; ``None`` without them."""
-    try:
-        values = np.asarray(answer.extras.get(name), np.float64)
-    except (TypeError, ValueError):
-        return None
-    return values if fits(values.shape) and np.isfinite(values).all() else None
-
-
-def _flatten_features(answer: Detection) -> Floats | None:
-    """``(N, 2)``: ``extras["features"]``, ``(N, …)``, in the plane of their principal axes; ``None`` without them."""
-    from sklearn.decomposition import PCA
-
-    values = _read_extra(answer, "features", lambda shape: len(shape) > 1 and shape[0] == len(answer.scores))
-    if values is None:
-        return None
-    flat = values.reshape(len(values), -1)
-    known = flat.any(axis=1)  # the features of destroyed UAVs are 0
-    plane = np.zeros((len(flat), 2))
-    if min(known.sum(), flat.shape[1]) > 1:
-        plane[known] = PCA(2, svd_solver="full").fit_transform(flat[known])
-    return plane
-
-
-def _list_reasons(answers: Sequence[Detection]) -> list[dict[str, str]] | None:
-    """The sentences of ``extras["reasons"]`` by the UAVs of ``extras["heads"]``; ``None`` if no answer has any."""
-    rounds = []
-    for answer in answers:
-        named, given = answer.extras.get("heads", ()), answer.extras.get("reasons", ())
-        rounds.append({str(int(i)): str(why) for i, why in zip(named, given, strict=False)})
-    return rounds if any(rounds) else None
+def _list_reasons(answer: Detection) -> dict[str, str]:
+    """The sentences of ``extras["reasons"]`` by the UAVs of ``extras["heads"]``."""
+    named, given = answer.extras.get("heads", ()), answer.extras.get("reasons", ())
+    return {str(int(i)): str(why) for i, why in zip(named, given, strict=False)}
 
 
 def _find_roots(answer: Detection) -> Indices:
@@ -124,15 +95,6 @@ def _find_roots(answer: Detection) -> Indices:
     return root
 
 
-def _describe_tracks(game: Any, rounds: Sequence[PlayedRound[Detection]]) -> dict[str, Any]:
-    """What the record of recorded tracks has beside arguments: the ids, the step and the times of the windows."""
-    tracks = getattr(game, "tracks", None)
-    if tracks is None:
-        return {}
-    times = {name: [played.info[name] for played in rounds] for name in ("start", "end")}
-    return {"ids": list(tracks.ids), "step": tracks.step, "frame": tracks.frame, **times}
-
-
 def _make_record(
     env: gym.Env[Any, Any],
     rounds: Sequence[PlayedRound[Detection]],
@@ -141,18 +103,17 @@ def _make_record(
     detector_seed: int | None,
     label: str,
 ) -> EpisodeRecord:
-    """The record of the rounds of an episode; the arguments are those of :func:`record_episode`.
-
-    If the truth is unknown, the heads and roots are those of the answers, there are no decoys, J is 0, and the record
-    says of every round that no UAV was destroyed.
-    """
+    """The record of an episode; if the truth is unknown, its heads and roots are those of the answers."""
     truths, answers = [played.truth for played in rounds], [played.answer for played in rounds]
     windows = [Window.from_observation(played.observation) for played in rounds]
     game: Any = env.unwrapped
     labelled = bool(getattr(game, "labelled", True))
     candidates = np.stack([answer.candidates for answer in answers])
-    square = 2 * candidates.shape[1:]
-    heads = [_read_extra(answer, "attention_heads", lambda shape: shape[1:] == square) for answer in answers]
+    reasons = [_list_reasons(answer) for answer in answers]
+    config = describe_arguments(game.config) | describe_arguments(game.rules)
+    if tracks := getattr(game, "tracks", None):
+        times = {name: [played.info[name] for played in rounds] for name in ("start", "end")}
+        config |= {"ids": list(tracks.ids), "step": tracks.step, "frame": tracks.frame, **times}
     return EpisodeRecord(
         position=np.stack([window.position for window in windows]),
         velocity=np.stack([window.velocity for window in windows]),
@@ -169,26 +130,21 @@ def _make_record(
         clusters=_stack([answer.clusters for answer in answers], absent=-1),
         leader_estimate=_stack([answer.leader for answer in answers], absent=-1),
         attention=_stack([answer.attention for answer in answers]),
-        attention_heads=_stack(heads),
-        probability=_stack([_read_extra(answer, "probability", bool) for answer in answers]),
-        features=_stack([_flatten_features(answer) for answer in answers]),
-        reasons=_list_reasons(answers),
+        probability=_stack([answer.extras.get("probability") for answer in answers]),
+        reasons=reasons if any(reasons) else None,
         problem=game.problem,
         env_id=env.spec.id if env.spec is not None else type(game).__name__,
         seed=seed,
         detector=label,
         detector_seed=detector_seed,
-        config=describe_arguments(game.config) | describe_arguments(game.rules) | _describe_tracks(game, rounds),
+        config=config,
         versions=versions(),
         labelled=labelled,
     )
 
 
 class RecordReplay(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
-    """Write episodes as episode files, used like Gymnasium's ``RecordVideo``.
-
-    An episode is written when it ends, or with the rounds that were played when :meth:`reset` or :meth:`close` is
-    called before. Its answers are the actions alone, unless :meth:`note` is called with the detection before each step.
+    """Write episodes as episode files, used like Gymnasium's ``RecordVideo``; also those that are left before the end.
 
     Args:
         env: an environment of this project; wrappers below must keep the form of observations and actions.
@@ -214,8 +170,6 @@ class RecordReplay(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorA
         self.folder = as_path("folder", folder)
         self._trigger, self._label = trigger, label
         self._episode = -1
-        self._seed: int | None = None
-        self._observation: Any = None
         self._noted: Detection | None = None
         self._rounds: list[PlayedRound[Detection]] = []
         self._seconds: list[float] = []
@@ -230,7 +184,7 @@ class RecordReplay(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorA
         return self._observation, info
 
     def note(self, detection: Detection) -> None:
-        """Keep the detection from which the next action is made: its scores, clusters, leaders and the rest."""
+        """Keep the detection from which the next action is made; without it, the record holds the action alone."""
         self._noted = detection
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
@@ -254,7 +208,6 @@ class RecordReplay(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorA
         super().close()
 
     def _write(self) -> None:
-        """Write the rounds that were played since the last call, if there are any and the trigger wants them."""
         if self._rounds and (self._trigger is None or self._trigger(self._episode)):
             record = _make_record(self.env, self._rounds, self._seconds, self._seed, None, self._label)
             record.save(self.folder / f"episode-{self._episode}.npz")

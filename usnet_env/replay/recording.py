@@ -27,11 +27,7 @@ _SERIES = (0x56B4E9FF, 0xF0C04AFF)  # of the curves
 
 
 def list_steps(record: EpisodeRecord) -> Indices:
-    """List the simulated step of every sample, ``(R, T_ob + 1)`` int64, counted from the start of the swarm.
-
-    A round begins with ``memory`` unobserved steps after a re-merge; the window follows, with a sample every
-    ``sample_every`` steps. Where ``config`` lacks these two, the steps count the samples.
-    """
+    """The simulated step of every sample, ``(R, T_ob + 1)``: ``memory`` unobserved steps, then a window, and so on."""
     every, memory = int(record.config.get("sample_every", 1)), int(record.config.get("memory", 0))
     samples = record.position.shape[1]
     flown = memory + (samples - 1) * every
@@ -44,8 +40,7 @@ def lighten(colors: Sequence[str] | NDArray[np.str_]) -> NDArray[np.uint8]:
     return np.insert(90 + 0.65 * paper, 3, 255, axis=1).astype(np.uint8)
 
 
-def fade(colors: NDArray[np.uint8], alpha: float) -> NDArray[np.uint8]:
-    """Colours ``(n, 4)`` that are transparent by a factor."""
+def _fade(colors: NDArray[np.uint8], alpha: float) -> NDArray[np.uint8]:
     return (colors * np.array([1, 1, 1, alpha])).astype(np.uint8)
 
 
@@ -62,20 +57,17 @@ def find_groups(record: EpisodeRecord, r: int) -> Indices:
 
 
 def attention_sheet(record: EpisodeRecord, r: int) -> NDArray[np.uint8]:
-    """The weights of round ``r`` (from 0), and beside them those of each attention head, as a grey image.
+    """The weights of round ``r`` (from 0) as a grey image; the largest weight of a row is white.
 
-    Rows and columns are the living UAVs, sorted by their found group, so that groups are blocks on the diagonal. The
-    largest weight of a row is white.
+    Rows and columns are the living UAVs, sorted by their found group, so that groups are blocks on the diagonal.
     """
     assert record.attention is not None
-    groups = np.where(find_groups(record, r) < 0, record.uavs, find_groups(record, r))
-    order = np.lexsort((~record.candidates[r], groups))
+    groups = find_groups(record, r)
+    order = np.lexsort((~record.candidates[r], np.where(groups < 0, record.uavs, groups)))
     order = order[record.alive[r][order]]
-    heads = () if record.attention_heads is None else record.attention_heads[r]
-    maps = np.stack([record.attention[r], *heads])[:, order][..., order]
-    maps /= np.maximum(maps.max(axis=2, keepdims=True), 1e-12)
-    framed = np.pad(maps, ((0, 0), (1, 1), (1, 1)), constant_values=0.3)
-    return (255 * np.hstack(list(framed)).clip(0, 1)).astype(np.uint8)
+    weights = record.attention[r][np.ix_(order, order)]
+    weights /= np.maximum(weights.max(axis=1, keepdims=True), 1e-12)
+    return (255 * weights.clip(0, 1)).astype(np.uint8)
 
 
 class EpisodeWriter:
@@ -113,7 +105,9 @@ class EpisodeWriter:
         self._write_observers()
         for r in range(self.record.rounds):
             self.at(r, 0)
-            self.log("world", self.rr.Transform3D(translation=-self._middle(r)))  # a fixed camera shows all rounds
+            known = self.record.position[r][self.record.seen[r]]
+            if len(known):  # a fixed camera shows all rounds
+                self.log("world", self.rr.Transform3D(translation=-(known.min(axis=0) + known.max(axis=0)) / 2))
             for path in ("world/found", "world/verdict", "mind", "scores"):
                 self.log(path, self.rr.Clear(recursive=True))
             texts = tell_round(self.record, r + 1, self.names)
@@ -123,10 +117,6 @@ class EpisodeWriter:
             self._write_window(r)
             self._write_answer(r)
             self._write_end(r)
-
-    def _middle(self, r: int) -> Singles:
-        known = self.record.position[r][self.record.seen[r]]
-        return (known.min(axis=0) + known.max(axis=0)) / 2 if len(known) else np.zeros(3, np.float32)
 
     def _write_window(self, r: int) -> None:
         record, alive = self.record, self.record.alive[r]
@@ -138,8 +128,8 @@ class EpisodeWriter:
             kept = np.unique(np.linspace(0, instant, min(instant + 1, _POINTS)).astype(int))
             seen, position = record.seen[r, kept], record.position[r, kept]
             strips = [position[seen[:, i], i] for i in np.flatnonzero(alive)]
-            look: dict[str, Any] = {"colors": fade(self.colors[r][alive], 0.6), "radii": 0.9 * self.scale}
-            self.log("world/swarm/tracks", self.rr.LineStrips3D(strips, **look))
+            colors = _fade(self.colors[r][alive], 0.6)
+            self.log("world/swarm/tracks", self.rr.LineStrips3D(strips, colors=colors, radii=0.9 * self.scale))
             place = last_seen_position(record.position[r, : instant + 1], record.seen[r, : instant + 1])
             self._log_links(place, np.where(alive, record.root[r], -1), self.colors[r])
 
@@ -154,11 +144,10 @@ class EpisodeWriter:
         both = np.isfinite(place[:, 0] + place[root, 0])
         linked = np.flatnonzero((root >= 0) & (root != np.arange(len(root))) & both)
         strips = place[np.stack([linked, root[linked]], axis=1)]
-        look: dict[str, Any] = {"colors": fade(colors[linked], 0.3), "radii": 0.5 * self.scale}
-        self.log("world/swarm/links", self.rr.LineStrips3D(strips, **look))
+        links = self.rr.LineStrips3D(strips, colors=_fade(colors[linked], 0.3), radii=0.5 * self.scale)
+        self.log("world/swarm/links", links)
 
     def _write_answer(self, r: int) -> None:
-        """Write what the detector found, what it thought, and the verdict."""
         record, rr, place = self.record, self.rr, self.last[r]
         self.at(r, self.answer)
         seen = np.isfinite(place[:, 0])
@@ -174,8 +163,8 @@ class EpisodeWriter:
         pairs = record.hierarchy(r + 1)
         if pairs is not None:
             pairs = pairs[seen[pairs].all(axis=1)]
-            look = {"colors": fade(colors[pairs[:, 0]], 0.35), "radii": 0.6 * self.scale}
-            self.log("world/found/links", rr.LineStrips3D(place[pairs], **look))
+            links = rr.LineStrips3D(place[pairs], colors=_fade(colors[pairs[:, 0]], 0.35), radii=0.6 * self.scale)
+            self.log("world/found/links", links)
         self._log_rings("world/found/candidates", r, record.candidates[r] & seen, _NAMED, labels)
         words = mark_words(record, r + 1)
         for word in [word for word in _MARKS if (words == word).any()]:
@@ -186,11 +175,6 @@ class EpisodeWriter:
             self.log(f"scores/{word}", rr.BarChart(record.scores[r, who], color=_MARKS[word], abscissa=who))
         if record.attention is not None:
             self.log("mind/attention", rr.Image(attention_sheet(record, r)))
-        if record.features is not None:
-            size = 2 * max(float(np.abs(record.features[r]).max()), 1e-12)
-            look = {"labels": [self.names[i] for i in living], "show_labels": False, "colors": colors[living]}
-            look["radii"] = np.where(record.candidates[r], 0.022, 0.01)[living]
-            self.log("mind/features", rr.Points2D(record.features[r, living] / size, **look))
 
     def _log_rings(self, path: str, r: int, who: Mask, color: int, labels: Sequence[str]) -> None:
         rings = np.flatnonzero(who).tolist()
@@ -202,7 +186,6 @@ class EpisodeWriter:
         self.log(path, kind(centers=self.last[r][who], half_sizes=half * (0.8 if width == "radii" else 1.0), **look))
 
     def _write_end(self, r: int) -> None:
-        """Write the destruction, the followers that join another head, and the numbers after the round."""
         record, rr = self.record, self.rr
         left, orphans = record.alive[r] & ~record.destroyed[r], record.orphans[r]
         grey = np.where(orphans[:, None], lighten([NO_CLUSTER_COLOR]), self.colors[r])
@@ -220,15 +203,12 @@ class EpisodeWriter:
         self.log("world/swarm/destroyed", gone)
         if not record.recorded:
             for name, value in (("J", record.objective[r]), ("heads_left", record.heads_left[r])):
-                look: dict[str, Any] = {
-                    "colors": _SERIES[self.root == "b/"],
-                    "names": f"{name} {self.root}".rstrip(" /"),
-                }
+                names = f"{name} {self.root}".rstrip(" /")
+                look: dict[str, Any] = {"colors": _SERIES[self.root == "b/"], "names": names}
                 self.log(f"game/{name}", rr.SeriesPoints(marker_sizes=5, **look), rr.SeriesLines(**look), static=True)
                 self.log(f"game/{name}", rr.Scalars(value))
 
     def _write_observers(self) -> None:
-        """Write the places of the observers, with circles of their sensing ranges."""
         if self.record.observers is None:
             return
         place, ranges = self.record.observers[:, None, :3], self.record.observers[:, 3]

@@ -1,8 +1,4 @@
-"""Rerun recordings with their layout: one of an episode, and one of two episodes that began with the same swarm.
-
-Rerun is an extra (``pip install 'usnet[replay]'``) and is imported only when a recording is written. Each recording has
-a stream of its own; Rerun's global state does not change.
-"""
+"""Rerun recordings with their layout: one of an episode, and one of two episodes that began with the same swarm."""
 
 from __future__ import annotations
 
@@ -75,19 +71,13 @@ def _arrange(writers: Sequence[EpisodeWriter], labels: Sequence[str]) -> rrb.Blu
         charts.append(rrb.BarChartView(origin=f"{root}scores", name=f"{prefix}scores by index"))
         if single and record.attention is not None:
             charts.append(rrb.Spatial2DView(origin=f"{root}mind/attention", name="Attention of a UAV (row)"))
-        if single and record.features is not None:
-            charts.append(rrb.Spatial2DView(origin=f"{root}mind/features", name="Feature space"))
-    curves = [
-        rrb.TimeSeriesView(
-            origin="/", contents=[f"/{writer.root}game/{name}" for writer in writers], name=name.replace("_", " ")
-        )
-        for name in ("J", "heads_left") * (not record.recorded)
-    ]
+    for name in ("J", "heads_left") * (not record.recorded):
+        paths = [f"/{writer.root}game/{name}" for writer in writers]
+        charts.append(rrb.TimeSeriesView(origin="/", contents=paths, name=name.replace("_", " ")))
     about = rrb.TextDocumentView(origin="/about", name="What you see")
     above = rrb.Horizontal(*columns, about, column_shares=[4] * (len(columns) - single) + [2] * (1 + single))
-    below = rrb.Horizontal(*charts, *curves)
     panel = rrb.TimePanel(state="collapsed", timeline="time", play_state="paused", loop_mode="off")
-    return rrb.Blueprint(rrb.Vertical(above, below, row_shares=[3, 1.4]), panel, collapse_panels=True)
+    return rrb.Blueprint(rrb.Vertical(above, rrb.Horizontal(*charts), row_shares=[3, 1.4]), panel, collapse_panels=True)
 
 
 def _find_span(record: EpisodeRecord) -> float:
@@ -140,12 +130,7 @@ def write_recording(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path
 
 
 def write_comparison(first: EpisodeRecord, second: EpisodeRecord, path: str | os.PathLike[str]) -> Path:
-    """Write two episodes that began with the same swarm as one recording, side by side; see :func:`write_recording`.
-
-    Raises:
-        ArgumentError: the first windows of the episodes differ, or the place can't be written to.
-        MissingExtraError: rerun-sdk is not installed.
-    """
+    """Write two episodes with the same first window side by side, with the errors of :func:`write_recording`."""
     if not np.array_equal(first.position[0], second.position[0]):
         raise ArgumentError("second must begin with the same swarm as first, got an episode with another first window.")
     return _write([first, second], path)

@@ -19,7 +19,7 @@ _MOST_LISTED = 30  # rows of the table of a round's candidates
 
 
 def name_uav(record: EpisodeRecord, uav: int) -> str:
-    """Name a UAV: its id in the file of recorded tracks, or its number."""
+    """The id of a UAV in the file of recorded tracks, or its number."""
     ids = record.config.get("ids")
     return f"UAV {uav}" if ids is None else str(ids[uav])
 
@@ -77,10 +77,10 @@ def mark_words(record: EpisodeRecord, number: int) -> NDArray[np.object_]:
     r = number - 1
     named, target = record.candidates[r], record.head & record.alive[r]
     words = np.full(record.uavs, OTHER, object)
-    if not record.labelled:
+    if record.labelled:
+        words[target], words[named], words[named & target] = MISSED, REDUNDANT, HIT
+    else:
         words[named] = LEADER
-        return words
-    words[named & target], words[named & ~target], words[target & ~named] = HIT, REDUNDANT, MISSED
     return words
 
 
@@ -109,9 +109,8 @@ def tell_round(record: EpisodeRecord, number: int, names: Sequence[str]) -> tupl
 
 def explain_replay(records: Sequence[EpisodeRecord], labels: Sequence[str]) -> str:
     """Explain a recording of one or two episodes in Markdown."""
-    outcomes = "\n".join(
-        f"- **{label}:** {describe_outcome(each)}" for label, each in zip(labels, records, strict=True)
-    )
+    told = zip(labels, map(describe_outcome, records), strict=True)
+    outcomes = "\n".join(f"- **{label}:** {outcome}" for label, outcome in told)
     if not records[0].labelled:
         return f"{outcomes}\n\nThe truth is unknown: colours, links and green marks show what the detector found.\n"
     return f"""{outcomes}

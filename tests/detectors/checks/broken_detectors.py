@@ -71,12 +71,6 @@ class Remembers(Good):
         return Detection(answer.candidates, answer.scores + self.past)
 
 
-class ReplacesAnArray(Good):
-    def detect(self, window):
-        object.__setattr__(window, "position", window.position + 1)
-        return super().detect(window)
-
-
 class DrawsFromNumPy(Good):
     def detect(self, window):
         sys.modules["numpy.random"].random()
