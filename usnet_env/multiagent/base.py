@@ -27,7 +27,7 @@ from usnet_env.envs.game import (
     title_round,
 )
 from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState
-from usnet_env.swarm.config import Count, SizeArguments, Sizes, SwarmArguments
+from usnet_env.swarm.config import Count, SizeArguments, SwarmArguments
 
 try:
     from pettingzoo import AECEnv, ParallelEnv
@@ -57,12 +57,6 @@ class RoundRecord:
 class GameArguments(RenderArguments, RoundArguments, SizeArguments, SwarmArguments):
     """The arguments that both games take."""
 
-    uavs: Count = Field(82, description="N, number of UAVs; decoys count")
-    cluster_sizes: Sizes | None = Field(
-        None,
-        description="followers of each cluster, at least 2; their sum is ``uavs`` − ``clusters`` − ``decoys``; "
-        "``None``: drawn for each episode",
-    )
     max_cycles: Count | None = Field(
         None, description="largest number of steps; `usnet_evasion_v0` has one step more than rounds, the opening"
     )

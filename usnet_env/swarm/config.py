@@ -57,9 +57,7 @@ class MobilityArguments(Config):
     )
     head_jitter: bool = Field(False, description="add the followers' noise κ_n n to heads and decoys")
     kinematics: str | Kinematics = Field(
-        "unit",
-        description="how every UAV flies in the direction that it wants: ``unit`` (1 m per step), ``varied_speed``, "
-        "``lagged``, ``limited``, ``layered``, …",
+        "unit", description="how UAVs fly: ``unit`` (1 m per step), ``varied_speed``, ``lagged``, ``limited``, …"
     )
 
 
@@ -77,9 +75,7 @@ class SizeArguments(Config):
     clusters: Count = Field(5, description="M, number of clusters")
     uavs: Count = Field(82, description="N, number of UAVs; decoys, bystanders, traffic and false tracks count")
     cluster_sizes: Sizes | None = Field(
-        None,
-        description="followers of each cluster, at least 2; their sum is ``uavs`` − ``clusters`` − ``decoys`` − "
-        "``bystanders`` − ``traffic`` − ``clutter``; ``None``: drawn for each episode",
+        None, description="followers of each cluster, at least 2; ``None``: drawn for each episode"
     )
 
 
@@ -88,18 +84,12 @@ class SensorArguments(Config):
 
     position_noise: Metres = Field(0.0, description="standard deviation of the observed positions on each axis, m")
     miss_rate: Rate = Field(0.0, description="probability that a UAV is not detected at a sampling instant")
-    noise_memory: Rate = Field(
-        0.0, description="correlation of the position noise from one sampling instant to the next"
-    )
+    noise_memory: Rate = Field(0.0, description="correlation of the position noise from one instant to the next")
     course_noise: Ratio = Field(1.0, description="position noise along the course of a UAV, in units of that across it")
-    miss_burst: Burst = Field(
-        0.0, description="mean number of sampling instants that a UAV is missed in a row; 0: each by itself"
-    )
+    miss_burst: Burst = Field(0.0, description="mean number of missed detections in a row; 0: each by itself")
     partial_tracks: Share = Field(0.0, description="probability that a track begins late or ends early in a window")
     swap_rate: Share = Field(
-        0.0,
-        description="probability that a UAV exchanges its identity with the nearest UAV within 20 m at a sampling "
-        "instant, until the end of the window",
+        0.0, description="probability at an instant that a UAV exchanges its identity with the nearest within 20 m"
     )
 
 

@@ -60,9 +60,8 @@ class FieldStrategy(FollowStrategy):
         table = np.empty((field_kernels.COLUMNS, uavs), np.float32)
         table[field_kernels.DELAY] = rng.integers(self.delays[0], self.delays[1] + 1, uavs)
         table[field_kernels.GAIN] = rng.uniform(*self.gains, uavs)
-        table[field_kernels.NOISE] = self.noise * np.exp(
-            rng.uniform(np.log(self.noises[0]), np.log(self.noises[1]), uavs)
-        )
+        low, high = np.log(self.noises)
+        table[field_kernels.NOISE] = self.noise * np.exp(rng.uniform(low, high, uavs))
         table[field_kernels.SALT] = rng.integers(2**24, size=uavs)
         table[field_kernels.OFFSET :] = self.draw_slots(rng, uavs)
         return table.ravel()
@@ -244,10 +243,6 @@ class Independent(FieldStrategy):
     def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
         """No UAV of a cluster has a head, and each is its own source."""
         return roles.without_heads(source=np.arange(len(roles.root)))
-
-    def fly(self, flight: TrajectoryBatch) -> None:
-        """All velocities are given."""
-        kernels.integrate(flight.start, flight.position, flight.velocity)
 
 
 @dataclass(frozen=True)

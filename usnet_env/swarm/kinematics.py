@@ -1,8 +1,7 @@
 """Kinematics: what a UAV can fly, apart from what it wants.
 
 A mobility or a follow strategy says in which direction a UAV wants to fly; its kinematics turns this direction into its
-velocity, step by step. With ``unit``, the default, every UAV flies 1 m per step in that direction. The other models
-here have a compiled step; a model of a user defines :meth:`Kinematics.steer` in NumPy.
+velocity, step by step. The models here have a compiled step; one of a user defines :meth:`Kinematics.steer` in NumPy.
 """
 
 from __future__ import annotations
@@ -219,13 +218,7 @@ KINEMATICS = Registry(
     "usnet.kinematics",
     __name__,
     _accept_kinematics,
-    {
-        "unit": Unit(),
-        "varied_speed": VariedSpeed(),
-        "lagged": Lagged(),
-        "limited": Limited(),
-        "layered": Layered(),
-    },
+    {"unit": Unit(), "varied_speed": VariedSpeed(), "lagged": Lagged(), "limited": Limited(), "layered": Layered()},
 )
 
 #: Register a model, so that ``kinematics=name`` selects it; see :meth:`usnet_env.parts.Registry.register`.
