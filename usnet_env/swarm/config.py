@@ -27,6 +27,7 @@ Ratio = Annotated[float, Field(ge=0, le=100)]
 Burst = Annotated[float, Field(ge=0, le=10_000)]
 Rate = Annotated[float, Field(ge=0, lt=1)]
 Share = Annotated[float, Field(ge=0, le=1)]
+Price = Annotated[float, Field(ge=0, le=1e6)]
 
 
 class SwarmArguments(Config):
@@ -35,11 +36,9 @@ class SwarmArguments(Config):
     follow: str | FollowStrategy = Field(
         "f1", description='follow strategy: ``"f1"`` to ``"f7"``, a registered name, or ``"none"`` (no UAV follows)'
     )
-    formation: str = Field(
-        "uniform", description="initial positions: ``uniform`` in 1000 × 1000 × 100 m, or ``around`` the heads"
-    )
+    formation: str = Field("uniform", description="initial positions: ``uniform`` in the arena, or ``around`` heads")
     memory: Steps = Field(
-        4, description="T_0, number of past steps that a follow strategy may use, and of unobserved steps in a round"
+        4, description="T_0, past steps that a follow strategy may use, and unobserved ones in a round"
     )
     decoys: Few = Field(0, description="number of UAVs that move like heads but have no followers")
     follow_seed: Annotated[int, Field(ge=0, lt=2**63)] | None = Field(
@@ -52,13 +51,9 @@ class SwarmArguments(Config):
 class MobilityArguments(Config):
     """How heads and decoys move."""
 
-    mobility: str | Mobility = Field(
-        "iid", description="how heads and decoys move: ``iid``, ``gauss_markov``, ``smooth_turn``, ``waypoint``, …"
-    )
+    mobility: str | Mobility = Field("iid", description="how heads and decoys move: ``iid``, ``gauss_markov``, …")
     head_jitter: bool = Field(False, description="add the followers' noise κ_n n to heads and decoys")
-    kinematics: str | Kinematics = Field(
-        "unit", description="how UAVs fly: ``unit`` (1 m per step), ``varied_speed``, ``lagged``, ``limited``, …"
-    )
+    kinematics: str | Kinematics = Field("unit", description="how UAVs fly: ``unit`` (1 m per step), ``lagged``, …")
 
 
 class BystanderArguments(Config):
@@ -95,8 +90,6 @@ class SensorArguments(Config):
 
 class SwarmConfig(SensorArguments, SizeArguments, BystanderArguments, MobilityArguments, SwarmArguments):
     """A swarm of M clusters with N UAVs, and its observer. Lengths in metres, times in steps.
-
-    ``follow``, ``mobility`` and ``kinematics`` may also be objects.
 
     Raises:
         ArgumentError: an argument has the wrong type or is out of range.

@@ -83,8 +83,7 @@ def _draw_term(rng: np.random.Generator, kind: str) -> Term:
     if kind == "network":
         inner, outer = rng.normal(0.0, 1.0, (6, 8)), rng.standard_normal((8, 3)) / np.sqrt(8)
         layer = inner.astype(np.float32), outer.astype(np.float32)
-    lag = int(rng.integers(0, 3))
-    return Term(kind, lag, float(rng.choice([-1.0, 1.0]) * rng.uniform(0.5, 1.5)), layer)
+    return Term(kind, int(rng.integers(0, 3)), float(rng.choice([-1.0, 1.0]) * rng.uniform(0.5, 1.5)), layer)
 
 
 def random_follow_strategy(rng: np.random.Generator) -> RandomFollowStrategy:
