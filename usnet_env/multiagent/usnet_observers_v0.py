@@ -67,6 +67,9 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
 
     ## Arguments
     {arguments}
+
+    ## Version History
+    * v0: first version
     """
 
     metadata: ClassVar[dict[str, Any]] = {**base.UsnetParallelEnv.metadata, "name": "usnet_observers_v0"}
