@@ -8,7 +8,7 @@ from flights import fly, generators, unit
 
 from usnet_env import ArgumentError, register_follow_strategy
 from usnet_env.swarm import FOLLOW_STRATEGIES, FollowStrategy, SwarmConfig, advance, destroy, start
-from usnet_env.swarm.follow import Lags, Network, follow_strategy
+from usnet_env.swarm.follow import Lags, Network
 from usnet_env.swarm.random_follow import random_follow_strategy
 from usnet_env.swarm.strategy import FollowInputs, TrajectoryBatch
 
@@ -19,7 +19,7 @@ NAMES = ["f1", "f2", "f3", "f4", "f5", "f6", "f7"]
 @pytest.mark.parametrize("name", NAMES[:6])
 def test_noise_free_flight_obeys_the_row_of_table_2(name, formation):
     """Written out from the table, UAV by UAV and step by step, with kappa_n = 0."""
-    swarm, window = fly(replace(follow_strategy(name), noise=0.0), formation=formation, memory=4, uavs=9)
+    swarm, window = fly(replace(FOLLOW_STRATEGIES[name], noise=0.0), formation=formation, memory=4, uavs=9)
     p, v = window.position[0].astype(float), window.velocity[0].astype(float)
     followers = np.flatnonzero(~swarm.head)
     near = 0
@@ -138,7 +138,7 @@ def cosine(a, b):
 def test_random_strategies_are_none_of_the_seven():
     rng = np.random.default_rng(0)
     inputs = random_inputs(rng)
-    tables = [follow_strategy(name).direction(inputs) for name in NAMES[:6]]
+    tables = [FOLLOW_STRATEGIES[name].direction(inputs) for name in NAMES[:6]]
     for _ in range(400):
         wanted = random_follow_strategy(rng).direction(inputs)
         assert max(cosine(wanted, table) for table in tables) < 0.995

@@ -106,9 +106,7 @@ class FieldArguments(OutputArguments, game.RoundArguments):
     uavs: Count = Field(82, description="N, number of UAVs")
     observation_steps: Count = Field(100, description="T_ob, number of velocity samples in a window")
     sample_every: Steps = Field(1, description="the observer samples every k-th step")
-    memory: Steps = Field(
-        12, description="T_0, number of past steps that a follow strategy may use, and of unobserved steps in a round"
-    )
+    memory: Steps = Field(12, description="T_0, past steps that UAVs may use, and unobserved steps in a round")
     follow: str | FollowStrategy | None = _drawn("follow strategy")
     mobility: str | Mobility | None = _drawn("how heads and decoys move")
     kinematics: str | Kinematics | None = _drawn("how UAVs fly")

@@ -16,7 +16,7 @@ from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.drawing import describe_frame
 from usnet_env.objectives import hits_and_redundant, single_cluster_objective
 from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState, advance, destroy, start
-from usnet_env.swarm.config import Count
+from usnet_env.swarm.config import Count, Price
 
 COUNTERS = ("rounds", "redundant", "terminated", "truncated")
 UNANSWERED = "round 1: observed, no answer yet"  # the title of the picture of a window before the first round
@@ -25,29 +25,22 @@ UNANSWERED = "round 1: observed, no answer yet"  # the title of the picture of a
 class ShotArguments(Config):
     """The arguments about candidates, which both problems have."""
 
-    shot_budget: Count | None = Field(
-        None, description="largest number of candidates in a round; a larger set destroys no UAV"
-    )
-    redundancy_price: Annotated[float, Field(ge=0, le=1e6)] = Field(
-        1.0, description="price of a redundant candidate; 1 gives the paper's objective"
-    )
+    shot_budget: Count | None = Field(None, description="most candidates in a round; a larger set destroys no UAV")
+    redundancy_price: Price = Field(1.0, description="price of a redundant candidate; 1 gives the paper's objective")
 
 
 class RoundArguments(ShotArguments):
     """The arguments of P2."""
 
     max_rounds: Annotated[int, Field(ge=1, le=10_000)] = Field(
-        20, description="R_m, number of rounds after which the game is truncated"
+        20, description="R_m, rounds until the game is truncated"
     )
 
 
 class Rules(RoundArguments):
     """The rules: the problem, its limits and its prices."""
 
-    problem: Literal["P1", "P2"] = Field(
-        "P2",
-        description='``"P1"`` (one cluster, one round) or ``"P2"`` (several clusters, rounds until no head is left)',
-    )
+    problem: Literal["P1", "P2"] = Field("P2", description="one cluster and one round, or rounds until no head is left")
 
 
 class RenderArguments(Config):
@@ -140,8 +133,7 @@ def play_round(rules: Rules, state: GameState, candidates: Mask) -> tuple[GameSt
         objective = single_cluster_objective(swarm.head, fired)
         missed = np.where((hits > 0) | (objective == 0), 0.0, -1.0)
         terms = {"reward_hit": missed, "reward_redundancy": price * (objective - missed)}
-        terminated = np.ones(len(left), bool)
-        truncated = np.zeros(len(left), bool)
+        terminated, truncated = np.ones(len(left), bool), np.zeros(len(left), bool)
     else:
         terms = {"reward_round": np.full(len(left), -1.0), "reward_redundancy": -price * redundant / uavs}
         objective = rounds + total / uavs
@@ -197,23 +189,18 @@ def observe_windows(
         The games at the end of the window, and the observation with a leading axis B.
     """
     running = np.flatnonzero(~state.terminated)
+    swarm, window = state.swarm, ObservationBatch.unseen(config, state.swarm.alive)
     if len(running) == len(rngs):
-        swarm, observed = advance(config, state.swarm, rngs)
-        return replace(state, swarm=swarm), _make_observation(state, observed)
-    swarm, whole = state.swarm, ObservationBatch.unseen(config, state.swarm.alive)
-    if len(running):
+        swarm, window = advance(config, swarm, rngs)
+    elif len(running):
         part, observed = advance(config, swarm.rows(running), [rngs[int(b)] for b in running])
         swarm = swarm.with_rows(running, part)
         for name in ("position", "velocity", "seen"):
-            getattr(whole, name)[running] = getattr(observed, name)
-    return replace(state, swarm=swarm), _make_observation(state, whole)
-
-
-def _make_observation(state: GameState, observed: ObservationBatch) -> Observation:
-    return {
-        "position": observed.position,
-        "velocity": observed.velocity,
-        "seen": observed.seen.view(np.int8),
-        "alive": observed.alive.astype(np.int8),
+            getattr(window, name)[running] = getattr(observed, name)
+    return replace(state, swarm=swarm), {
+        "position": window.position,
+        "velocity": window.velocity,
+        "seen": window.seen.view(np.int8),
+        "alive": window.alive.astype(np.int8),
         "round": (state.rounds[:, None] + 1).astype(np.float32),
     }

@@ -4,21 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 import gymnasium as gym
 import numpy as np
 
-from usnet_env.arrays import Mask
 from usnet_env.swarm import SwarmState
 
-
-class _Answer(Protocol):
-    @property
-    def candidates(self) -> Mask: ...
-
-
-AnswerT = TypeVar("AnswerT", bound=_Answer)
+AnswerT = TypeVar("AnswerT")  # it has ``candidates``, ``(N,)`` bool
 
 
 @dataclass(frozen=True)
@@ -44,7 +37,7 @@ def play_rounds(
     over = False
     while not over:
         truth = game.swarm
-        answered = answer(observation, truth)
+        answered: Any = answer(observation, truth)
         following, _, terminated, truncated, info = env.step(answered.candidates.astype(np.int8))
         over = bool(terminated or truncated)
         yield PlayedRound(observation, truth, answered, info, game.swarm)

@@ -215,8 +215,7 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         if self.render_mode is None:
             return None
         state = game.require_game(self._game)
-        unanswered = self._window, state.swarm, None, game.UNANSWERED
-        window, swarm, candidates, title = self._last_round or unanswered
+        window, swarm, candidates, title = self._last_round or (self._window, state.swarm, None, game.UNANSWERED)
         roles, seen = swarm.episode().roles(), window["seen"].astype(bool)
         return self._frames.render(position=window["position"], seen=seen, candidates=candidates, title=title, **roles)
 

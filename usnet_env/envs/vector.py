@@ -17,14 +17,12 @@ from usnet_env.envs import game
 from usnet_env.envs.usnet import MultiClusterEnv, SingleClusterEnv, UsnetEnv
 from usnet_env.swarm import SwarmState
 
-MOST_ENVS = 1_000_000
-
 
 def check_batch(num_envs: Any, arguments: Mapping[str, Any]) -> int:
     """The number of games, if the arguments are those of a vector environment."""
     if arguments.get("render_mode") is not None:
         raise ArgumentError("render_mode must be None for a vector environment; use a single environment to render.")
-    return whole_number("num_envs", num_envs, 1, MOST_ENVS)
+    return whole_number("num_envs", num_envs, 1, 1_000_000)
 
 
 class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):

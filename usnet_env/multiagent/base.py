@@ -16,18 +16,10 @@ from pydantic import Field
 from usnet_env.arrays import Floats, Mask, Observation, Singles
 from usnet_env.config import ArgumentError, MissingExtraError, how_to_install, optional_seed, quote
 from usnet_env.drawing import EpisodeFrames
-from usnet_env.envs.game import (
-    UNANSWERED,
-    GameState,
-    RenderArguments,
-    RoundArguments,
-    Rules,
-    play_round,
-    require_game,
-    title_round,
-)
+from usnet_env.envs import game
+from usnet_env.envs.game import GameState, Rules
 from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState
-from usnet_env.swarm.config import Count, SizeArguments, Sizes, SwarmArguments
+from usnet_env.swarm.config import Count, SizeArguments, SwarmArguments
 
 try:
     from pettingzoo import AECEnv, ParallelEnv
@@ -54,18 +46,10 @@ class RoundRecord:
     metrics: dict[str, int | float]  # those of ``info``
 
 
-class GameArguments(RenderArguments, RoundArguments, SizeArguments, SwarmArguments):
+class GameArguments(game.RenderArguments, game.RoundArguments, SizeArguments, SwarmArguments):
     """The arguments that both games take."""
 
-    uavs: Count = Field(82, description="N, number of UAVs; decoys count")
-    cluster_sizes: Sizes | None = Field(
-        None,
-        description="followers of each cluster, at least 2; their sum is ``uavs`` − ``clusters`` − ``decoys``; "
-        "``None``: drawn for each episode",
-    )
-    max_cycles: Count | None = Field(
-        None, description="largest number of steps; `usnet_evasion_v0` has one step more than rounds, the opening"
-    )
+    max_cycles: Count | None = Field(None, description="most steps; `usnet_evasion_v0` has one more than rounds")
 
     def make_rules(self, opening: int = 0) -> Rules:
         """The rules of P2; ``opening`` is the number of steps before the first round."""
@@ -126,10 +110,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
     @property
     def swarm(self) -> SwarmState:
         """A copy of the true swarm, for evaluation and pictures; observers never receive it."""
-        return self._current_game().swarm.episode()
-
-    def _current_game(self) -> GameState:
-        return require_game(self._game)
+        return game.require_game(self._game).swarm.episode()
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Start:
         """Start a game with a seed of its generator (``None`` keeps the present one); ``options`` have no effect.
@@ -156,7 +137,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
 
     def _check_actions(self, actions: Any) -> dict[str, Any]:
         """The actions, one for each living agent."""
-        require_game(self._game if self.agents else None)
+        game.require_game(self._game if self.agents else None)
         if not isinstance(actions, Mapping) or set(actions) != set(self.agents):
             names = ", ".join(self.agents)
             raise ArgumentError(f"actions must map each of {names} to its action, got {quote(actions)}.")
@@ -164,8 +145,8 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
 
     def _play_round(self, candidates: Mask, scores: Floats) -> tuple[GameState, float, dict[str, NDArray[Any]]]:
         """Play a round, and keep it as :attr:`last_round`: the game after it, the reward, and the metrics."""
-        before = self._current_game()
-        state, rewards, metrics = play_round(self.rules, before, candidates[None])
+        before = game.require_game(self._game)
+        state, rewards, metrics = game.play_round(self.rules, before, candidates[None])
         truth = self._reveal_swarm(before)
         self.last_round = RoundRecord(self._current_window(), truth, candidates, scores, to_scalars(metrics))
         return state, float(rewards[0]), metrics
@@ -176,25 +157,22 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         For each UAV: position (m), velocity (m/step), 1 if it is alive, 1 if it is a head, 1 if it is a decoy, and the
         index of its root (-1 if it has none). The last value is the number of rounds played.
         """
-        game = self._current_game()
-        swarm = self._reveal_swarm(game)
-        columns = [swarm.alive, swarm.head, swarm.decoy, swarm.root]
-        table = np.concatenate(
-            [swarm.position, swarm.past_velocity[-1], np.stack(columns, axis=1).astype(np.float32)], axis=1
-        )
-        return np.append(table.reshape(-1), game.rounds[0]).astype(np.float32)
+        state = game.require_game(self._game)
+        swarm = self._reveal_swarm(state)
+        columns = [swarm.position, swarm.past_velocity[-1], swarm.alive, swarm.head, swarm.decoy, swarm.root]
+        return np.append(np.column_stack(columns), state.rounds[0]).astype(np.float32)
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the last round, or the current window before the first round, ``(H, W, 3)`` uint8."""
         if self.render_mode is None:
             return None
         if self.last_round is not None:
-            last = self.last_round
-            sighting, truth, candidates, title = last.sighting, last.truth, last.candidates, title_round(last.metrics)
+            last, title = self.last_round, game.title_round(self.last_round.metrics)
+            sighting, truth, candidates = last.sighting, last.truth, last.candidates
         else:
             self._frames = EpisodeFrames()
-            sighting, truth, candidates = self._current_window(), self._reveal_swarm(self._current_game()), None
-            title = UNANSWERED
+            truth = self._reveal_swarm(game.require_game(self._game))
+            sighting, candidates, title = self._current_window(), None, game.UNANSWERED
         self._frames.watch(sighting.position, sighting.seen)
         return self._frames.render(
             position=sighting.position, seen=sighting.seen, candidates=candidates, title=title, **truth.roles()
@@ -214,7 +192,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
 
     def _current_window(self) -> ObservationBatch:
         """The current window; an empty one before the first window."""
-        return self._sighting or ObservationBatch.unseen(self.config, self._current_game().swarm.alive[0])
+        return self._sighting or ObservationBatch.unseen(self.config, game.require_game(self._game).swarm.alive[0])
 
     def _make_observation(self, sighting: ObservationBatch, legal: Mask) -> Observation:
         """An observation with copies of the arrays of a window and the mask ``legal``."""
@@ -223,17 +201,17 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
             "velocity": sighting.velocity.copy(),
             "seen": sighting.seen.astype(np.int8),
             "alive": sighting.alive.astype(np.int8),
-            "round": (self._current_game().rounds + 1).astype(np.float32),
+            "round": (game.require_game(self._game).rounds + 1).astype(np.float32),
             "legal": legal.astype(np.int8),
         }
 
 
-def make_aec_forms(game: type[UsnetParallelEnv]) -> tuple[Callable[..., AECEnv], Callable[..., AECEnv]]:
+def make_aec_forms(form: type[UsnetParallelEnv]) -> tuple[Callable[..., AECEnv], Callable[..., AECEnv]]:
     """Make the functions ``raw_env`` and ``env`` of a game, which create its AEC form and take its arguments."""
 
     def raw_env(**arguments: Any) -> AECEnv:
         """Create the AEC form without the wrapper that enforces the order of calls."""
-        return parallel_to_aec_wrapper(game(**arguments))
+        return parallel_to_aec_wrapper(form(**arguments))
 
     def env(**arguments: Any) -> AECEnv:
         """Create the AEC form."""

@@ -26,11 +26,12 @@ from usnet_env.swarm import (
     advance,
     kernels,
 )
+from usnet_env.swarm.config import Price
 from usnet_env.swarm.mobility import MOBILITIES
 from usnet_env.swarm.simulator import JITTER
 from usnet_env.swarm.strategy import TrajectoryBatch
 
-Price = Annotated[float, Field(ge=0, le=1e6)]
+Most = Annotated[int, Field(ge=0, le=1000)]
 
 
 class Manoeuvres(Config):
@@ -43,22 +44,12 @@ class Manoeuvres(Config):
         ("iid", "gauss_markov", "smooth_turn"),
         description="the mobilities to choose from; the first is the swarm's own and free",
     )
-    most_decoys: Annotated[int, Field(ge=0, le=1000)] = Field(
-        2, description="largest number of followers that a head may turn into decoys, the nearest first"
-    )
-    most_delay: Annotated[int, Field(ge=0, le=1000)] = Field(
-        4, description="largest delay in steps; the followers then use the head's motion of that many steps before"
-    )
-    mobility_price: Price = Field(
-        0.1, description="of a mobility other than the first, times the share of the swarm in the head's cluster"
-    )
+    most_decoys: Most = Field(2, description="most followers that a head may turn into decoys, the nearest first")
+    most_delay: Most = Field(4, description="largest delay of the head's motion that its followers use, steps")
+    mobility_price: Price = Field(0.1, description="of a mobility but the first, times the share of the head's cluster")
     jitter_price: Price = Field(0.05, description="of flying with the followers' noise, times the same share")
-    decoy_price: Price = Field(
-        1.0, description="of each decoy, times 1/N; at 1 it equals the cost of a redundant candidate in J_m"
-    )
-    delay_price: Price = Field(
-        0.05, description="of each step of delay, times the share of the swarm that follows the head"
-    )
+    decoy_price: Price = Field(1.0, description="of each decoy, times 1/N; 1 is that of a redundant candidate in J_m")
+    delay_price: Price = Field(0.05, description="of each step of delay, times the share that follows the head")
 
     @model_validator(mode="after")
     def _known(self) -> Self:

@@ -16,8 +16,6 @@ from usnet_env.multiagent.policies import DetectorObserver, Policy
 from usnet_env.plugins import detector_label
 from usnet_env.provenance import versions
 
-WINDOW = ("position", "velocity", "seen")
-
 
 @dataclass(frozen=True)
 class GameResult:
@@ -107,10 +105,16 @@ def play_game(
             for agent, text in words.items()
             if text and agent in env.agents
         }
-    observers = [policy for agent, policy in agents.items() if agent.startswith("observer")]
+    labels = [
+        detector_label(policy.detector) if isinstance(policy, DetectorObserver) else type(policy).__name__
+        for agent, policy in agents.items()
+        if agent.startswith("observer")
+    ]
     metrics = {name: np.array([played.metrics[name] for played in rounds]) for name in rounds[0].metrics}
     record = {
-        **{name: np.stack([getattr(one.sighting, name) for one in rounds]) for name in WINDOW},
+        **{
+            name: np.stack([getattr(one.sighting, name) for one in rounds]) for name in ("position", "velocity", "seen")
+        },
         **{name: np.stack([getattr(one.truth, name) for one in rounds]) for name in ("alive", "root")},
         **{name: np.stack([getattr(one, name) for one in rounds]) for name in ("candidates", "scores")},
         "objective": metrics["J"],
@@ -125,7 +129,7 @@ def play_game(
         "seconds": np.array(seconds),
         "choices": choices if any(choices) else None,
         "seed": int(seed),
-        "detector": label or ", ".join(dict.fromkeys(map(_name, observers))),
+        "detector": label or ", ".join(dict.fromkeys(labels)),
     }
     return GameResult(
         returns,
@@ -138,8 +142,3 @@ def play_game(
         redundant=int(metrics["redundant"].sum()),
         record=record,
     )
-
-
-def _name(policy: Policy) -> str:
-    """The label of a policy's detector, or else the name of its class."""
-    return detector_label(policy.detector) if isinstance(policy, DetectorObserver) else type(policy).__name__

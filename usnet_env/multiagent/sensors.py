@@ -13,26 +13,18 @@ from usnet_env.arrays import Floats, Mask, Singles
 from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.parts import Registry
 from usnet_env.swarm import ObservationBatch, SwarmConfig
-from usnet_env.swarm.config import Few, Metres, Rate
+from usnet_env.swarm.config import Few, Metres, Price, Rate
 from usnet_env.swarm.formation import ARENA
 from usnet_env.swarm.sensing import sense
 
-Number = Annotated[float, Field(ge=0, le=1e6)]
-
 
 class SensorConfig(Config):
-    """The number of observers of a swarm, and their sensors. Lengths in metres."""
+    """The number of observers of a swarm, and their sensors: one number for all, or one for each. Lengths in metres."""
 
     observers: Annotated[int, Field(ge=1, le=1000)] = Field(4, description="K")
-    sensing_range: Number | Sequence[Number] = Field(
-        500.0, description="largest distance at which an observer sees a UAV, m; one number, or one for each observer"
-    )
-    position_noise: Metres | Sequence[Metres] = Field(
-        0.0, description="standard deviation of the observed positions, m; one number, or one for each observer"
-    )
-    miss_rate: Rate | Sequence[Rate] = Field(
-        0.0, description="probability of a missed detection in range; one number, or one for each observer"
-    )
+    sensing_range: Price | Sequence[Price] = Field(500.0, description="range of the observers, m; one for all, or each")
+    position_noise: Metres | Sequence[Metres] = Field(0.0, description="standard deviation of positions, m; likewise")
+    miss_rate: Rate | Sequence[Rate] = Field(0.0, description="probability of a missed detection in range; likewise")
     placement: str = Field("grid", description="places of the observers: ``grid``, ``uniform``, or a registered name")
     message_size: Few = Field(0, description="B, how many numbers each observer sends to all others in a round")
 
@@ -123,16 +115,11 @@ def _uniform(rng: np.random.Generator, observers: int) -> Floats:
 
 
 Placement = Callable[[np.random.Generator, int], Floats]
-
+_PLACEMENTS: dict[str, Placement] = {"grid": _grid, "uniform": _uniform}
 
 #: All placements by name: functions ``(rng, K) -> (K, 3)``, positions in metres.
 PLACEMENTS = Registry[Placement](
-    "placement",
-    "placement",
-    "usnet.placements",
-    __name__,
-    lambda function, subject="": function,
-    {"grid": _grid, "uniform": _uniform},
+    "placement", "placement", "usnet.placements", __name__, lambda function, subject="": function, _PLACEMENTS
 )
 
 #: Register a placement, so that ``placement=name`` selects it; see :meth:`usnet_env.parts.Registry.register`.

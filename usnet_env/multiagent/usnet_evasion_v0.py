@@ -45,8 +45,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
     ## Steps
     All agents act at the same time: the observer names candidates for the window that it has just seen, and the heads
     choose for the next window; the choices of heads that are destroyed in this step are ignored. The first step, the
-    opening, is not a round: the observer has not seen a window yet (`seen` and `legal` are 0), its candidates do not
-    count, and only the heads choose. A game of R rounds has R + 1 steps.
+    opening, is not a round: no window has been seen yet (`seen` and `legal` are 0), and only the heads choose.
 
     ## Action Space
     Observer: `MultiBinary(N)`, the candidates. A destroyed UAV may be named, and counts as redundant.
@@ -82,11 +81,9 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
 
     The price of a choice, in rounds, is the sum of `mobility_price` · s for another mobility, `jitter_price` · s for
     jitter, `decoy_price` · d / N for d decoys, and `delay_price` · delay · f. Here s is the share of the swarm in the
-    head's cluster, including the head, and f is the share of the swarm that follows the
-    head, without decoys.
+    head's cluster, the head included, and f is the share that follows the head, without decoys.
 
-    `info` of every agent is that of `USNET/MultiCluster-v0` and `price`: for a head the price that it pays, for the
-    observer the sum over all heads.
+    `info` is that of `USNET/MultiCluster-v0` and `price`: what a head pays, and for the observer the sum of all heads.
 
     ## Starting State
     That of `USNET/MultiCluster-v0` with the same seed, before the first window.
@@ -137,13 +134,11 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         actions: dict[str, spaces.Space[Any]] = {OBSERVER: spaces.MultiBinary(uavs)}
         actions |= {name: spaces.MultiDiscrete(choices) for name in self.heads}
         super().__init__(config, rules, arguments.render_mode, observations, actions)
-        self._flown = np.zeros(clusters, np.int64)  # the mobility of each head in the window before
-        self._decoys = np.empty(0, np.intp)  # the followers that are decoys in the current window
 
     def _start(self, rng: np.random.Generator) -> base.Start:
         self._game = game.start_games(self.config, [rng])
-        self._flown = np.zeros(self.config.clusters, np.int64)
-        self._decoys = np.empty(0, np.intp)
+        self._flown = np.zeros(self.config.clusters, np.int64)  # the mobility of each head in the window before
+        self._decoys = np.empty(0, np.intp)  # the followers that are decoys in the current window
         self._sighting = None
         metrics = game.initial_info(self.rules, self._game)
         infos = {agent: {**base.to_scalars(metrics), "price": 0.0} for agent in self.agents}
@@ -155,7 +150,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         named = game.parse_candidates(checked[OBSERVER], (self.config.uavs,), f"action of {OBSERVER}")
         plan = Plan(*np.stack([self._check_choice(name, checked.get(name)) for name in self.heads], axis=1))
         if self._sighting is None:  # the opening
-            state, reward = self._current_game(), 0.0
+            state, reward = game.require_game(self._game), 0.0
             metrics = game.initial_info(self.rules, state)
         else:
             state, reward, metrics = self._play_round(named, named.astype(np.float64))
@@ -173,7 +168,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         return self._make_step(reward, metrics, prices)
 
     def _make_step(self, reward: float, metrics: dict[str, NDArray[Any]], prices: Floats) -> base.Step:
-        state = self._current_game()
+        state = game.require_game(self._game)
         alive = state.swarm.alive[0, np.flatnonzero(state.swarm.head[0])]
         terminated, truncated = bool(state.terminated[0]), bool(state.truncated[0])
         paid = {OBSERVER: float(prices.sum()), **dict(zip(self.heads, prices.tolist(), strict=True))}
@@ -211,14 +206,14 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         if agent == OBSERVER:
             return ""
         mobility, jitter, decoys, delay = np.asarray(action).tolist()
-        head = np.flatnonzero(self._current_game().swarm.head[0])[self.heads.index(agent)]
+        head = np.flatnonzero(game.require_game(self._game).swarm.head[0])[self.heads.index(agent)]
         words = [self.manoeuvres.mobilities[mobility]]
         words += ["jitter"] * (jitter > 0) + [format_count(decoys, "decoy")] * (decoys > 0)
         words += [f"followers delayed by {format_count(delay, 'step')}"] * (delay > 0)
         return f"UAV {head}: {', '.join(words)}"
 
     def _observation(self, agent: str) -> Observation:
-        state = self._current_game()
+        state = game.require_game(self._game)
         swarm = state.swarm
         if agent == OBSERVER:
             flown = self._sighting is not None and not state.terminated[0]

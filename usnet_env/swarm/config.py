@@ -27,6 +27,7 @@ Ratio = Annotated[float, Field(ge=0, le=100)]
 Burst = Annotated[float, Field(ge=0, le=10_000)]
 Rate = Annotated[float, Field(ge=0, lt=1)]
 Share = Annotated[float, Field(ge=0, le=1)]
+Price = Annotated[float, Field(ge=0, le=1e6)]
 
 
 class SwarmArguments(Config):
@@ -35,11 +36,9 @@ class SwarmArguments(Config):
     follow: str | FollowStrategy = Field(
         "f1", description='follow strategy: ``"f1"`` to ``"f7"``, a registered name, or ``"none"`` (no UAV follows)'
     )
-    formation: str = Field(
-        "uniform", description="initial positions: ``uniform`` in 1000 × 1000 × 100 m, or ``around`` the heads"
-    )
+    formation: str = Field("uniform", description="initial positions: ``uniform`` in the arena, or ``around`` heads")
     memory: Steps = Field(
-        4, description="T_0, number of past steps that a follow strategy may use, and of unobserved steps in a round"
+        4, description="T_0, past steps that a follow strategy may use, and unobserved ones in a round"
     )
     decoys: Few = Field(0, description="number of UAVs that move like heads but have no followers")
     follow_seed: Annotated[int, Field(ge=0, lt=2**63)] | None = Field(
@@ -52,15 +51,9 @@ class SwarmArguments(Config):
 class MobilityArguments(Config):
     """How heads and decoys move."""
 
-    mobility: str | Mobility = Field(
-        "iid", description="how heads and decoys move: ``iid``, ``gauss_markov``, ``smooth_turn``, ``waypoint``, …"
-    )
+    mobility: str | Mobility = Field("iid", description="how heads and decoys move: ``iid``, ``gauss_markov``, …")
     head_jitter: bool = Field(False, description="add the followers' noise κ_n n to heads and decoys")
-    kinematics: str | Kinematics = Field(
-        "unit",
-        description="how every UAV flies in the direction that it wants: ``unit`` (1 m per step), ``varied_speed``, "
-        "``lagged``, ``limited``, ``layered``, …",
-    )
+    kinematics: str | Kinematics = Field("unit", description="how UAVs fly: ``unit`` (1 m per step), ``lagged``, …")
 
 
 class BystanderArguments(Config):
@@ -77,9 +70,7 @@ class SizeArguments(Config):
     clusters: Count = Field(5, description="M, number of clusters")
     uavs: Count = Field(82, description="N, number of UAVs; decoys, bystanders, traffic and false tracks count")
     cluster_sizes: Sizes | None = Field(
-        None,
-        description="followers of each cluster, at least 2; their sum is ``uavs`` − ``clusters`` − ``decoys`` − "
-        "``bystanders`` − ``traffic`` − ``clutter``; ``None``: drawn for each episode",
+        None, description="followers of each cluster, at least 2; ``None``: drawn for each episode"
     )
 
 
@@ -88,25 +79,17 @@ class SensorArguments(Config):
 
     position_noise: Metres = Field(0.0, description="standard deviation of the observed positions on each axis, m")
     miss_rate: Rate = Field(0.0, description="probability that a UAV is not detected at a sampling instant")
-    noise_memory: Rate = Field(
-        0.0, description="correlation of the position noise from one sampling instant to the next"
-    )
+    noise_memory: Rate = Field(0.0, description="correlation of the position noise from one instant to the next")
     course_noise: Ratio = Field(1.0, description="position noise along the course of a UAV, in units of that across it")
-    miss_burst: Burst = Field(
-        0.0, description="mean number of sampling instants that a UAV is missed in a row; 0: each by itself"
-    )
+    miss_burst: Burst = Field(0.0, description="mean number of missed detections in a row; 0: each by itself")
     partial_tracks: Share = Field(0.0, description="probability that a track begins late or ends early in a window")
     swap_rate: Share = Field(
-        0.0,
-        description="probability that a UAV exchanges its identity with the nearest UAV within 20 m at a sampling "
-        "instant, until the end of the window",
+        0.0, description="probability at an instant that a UAV exchanges its identity with the nearest within 20 m"
     )
 
 
 class SwarmConfig(SensorArguments, SizeArguments, BystanderArguments, MobilityArguments, SwarmArguments):
     """A swarm of M clusters with N UAVs, and its observer. Lengths in metres, times in steps.
-
-    ``follow``, ``mobility`` and ``kinematics`` may also be objects.
 
     Raises:
         ArgumentError: an argument has the wrong type or is out of range.

@@ -24,31 +24,17 @@ Pair = tuple[float, float]
 
 @dataclass(frozen=True)
 class FieldStrategy(FollowStrategy):
-    """A field model.
+    """A field model. Its pairs are the smallest and largest value of a follower."""
 
-    Args:
-        equation: the equation as text, for lists and documentation pages.
-        citation: where the model comes from.
-        breaks: the assumption of detectors that it breaks.
-        parameters: the names of the arguments that matter to it.
-        noise: kappa_n.
-        delays: the smallest and largest delay of a follower, steps.
-        gains: the smallest and largest gain of a follower: the weight of what it copies against its own velocity.
-        noises: the smallest and largest noise of a follower, relative to ``noise``.
-
-    Attributes:
-        version: increases when the model's behaviour changes.
-    """
-
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 1  # increases when the model's behaviour changes
     equation: str = ""
-    citation: str = ""
-    breaks: str = ""
-    parameters: tuple[str, ...] = ()
+    citation: str = ""  # where the model comes from
+    breaks: str = ""  # the assumption of detectors that it breaks
+    parameters: tuple[str, ...] = ()  # the names of the arguments that matter to it
     noise: float = KAPPA_NOISE
-    delays: tuple[int, int] = (1, 1)
-    gains: Pair = (1.0, 1.0)
-    noises: Pair = (1.0, 1.0)
+    delays: tuple[int, int] = (1, 1)  # steps
+    gains: Pair = (1.0, 1.0)  # the weight of what a follower copies against its own velocity
+    noises: Pair = (1.0, 1.0)  # relative to ``noise``
 
     @property
     def lags(self) -> int:  # type: ignore[override]  # follows from the fields
@@ -60,9 +46,8 @@ class FieldStrategy(FollowStrategy):
         table = np.empty((field_kernels.COLUMNS, uavs), np.float32)
         table[field_kernels.DELAY] = rng.integers(self.delays[0], self.delays[1] + 1, uavs)
         table[field_kernels.GAIN] = rng.uniform(*self.gains, uavs)
-        table[field_kernels.NOISE] = self.noise * np.exp(
-            rng.uniform(np.log(self.noises[0]), np.log(self.noises[1]), uavs)
-        )
+        low, high = np.log(self.noises)
+        table[field_kernels.NOISE] = self.noise * np.exp(rng.uniform(low, high, uavs))
         table[field_kernels.SALT] = rng.integers(2**24, size=uavs)
         table[field_kernels.OFFSET :] = self.draw_slots(rng, uavs)
         return table.ravel()
@@ -85,24 +70,15 @@ class Links(FieldStrategy):
     """Followers copy UAVs above them in a hierarchy, each link with its delay: base of the models of copying.
 
     v_{i,t+1} = norm((1 - g_i) v_{i,t} + g_i mean_k v_{a_k,t+1-d_k} + kappa_i n), where a_k is k links above i.
-
-    Args:
-        links: number of UAVs above it that a follower copies, at most 8.
-        strength: for Cucker-Smale flocks, the weight of a link at distance 0; 0 for copies.
-        scale: for Cucker-Smale flocks, the distance at which a link weakens, metres.
-        block: length of a block of steps in which a follower answers or doesn't.
-        share: probability of an answer in a block.
-        idle_noise: noise of a follower that doesn't answer and flies on.
-        answers: who draws in each block whether to answer: nobody, each cluster, or each follower.
     """
 
-    links: int = 1
-    strength: float = 0.0
-    scale: float = 100.0
-    block: int = 10
-    share: float = 1.0
-    idle_noise: float = 0.1
-    answers: int = ALWAYS
+    links: int = 1  # number of UAVs above it that a follower copies, at most 8
+    strength: float = 0.0  # for Cucker-Smale flocks, the weight of a link at distance 0; 0 for copies
+    scale: float = 100.0  # for Cucker-Smale flocks, the distance at which a link weakens, metres
+    block: int = 10  # length of a block of steps in which a follower answers or doesn't
+    share: float = 1.0  # probability of an answer in a block
+    idle_noise: float = 0.1  # of a follower that doesn't answer and flies on
+    answers: int = ALWAYS  # who draws in each block whether to answer: nobody, each cluster, or each follower
 
     @property
     def lags(self) -> int:  # type: ignore[override]  # follows from the other fields
@@ -165,19 +141,12 @@ class Kinds(FieldStrategy):
 
 @dataclass(frozen=True)
 class Slots(FieldStrategy):
-    """Followers keep slots in the frame of a UAV or reference: base of :class:`Frontness` and :class:`Reference`.
+    """Followers keep slots in the frame of a UAV or reference: base of :class:`Frontness` and :class:`Reference`."""
 
-    Args:
-        pull: weight of the way to the slot.
-        near: distance from the slot below which the pull weakens, metres.
-        spread: standard deviation of the slots on each axis, metres.
-        smoothing: number of velocities whose mean gives the course.
-    """
-
-    pull: float = 1.0
-    near: float = 10.0
-    spread: float = 20.0
-    smoothing: int = 12
+    pull: float = 1.0  # weight of the way to the slot
+    near: float = 10.0  # distance from the slot below which the pull weakens, metres
+    spread: float = 20.0  # standard deviation of the slots on each axis, metres
+    smoothing: int = 12  # number of velocities whose mean gives the course
 
     @property
     def lags(self) -> int:  # type: ignore[override]  # follows from the other fields
@@ -199,14 +168,10 @@ class Frontness(Slots):
     """A formation whose head is in front, in the middle or behind.
 
     At equal speeds followers overtake a head only where it turns.
-
-    Args:
-        place: 1 for a head in front, 0 in the middle, -1 behind; ``None``: drawn for each episode.
-        offset: distance of the head from the middle of the formation in front or behind, metres.
     """
 
-    place: int | None = None
-    offset: float = 40.0
+    place: int | None = None  # 1 for a head in front, 0 in the middle, -1 behind; ``None``: drawn for each episode
+    offset: float = 40.0  # distance of the head from the middle of the formation in front or behind, metres
 
     def draw_slots(self, rng: np.random.Generator, uavs: int) -> Singles:
         """Draw the place of the head and the slots about it."""
@@ -244,10 +209,6 @@ class Independent(FieldStrategy):
     def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
         """No UAV of a cluster has a head, and each is its own source."""
         return roles.without_heads(source=np.arange(len(roles.root)))
-
-    def fly(self, flight: TrajectoryBatch) -> None:
-        """All velocities are given."""
-        kernels.integrate(flight.start, flight.position, flight.velocity)
 
 
 @dataclass(frozen=True)

@@ -18,28 +18,17 @@ class Flock(FieldStrategy):
     """Repulsion, alignment and attraction among the UAVs of a cluster; a head ignores the others.
 
     A UAV without a neighbour in any range flies to the middle of its cluster.
-
-    Args:
-        repulsion: range of repulsion, metres; a UAV with a neighbour within it only flies away from it.
-        alignment: range of alignment, metres.
-        attraction: range of attraction, metres.
-        align: weight of alignment, the mean velocity in its range, the UAV's own included.
-        attract: weight of attraction, the mean direction to the neighbours in its range.
-        flight: distance at which a UAV flees a predator or driver, metres.
-        flee: weight of the flight.
-        standoff: distance of a driver from the middle of its flock, metres.
-        preference: weight of the course of the cluster's reference for its informed UAVs.
     """
 
-    repulsion: float = 0.0
-    alignment: float = 40.0
-    attraction: float = 0.0
-    align: float = 1.0
-    attract: float = 0.0
-    flight: float = 0.0
-    flee: float = 0.0
-    standoff: float = 0.0
-    preference: float = 0.0
+    repulsion: float = 0.0  # range, metres; a UAV with a neighbour within it only flies away from it
+    alignment: float = 40.0  # range, metres
+    attraction: float = 0.0  # range, metres
+    align: float = 1.0  # weight of alignment, the mean velocity in its range, the UAV's own included
+    attract: float = 0.0  # weight of attraction, the mean direction to the neighbours in its range
+    flight: float = 0.0  # distance at which a UAV flees a predator or driver, metres
+    flee: float = 0.0  # weight of the flight
+    standoff: float = 0.0  # distance of a driver from the middle of its flock, metres
+    preference: float = 0.0  # weight of the course of the cluster's reference for its informed UAVs
     chaser: ClassVar[int] = flock_kernels.NO_CHASER
 
     def fly(self, flight: TrajectoryBatch) -> None:
@@ -48,10 +37,7 @@ class Flock(FieldStrategy):
             np.array([self.repulsion, self.alignment, self.attraction], np.float32),
             np.array([self.align, self.attract], np.float32),
             self.chaser,
-            np.float32(self.flight),
-            np.float32(self.flee),
-            np.float32(self.standoff),
-            np.float32(self.preference),
+            *map(np.float32, (self.flight, self.flee, self.standoff, self.preference)),
             self.table(flight),
             flight.root,
             flight.source,

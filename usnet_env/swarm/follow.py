@@ -56,9 +56,7 @@ class Lags(FollowStrategy):
 class StayInRange(FollowStrategy):
     """f6: the head's velocity, plus a pull towards the head beyond the distance kappa_r (Table II, type 6)."""
 
-    equation: str = (
-        "v_{i,t+1} = norm(κ_0 v_{iL,t} + κ_n n + 1{‖p_{iL,t} − p_{i,t}‖ > κ_r} κ_p (p_{iL,t} − p_{i,t}) / ‖·‖)"
-    )
+    equation: str = "v_{i,t+1} = norm(κ_0 v_{iL,t} + κ_n n + 1{‖d‖ > κ_r} κ_p d / ‖d‖), d = p_{iL,t} − p_{i,t}"
     lags: int = 1
     kappa: float = KAPPA
     pull: float = KAPPA
@@ -292,9 +290,6 @@ FOLLOW_STRATEGIES = Registry(
     },
     reserved=("none",),
 )
-
-#: The follow strategy of a name; see :meth:`usnet_env.parts.Registry.find`.
-follow_strategy = FOLLOW_STRATEGIES.find
 
 
 def register_follow_strategy(

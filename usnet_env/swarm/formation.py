@@ -47,15 +47,11 @@ def _around(rng: np.random.Generator, roles: Roles) -> Floats:
 
 
 Formation = Callable[[np.random.Generator, Roles], Floats]
+_OWN: dict[str, Formation] = {"uniform": _uniform, "around": _around}
 
 #: All formations by name: functions ``(rng, roles) -> (N, 3)``, positions in metres, at most 1060 m on each axis.
 FORMATIONS = Registry[Formation](
-    "formation",
-    "formation",
-    "usnet.formations",
-    __name__,
-    lambda function, subject="": function,
-    {"uniform": _uniform, "around": _around},
+    "formation", "formation", "usnet.formations", __name__, lambda function, subject="": function, _OWN
 )
 
 #: Register a formation, so that ``formation=name`` selects it; see :meth:`usnet_env.parts.Registry.register`.

@@ -1,8 +1,7 @@
 """Kinematics: what a UAV can fly, apart from what it wants.
 
 A mobility or a follow strategy says in which direction a UAV wants to fly; its kinematics turns this direction into its
-velocity, step by step. With ``unit``, the default, every UAV flies 1 m per step in that direction. The other models
-here have a compiled step; a model of a user defines :meth:`Kinematics.steer` in NumPy.
+velocity, step by step. The models here have a compiled step; one of a user defines :meth:`Kinematics.steer` in NumPy.
 """
 
 from __future__ import annotations
@@ -102,15 +101,7 @@ class _Compiled(Kinematics):
 
 @dataclass(frozen=True)
 class VariedSpeed(_Compiled):
-    """Speeds that differ between UAVs and vary over time, by an autoregressive process of order 1.
-
-    Args:
-        slowest: the smallest speed, metres per step.
-        fastest: the largest speed, metres per step.
-        spread: the UAVs' mean speeds are uniform in 1 ± spread, metres per step.
-        keep: φ, the correlation of the relative deviation from one step to the next.
-        deviation: σ, the standard deviation of the relative deviation.
-    """
+    """Speeds that differ between UAVs and vary over time, by an autoregressive process of order 1."""
 
     equation = "v_{t+1} = s_{t+1} u_{t+1}, s = clip(s̄_i (1 + a)), a_{t+1} = φ a_t + σ √(1 − φ²) n"
     source = "AR(1), as in Gauss-Markov mobility (Liang & Haas 1999)"
@@ -118,11 +109,11 @@ class VariedSpeed(_Compiled):
     values = 2  # mean speed, relative deviation
     normals = 1
     _code = kernels.VARIED_SPEED
-    slowest: float = 0.5
+    slowest: float = 0.5  # metres per step
     fastest: float = 1.5
-    spread: float = 0.2
-    keep: float = 0.95
-    deviation: float = 0.15
+    spread: float = 0.2  # the UAVs' mean speeds are uniform in 1 ± spread, metres per step
+    keep: float = 0.95  # φ, the correlation of the relative deviation from one step to the next
+    deviation: float = 0.15  # σ, the standard deviation of the relative deviation
 
     @property
     def top_speed(self) -> float:  # type: ignore[override]  # follows from the other fields
@@ -159,14 +150,7 @@ class Lagged(_Compiled):
 
 @dataclass(frozen=True)
 class Limited(_Compiled):
-    """A limited turn rate and acceleration; a UAV that wants to turn more slows down.
-
-    Args:
-        least_turn: the smallest turn rate of a UAV, radians per step.
-        most_turn: the largest turn rate of a UAV, radians per step.
-        slowest: the speed that a UAV aims at when it wants to reverse, metres per step.
-        acceleration: the largest change of the speed, metres per step and step.
-    """
+    """A limited turn rate and acceleration; a UAV that wants to turn more slows down."""
 
     equation = "∠(v_{t+1}, v_t) ≤ ω_i, |s_{t+1} − s_t| ≤ a, s aims at s_0 + (1 − s_0) (1 + cos ∠(u, v)) / 2"
     source = "bounded turn rate and acceleration (Dubins 1957; Beard & McLain 2012)"
@@ -174,10 +158,10 @@ class Limited(_Compiled):
     values = 1  # turn rate
     _code = kernels.LIMITED
     _constants = ("slowest", "acceleration")
-    least_turn: float = 0.15
+    least_turn: float = 0.15  # the UAVs' turn rates are uniform from here, radians per step
     most_turn: float = 0.35
-    slowest: float = 0.5
-    acceleration: float = 0.05
+    slowest: float = 0.5  # the speed that a UAV aims at when it wants to reverse, metres per step
+    acceleration: float = 0.05  # the largest change of the speed, metres per step and step
 
     def start(self, rng: np.random.Generator, uavs: int) -> Singles:
         """Draw the turn rates."""
@@ -212,21 +196,10 @@ def _accept_kinematics(model: Any, subject: str = "model") -> Kinematics:
     return model
 
 
+_OWN = {"unit": Unit(), "varied_speed": VariedSpeed(), "lagged": Lagged(), "limited": Limited(), "layered": Layered()}
+
 #: All kinematics models by name.
-KINEMATICS = Registry(
-    "kinematics model",
-    "kinematics",
-    "usnet.kinematics",
-    __name__,
-    _accept_kinematics,
-    {
-        "unit": Unit(),
-        "varied_speed": VariedSpeed(),
-        "lagged": Lagged(),
-        "limited": Limited(),
-        "layered": Layered(),
-    },
-)
+KINEMATICS = Registry("kinematics model", "kinematics", "usnet.kinematics", __name__, _accept_kinematics, _OWN)
 
 #: Register a model, so that ``kinematics=name`` selects it; see :meth:`usnet_env.parts.Registry.register`.
 register_kinematics = KINEMATICS.register

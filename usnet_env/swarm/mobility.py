@@ -24,9 +24,11 @@ class Mobility(ABC):
 
     Attributes:
         description: one line for lists and documentation pages.
+        normals: standard normal numbers that a UAV needs per step of a compiled mobility.
     """
 
     description: str = ""
+    normals: int = 0
 
     @abstractmethod
     def start(self, rng: np.random.Generator, uavs: int) -> Floats:
@@ -79,13 +81,10 @@ class CompiledMobility(Mobility):
     def fly(self, state: Floats, position: Singles, steps: int, rng: np.random.Generator) -> Singles:
         """Directions for one swarm; for a batch the simulator calls the kernel directly."""
         uavs = len(state)
-        velocity = np.zeros((1, steps, uavs, 3), np.float32)
+        velocity, jitter = np.zeros((1, steps, uavs, 3), np.float32), np.empty((0, steps, uavs, 3), np.float32)
         normals = rng.standard_normal((1, steps, uavs, self.normals), dtype=np.float32)
-        free = np.arange(uavs)[None]
-        jitter = np.empty((0, steps, uavs, 3), np.float32)
-        kernels.fly_free(
-            self.code, self.constants(), free, 0, normals, jitter, state[None], position[None, None].copy(), velocity
-        )
+        free, place, constants = np.arange(uavs)[None], position[None, None].copy(), self.constants()
+        kernels.fly_free(self.code, constants, free, 0, normals, jitter, state[None], place, velocity)
         return velocity[0]
 
 
@@ -94,11 +93,7 @@ class MobilityFunction(Mobility):
     """A mobility that calls a function; made by :func:`register_mobility`."""
 
     function: Callable[[np.random.Generator, Singles, int, Floats], Singles]
-
-    @property
-    def description(self) -> str:  # type: ignore[override]  # follows from the function
-        """The first line of the function's docstring."""
-        return (self.function.__doc__ or "").partition("\n")[0]
+    description: str = ""
 
     def start(self, rng: np.random.Generator, uavs: int) -> Floats:
         """Zeros: the function sets its own state in its first call."""
@@ -116,7 +111,7 @@ def _accept_mobility(model: Any, subject: str = "model") -> Mobility:
         return model
     if not callable(model):
         raise ArgumentError(f"{subject} must be a Mobility or a function, got {quote(model)}.")
-    return MobilityFunction(model)
+    return MobilityFunction(model, (model.__doc__ or "").partition("\n")[0])
 
 
 _OWN: dict[str, Mobility] = {

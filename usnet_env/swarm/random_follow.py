@@ -14,21 +14,15 @@ import numpy as np
 from usnet_env.arrays import Singles
 from usnet_env.swarm.strategy import KAPPA_NOISE, FollowInputs, FollowStrategy
 
-TERM_KINDS = ("linear", "cube", "root", "product", "network")
-OUTPUT_MAPS = ("none", "rotate", "saturate", "rotate+saturate")
-
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """One summand: ``weight`` times a function ``kind`` of the head's velocity ``lag`` steps ago.
-
-    ``layer`` has the weights ``(6, 8)`` and ``(8, 3)`` of a network of that velocity and the one before it.
-    """
+    """One summand: ``weight`` times a function ``kind`` of the head's velocity ``lag`` steps ago."""
 
     kind: str
     lag: int
     weight: float
-    layer: tuple[Singles, Singles] | None = None
+    layer: tuple[Singles, Singles] | None = None  # of a network of that velocity and the one before it
 
     def __call__(self, head_velocity: Singles) -> Singles:
         """The summand ``(n, 3)`` for ``head_velocity (n, T_0, 3)``, newest first."""
@@ -89,15 +83,14 @@ def _draw_term(rng: np.random.Generator, kind: str) -> Term:
     if kind == "network":
         inner, outer = rng.normal(0.0, 1.0, (6, 8)), rng.standard_normal((8, 3)) / np.sqrt(8)
         layer = inner.astype(np.float32), outer.astype(np.float32)
-    lag = int(rng.integers(0, 3))
-    return Term(kind, lag, float(rng.choice([-1.0, 1.0]) * rng.uniform(0.5, 1.5)), layer)
+    return Term(kind, int(rng.integers(0, 3)), float(rng.choice([-1.0, 1.0]) * rng.uniform(0.5, 1.5)), layer)
 
 
 def random_follow_strategy(rng: np.random.Generator) -> RandomFollowStrategy:
     """Draw a follow strategy for ``SwarmConfig(follow=strategy)``, which has no further randomness but its noise."""
-    kinds = [str(kind) for kind in rng.choice(TERM_KINDS, size=int(rng.integers(1, 4)))]
+    kinds = rng.choice(("linear", "cube", "root", "product", "network"), size=int(rng.integers(1, 4))).tolist()
     terms = tuple(_draw_term(rng, kind) for kind in kinds)
-    output = str(rng.choice(OUTPUT_MAPS))
+    output = str(rng.choice(("none", "rotate", "saturate", "rotate+saturate")))
     if "rotate" not in output and all(kind == "linear" for kind in kinds):
         # Without a rotation, a positive sum of lags (saturated or not) would be close to f1, f2 or f3.
         output = "rotate"

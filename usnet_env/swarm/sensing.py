@@ -85,13 +85,12 @@ def sense(
     if config.position_noise > 0:
         noise = draw_normals(rngs, *position.shape[1:])
     seen = np.broadcast_to(alive[:, None], position.shape[:3]).copy()
-    if config.miss_rate > 0:
-        for row, rng in zip(seen, rngs, strict=True):
+    present = seen.copy()
+    for row, rng in zip(seen, rngs, strict=True):
+        if config.miss_rate > 0:
             row &= _detect(rng.random(row.shape, dtype=np.float32), config.miss_rate, config.miss_burst)
-    if config.partial_tracks > 0:
-        for row, rng in zip(seen, rngs, strict=True):
+        if config.partial_tracks > 0:
             row &= _cover(rng, row.shape[0], row.shape[1], config.partial_tracks)
-    present = np.broadcast_to(alive[:, None], position.shape[:3]).copy()
     if config.clutter and clutter is not None:
         for row, rng, false in zip(present, rngs, clutter, strict=True):
             row[:, false] &= _appear(rng, row.shape[0], len(false))
@@ -115,9 +114,7 @@ def sense(
         noise.swapaxes(1, 2)[~alive] = 0.0
         position = position + noise
     if differenced:
-        velocity = np.diff(position, axis=1)
-        if k > 1:
-            velocity /= np.float32(k)
+        velocity = np.diff(position, axis=1) / np.float32(k)
     if config.miss_rate > 0 or config.partial_tracks > 0 or config.clutter:
         # `where` instead of a product: a product with 0 would keep the sign of the hidden value.
         position = np.where(seen[..., None], position, np.float32(0.0))

@@ -89,13 +89,8 @@ def _draw_swarm(config: SwarmConfig, rng: np.random.Generator) -> dict[str, NDAr
     else:
         by_mobility = ~drawn.bystander
     alone = drawn.bystander & ~drawn.traffic & ~drawn.clutter
-    free = np.concatenate(
-        [
-            np.flatnonzero(by_mobility),
-            np.arange(uavs, uavs + references),
-            *map(np.flatnonzero, (alone, drawn.traffic, drawn.clutter)),
-        ]
-    )
+    others = map(np.flatnonzero, (alone, drawn.traffic, drawn.clutter))
+    free = np.concatenate([np.flatnonzero(by_mobility), np.arange(uavs, uavs + references), *others])
     states = [mobility.start(rng, part.stop - part.start) for mobility, part in _find_laws(config, len(free))]
     mobility_state = np.concatenate(states, dtype=np.float64)
     if config.traffic:
@@ -104,11 +99,7 @@ def _draw_swarm(config: SwarmConfig, rng: np.random.Generator) -> dict[str, NDAr
     velocity = rng.standard_normal((config.memory, uavs + references, 3), dtype=np.float32)
     seeded = rng if config.follow_seed is None else np.random.default_rng(config.follow_seed)
     return {
-        "head": roles.head,
-        "decoy": roles.decoy,
-        "root": roles.root,
-        "bystander": roles.bystander,
-        "source": roles.source,
+        **{name: getattr(roles, name) for name in ("head", "decoy", "root", "bystander", "source")},
         "free": free,
         "mobility_state": mobility_state,
         "parameters": np.empty(0, np.float32) if strategy is None else strategy.draw_for(seeded, uavs),
@@ -143,7 +134,6 @@ def advance(config: SwarmConfig, state: SwarmState, rngs: Generators) -> tuple[S
     swarm = state.root, state.parameters, state.source, state.bystander, state.clock
     flight = TrajectoryBatch(position, velocity, noise, motion, *swarm)
     _fly(config, flight, state.free, mobility_state, kinematic_state, rngs)
-    end = memory + steps
     window = 2 * memory  # the window starts after the past and the unobserved steps
     flown = position[:, window:, :uavs], velocity[:, window:, :uavs]
     if config.follow_strategy is not None and config.follow_strategy.shifts_tracks:
@@ -151,13 +141,13 @@ def advance(config: SwarmConfig, state: SwarmState, rngs: Generators) -> tuple[S
     observed = sense(config, *flown, state.alive, rngs, state.free[:, state.free.shape[1] - config.clutter :])
     after = replace(
         state,
-        past_position=position[:, end - memory :, :uavs].copy(),
-        past_velocity=velocity[:, end - memory :, :uavs].copy(),
+        past_position=position[:, steps:, :uavs].copy(),
+        past_velocity=velocity[:, steps:, :uavs].copy(),
         mobility_state=mobility_state,
         clock=state.clock + steps,
         kinematic_state=kinematic_state,
-        reference_position=position[:, end - memory :, uavs:].copy(),
-        reference_velocity=velocity[:, end - memory :, uavs:].copy(),
+        reference_position=position[:, steps:, uavs:].copy(),
+        reference_velocity=velocity[:, steps:, uavs:].copy(),
     )
     return after, observed
 
@@ -183,7 +173,7 @@ def _fly(
     if isinstance(kinematics, Unit):
         _fly_free(laws, normals, free, mobility_state, position, velocity, memory, rngs, jitter)
         velocity[:, memory:].swapaxes(1, 2)[gone] = 0.0
-        if strategy is None:
+        if strategy is None or not strategy.has_followers:
             kernels.integrate(memory, position, velocity)
         else:
             strategy.fly(flight)
@@ -194,16 +184,13 @@ def _fly(
         drawn = [numbers[:, now] for numbers in normals]
         _fly_free(laws, drawn, free, mobility_state, position, velocity[:, : t + 1], t, rngs, jitter[:, now])
         velocity[:, t][gone] = 0.0
-        if strategy is not None:
-            strategy.fly(
-                replace(
-                    flight,
-                    position=position[:, s : t + 2],
-                    velocity=velocity[:, s : t + 1],
-                    noise=noise[:, now],
-                    clock=flight.clock + s,
-                )
-            )
+        if strategy is not None and strategy.has_followers:
+            cut: dict[str, Any] = {
+                "position": position[:, s : t + 2],
+                "velocity": velocity[:, s : t + 1],
+                "noise": noise[:, now],
+            }
+            strategy.fly(replace(flight, **cut, clock=flight.clock + s))
         kinematics.fly(t, motion, pushes[:, s], kinematic_state, position, velocity)
 
 
@@ -220,10 +207,7 @@ def _find_laws(config: SwarmConfig, free: int) -> Laws:
 
 def _draw_for(laws: Laws, steps: int, rngs: Generators) -> list[Singles]:
     """Draw the random numbers ``(B, S, n, k)`` of every mobility; k is 0 for one that is not compiled."""
-    widths = [mobility.normals if isinstance(mobility, CompiledMobility) else 0 for mobility, _ in laws]
-    return [
-        draw_normals(rngs, steps, part.stop - part.start, width) for (_, part), width in zip(laws, widths, strict=True)
-    ]
+    return [draw_normals(rngs, steps, part.stop - part.start, law.normals) for law, part in laws]
 
 
 def _fly_free(

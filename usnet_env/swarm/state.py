@@ -14,19 +14,12 @@ from usnet_env.swarm import kernels
 
 @dataclass(frozen=True)
 class Roles:
-    """The role of every UAV in one swarm of N UAVs.
+    """The role of every UAV in one swarm; ``head``, ``decoy``, ``root`` and ``bystander`` as in :class:`SwarmState`.
 
     Args:
-        head: ``(N,)`` bool, H_0.
-        decoy: ``(N,)`` bool.
-        root: ``(N,)`` int64, the head of each follower; the own index of a head, decoy or bystander; -1 for a UAV of
-            a cluster that no UAV leads.
-        bystander: ``(N,)`` bool, the UAVs that no head leads, decoys excluded: bystanders, traffic, and the predators
-            and drivers of a follow strategy.
         traffic: ``(N,)`` bool, the bystanders that are civil traffic.
         clutter: ``(N,)`` bool, the bystanders that are false tracks, and no UAVs.
-        source: ``(N,)`` int64, the UAV that each UAV copies, at first its root; from N on, a reference: a point
-            that flies like a head and that no sensor sees.
+        source: ``(N,)`` int64, the UAV or reference that each UAV copies, at first its root.
         drawn: ``(M,)`` int64, the heads as drawn, in the order of the clusters.
         references: R, number of references.
     """
@@ -71,8 +64,9 @@ class SwarmState:
             false tracks.
         mobility_state: ``(B, n, MOBILITY_STATE)`` float64, the mobility state of the free UAVs.
         parameters: ``(B, P)`` float32, parameters of the follow strategy.
-        bystander: ``(B, N)`` bool, the UAVs that no head leads, decoys excluded.
-        source: ``(B, N)`` int64, the UAV or reference that each UAV copies.
+        bystander: ``(B, N)`` bool, the UAVs that no head leads, decoys excluded: bystanders, traffic, false tracks,
+            and the predators and drivers of a follow strategy.
+        source: ``(B, N)`` int64, the UAV or reference that each UAV copies; for f1 to f7 its head.
         clock: ``(B,)`` int64, number of steps flown.
         kinematic_state: ``(B, N + R, k)`` float32, the state of each UAV's kinematics.
         reference_position: ``(B, T_0 + 1, R, 3)`` float32, metres.

@@ -46,17 +46,14 @@ class FollowInputs:
 class TrajectoryBatch:
     """B swarms with a past of L steps and S steps to simulate; ``position`` and ``velocity`` are filled in place.
 
+    ``root``, ``source``, ``bystander``, ``parameters`` and ``clock`` are those of :class:`SwarmState`.
+
     Args:
         position: ``(B, L + S + 1, N + R, 3)`` float32, metres; the first L + 1 instants are given.
         velocity: ``(B, L + S, N + R, 3)`` float32, metres per step; the first L steps are given, and all
             steps of the free UAVs.
         noise: ``(B, S, N + R, 3)`` float32, the followers' n ~ N(0, I), before the scaling by kappa_n.
         motion: ``(B, N + R)`` int8, how each UAV moves: ``kernels.DESTROYED``, ``FREE`` or ``FOLLOWS``.
-        root: ``(B, N)`` int64, the head of each follower.
-        parameters: ``(B, P)`` float32, the follow strategy's parameters of each episode.
-        source: ``(B, N)`` int64, the UAV or reference (from N on) that each UAV copies; for f1 to f7 its head.
-        bystander: ``(B, N)`` bool, the UAVs that no head leads, decoys excluded.
-        clock: ``(B,)`` int64, number of steps that each swarm has flown before step L.
     """
 
     position: Singles
@@ -141,13 +138,8 @@ class FollowStrategy(ABC):
                     parameters=trajectories.parameters[b],
                     follower=numbers,
                 )
-                direction = self.direction(inputs)
-                velocity[t, followers] = _norm(direction, np.float32(self.noise) * trajectories.noise[b, s, followers])
+                noise = np.float32(self.noise) * trajectories.noise[b, s, followers]
+                total = np.asarray(self.direction(inputs), np.float32) + noise
+                length = np.sqrt((total * total).sum(axis=-1, keepdims=True, dtype=np.float32))
+                velocity[t, followers] = total / np.maximum(length, np.float32(1e-6))
                 position[t + 1] = position[t] + velocity[t]
-
-
-def _norm(direction: Singles, noise: Singles) -> Singles:
-    """norm(direction + noise) of Table II for rows of 3 components."""
-    total = np.asarray(direction, np.float32) + noise
-    length = np.sqrt((total * total).sum(axis=-1, keepdims=True, dtype=np.float32))
-    return total / np.maximum(length, np.float32(1e-6))
