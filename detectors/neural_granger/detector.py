@@ -46,10 +46,6 @@ class NeuralGranger(Detector):
         blocks: contiguous blocks of times that are held out, a fifth of all times, with gaps of T_0 on both sides.
         ridge: penalty of the null model.
         floor: squared error, in (metres per step)², that is added to all errors before their logarithm is taken.
-
-    Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is invalid, or the window has no more than T_0
-            velocities or more than 10,000 UAVs.
     """
 
     tags = Tags(needs=("torch",), most_uavs=10_000, least_steps=5, needs_unit_speed=True)

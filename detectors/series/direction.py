@@ -156,7 +156,7 @@ def _compare_both_ways(features: Floats, target: Floats, longest: int, turned: f
                 gained = (ahead[step, axis] - turned * back[steps - 1 - step, axis]) * target[pair, 0, step, axis]
                 blocks[pair, (_BLOCKS * (step + 1) - 1) // steps] += gained / total
         for way, known in enumerate((ahead, back)):
-            gram, moment = _multiply_later(features[pair, 1 - way, first:last], _reverse(known, turned), longest)
+            gram, moment = _multiply_later(features[pair, 1 - way, first:last], turned * known[::-1], longest)
             expected[pair, way] = (energy[way] - _fit_delay(gram, moment, longest)[2]) / total
     return blocks, expected
 
@@ -186,16 +186,6 @@ def _predict(features: Floats, law: Floats, delay: int) -> Floats:
             for axis in range(axes):
                 predicted[step, axis] += features[p, step - delay] * law[p, axis]
     return predicted
-
-
-@compiled()
-def _reverse(values: Floats, turned: float) -> Floats:
-    """``(T, a)`` in reversed time."""
-    reversed_values = np.empty_like(values)
-    for step in range(len(values)):
-        for axis in range(values.shape[1]):
-            reversed_values[step, axis] = turned * values[len(values) - 1 - step, axis]
-    return reversed_values
 
 
 @compiled()
