@@ -114,8 +114,7 @@ class NetworkDetector(Detector):
     def _relate(self, flight: Flight, pairs: Pairs, lags: int, count: int) -> Mask:
         """Pairs ``(n, n)`` that are closer than in ``count`` / 2 surrogates with half of the UAVs shifted in time."""
         changes = (np.diff(flight.velocity, axis=0) ** 2).sum(axis=(0, 2))
-        half = np.zeros(len(changes), bool)
-        half[np.argsort(changes, kind="stable")[::2]] = True  # does not depend on indices
+        half = np.argsort(np.argsort(changes, kind="stable")) % 2 == 0  # does not depend on indices
         apart, maxima = half[:, None] != half, list[Floats]()
         for late in len(flight.velocity) * np.arange(1, count // 2 + 1) // (count // 2 + 1):
             shifted = (

@@ -93,10 +93,7 @@ def best_heads(inputs: Inputs, gamma: Singles) -> Indices:
 
 
 def recluster(chosen: Indices, count: int, rng: np.random.Generator) -> Indices:
-    """The clusters of the dataset D_r, ``(n,)``: the M̂ UAVs with the highest scores, each with the UAVs that chose it.
-
-    ``chosen`` is i_H, ``count`` M̂, and ``rng`` breaks ties. Labels begin at 0; UAVs of no cluster have -1.
-    """
+    """Clusters ``(n,)``, or -1, of D_r: the M̂ (``count``) UAVs that most have ``chosen``, i_H, and their voters."""
     heads = select_top(np.bincount(chosen, minlength=len(chosen)), count, rng)
     labels = np.full(len(chosen), -1, np.int64)
     for label, head in enumerate(heads):

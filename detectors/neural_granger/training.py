@@ -217,11 +217,7 @@ def fit_networks(samples: Samples, settings: Any, generator: torch.Generator) ->
 
 
 def _train(problem: Problem, network: AdditiveNetwork, used: Tensor, generator: torch.Generator) -> None:
-    """Train by AdamW at the times ``used`` to predict UAVs from all others; the loss is the mean log error of the UAVs.
-
-    That is a Gaussian log-likelihood in which each UAV has its own variance. A UAV that no network can predict, such as
-    a decoy, then has no more weight than the others.
-    """
+    """Train by AdamW at the times ``used``; the loss, the mean log error, gives each UAV its own variance."""
     samples, settings = problem.samples, problem.settings
     everyone = torch.arange(samples.uavs, device=used.device)
     others = everyone[:, None] != everyone

@@ -1,9 +1,8 @@
 """Tells UAVs that lead from UAVs that only move like others, because all of them answer to a common cause.
 
-Members of a formation about a virtual point predict each other: each is one more measurement of the point. So do
-animals of a herd that a shepherd drives. But their past predicts the others no better than their future does. The past
-of a head predicts its followers better than its future, which they do not know. The followers' own past has no part in
-this comparison, because it holds the common cause as well.
+Members of a formation about a virtual point predict each other, but their past predicts the others no better than
+their future does. The past of a head predicts its followers better than its future, which they do not know. The
+followers' own past has no part in this comparison, because it holds the common cause as well.
 """
 
 from __future__ import annotations
@@ -112,9 +111,8 @@ def _bound(values: Floats) -> Floats:
 def _measure_leads(group: Floats, past: Floats, future: Floats, longest: int, turned: float) -> tuple[Floats, Floats]:
     """Contributions ``(P, 8)`` of the blocks to the lead of P pairs; the leads ``(P, 2)`` of the predictions.
 
-    These are the lead that the group's prediction from the head's past has in place of the group, and, with its sign
-    changed, that of the prediction from the head's future, as shares of the group's energy. All arrays are
-    ``(P, T, a)``; ``turned`` is the sign that they have in reversed time.
+    The predictions are from the head's past and, with the sign changed, its future. All arrays are ``(P, T, a)``;
+    ``turned`` is the sign that they have in reversed time.
     """
     pair = np.stack([past, turned * future[:, ::-1]], axis=1)  # (P, 2, T, a): in both directions of time
     across = pair.reshape(-1, *group.shape[1:]).swapaxes(1, 2)

@@ -157,8 +157,7 @@ def multiply_pairs(
 def _solve(product: Singles, gram: Singles, axes: int) -> Floats:
     """``(k, C)``: m' G^-1 m, summed over the axes, with G less what the own past explains, by Cholesky's method.
 
-    ``product`` ``(k, p, a + z, C)`` are features times innovations, which are m, and times own pasts; ``gram``
-    ``(k, p (p + 1) / 2, C)`` are lower triangles of features times features.
+    ``product`` ``(k, p, a + z, C)``: features times innovations, own pasts; ``gram``: lower triangles ``(k, …, C)``.
     """
     uavs, features, width, count = product.shape
     explained = np.zeros((uavs, count))

@@ -79,11 +79,7 @@ def cover_voters(evidence: Evidence, most: int | None = None) -> list[int]:
 
     Let e_ij be the evidence above the threshold. Head j explains the share e_ij / max_k e_ik of a significant voter i;
     several heads explain the largest of their shares. The head that raises the sum of these shares the most is added as
-    long as it raises it by at least ``LEAST_VOTERS``. A follower that votes for another follower of the same head adds
-    no head, since the true head explains it nearly as well.
-
-    Returns:
-        Indices of at most ``most`` heads in the order of choice; empty if no UAV follows another one.
+    long as it raises it by at least ``LEAST_VOTERS``. The result has at most ``most`` indices, in the order of choice.
     """
     threshold = evidence.threshold
     above = np.maximum(evidence.pairs - threshold, 0.0)
