@@ -60,6 +60,10 @@ class Detector(Parameters):
 
         Returns:
             A detection with candidates ``(N,)`` and scores ``(N,)``; a destroyed UAV is never a candidate.
+
+        Raises:
+            ArgumentError: an argument is refused, or the window has more UAVs or fewer velocities than :attr:`tags`
+                allow, or fewer UAVs than a given number of clusters.
         """
         raise NotImplementedError(f"{type(self).__name__} must define detect(window) -> Detection.")
 

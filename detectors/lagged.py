@@ -11,12 +11,17 @@ from pydantic import Field
 
 from detectors.base import Detector
 from detectors.parameters import Count, Lags, check_clusters
-from detectors.series.designs import check_pairs
-from detectors.series.evidence import Evidence, correlation_evidence, granger_evidence, regression_evidence
+from detectors.series.designs import centre_columns, centre_past, check_pairs, count_lags, scale_to_unit, shift_in_time
+from detectors.series.evidence import Evidence, adjust_shares
+from detectors.series.regressions import correlate_over_lags, explain_beyond_own_past, explain_pairs, whiten
 from detectors.series.votes import detection_from_evidence, rank_uavs
 from usnet_env.arrays import Mask
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
+
+_LEAST_ROWS = 6
+_ROWS_PER_FEATURE = 1.5  # measured: down to this ratio, more lags help more than more samples per feature
+_ROWS_PER_FEATURE_BEYOND = 2.5  # of a regression that also has the own past
 
 
 class EvidenceDetector(Detector):
@@ -27,10 +32,6 @@ class EvidenceDetector(Detector):
     Args:
         clusters: M, the number of heads at the start of the episode. Round 1 names exactly M UAVs, later rounds at most
             M. ``None``: the number is estimated in every round (:func:`detectors.series.votes.cover_voters`).
-
-    Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is refused, or the window has more than 10,000
-            UAVs or fewer than ``clusters``.
     """
 
     tags = Tags(most_uavs=10_000, uses_positions=False, takes_clusters=True)
@@ -39,7 +40,11 @@ class EvidenceDetector(Detector):
 
     @abstractmethod
     def evidence(self, velocity: NDArray[np.floating], seen: Mask) -> Evidence | None:
-        """Compute the evidence from ``velocity`` ``(T_ob, n, 3)`` and ``seen`` ``(T_ob, n)``; ``None``: no evidence."""
+        """Compute the evidence from ``velocity`` ``(T_ob, n, 3)`` and ``seen`` ``(T_ob, n)``.
+
+        An unseen feature is replaced by its mean, an unseen target is left out. ``None``: there are fewer than 2 UAVs,
+        or the window is too short.
+        """
 
     def detect(self, window: Window) -> Detection:
         """Name the heads of one window.
@@ -60,10 +65,10 @@ class EvidenceDetector(Detector):
 class LaggedCorrelation(EvidenceDetector):
     """Votes for heads by net lead in lagged velocity correlation, for strategies that copy the head's direction.
 
-    The lagged correlation is C_ij(τ) = mean_t v_i(t + τ) · v_j(t), with centred and normalised velocities. The net lead
-    of UAV j over UAV i is max_τ C_ij(τ) - max_τ C_ji(τ) over τ = 1, ..., ``max_lag``. Each UAV votes for the UAV with
-    the highest net lead over it. The method suits f1, f2, f3 and f6. In f4 and f5 a follower's velocity is an even
-    function of its head's, so the two are uncorrelated.
+    The lagged correlation is C_ij(τ) = mean_t v_i(t + τ) · v_j(t), with centred and normalised velocities (Nagy et al.,
+    Nature 464, 2010). The net lead of UAV j over UAV i is max_τ C_ij(τ) - max_τ C_ji(τ) over τ = 1, ..., ``max_lag``.
+    Each UAV votes for the UAV with the highest net lead over it. The method suits f1, f2, f3 and f6. In f4 and f5 a
+    follower's velocity is an even function of its head's, so the two are uncorrelated.
 
     Args:
         max_lag: the largest lag in samples, at least 1; smaller in short windows.
@@ -72,8 +77,17 @@ class LaggedCorrelation(EvidenceDetector):
     max_lag: Lags = 4
 
     def evidence(self, velocity: NDArray[np.floating], seen: Mask) -> Evidence | None:
-        """See :func:`detectors.series.evidence.correlation_evidence`."""
-        return correlation_evidence(velocity, seen, self.max_lag)
+        """Compute the net lead of j over i for every pair."""
+        steps, uavs = velocity.shape[:2]
+        max_lag = min(self.max_lag, steps - _LEAST_ROWS)
+        if uavs < 2 or max_lag < 1:
+            return None
+        flight = scale_to_unit(centre_columns(velocity.astype(np.float64), seen))
+        pairs, surrogate = (
+            correlate_over_lags(voter, flight, max_lag) - correlate_over_lags(flight, voter, max_lag).T
+            for voter in (flight, shift_in_time(flight))
+        )
+        return Evidence(pairs, surrogate, 1.0 / float(np.sqrt(3.0 * steps)))
 
 
 class LaggedRegression(EvidenceDetector):
@@ -97,8 +111,18 @@ class LaggedRegression(EvidenceDetector):
     ridge: Annotated[float, Field(ge=0)] = 1e-3
 
     def evidence(self, velocity: NDArray[np.floating], seen: Mask) -> Evidence | None:
-        """See :func:`detectors.series.evidence.regression_evidence`."""
-        return regression_evidence(velocity, seen, self.lags, self.squares, self.ridge)
+        """Compute the adjusted R² of the regression of i's velocity on j's past for every pair."""
+        steps, uavs = velocity.shape[:2]
+        rich = count_lags(steps, self.lags, 6, _ROWS_PER_FEATURE) if self.squares else 0
+        lags = rich or max(1, count_lags(steps, self.lags, 3, _ROWS_PER_FEATURE))
+        rows = steps - lags
+        if uavs < 2 or rows < _LEAST_ROWS:
+            return None
+        values = velocity.astype(np.float64)
+        target = centre_columns(values[lags:], seen[lags:])
+        past = centre_past(np.concatenate([values, values**2], axis=2) if rich else values, seen, lags)
+        shares, freedom = explain_pairs(past, (target, shift_in_time(target)), self.ridge, fitted=True)
+        return adjust_shares(shares, rows, freedom)
 
 
 class Granger(EvidenceDetector):
@@ -117,8 +141,23 @@ class Granger(EvidenceDetector):
     own_lags: Annotated[int, Field(ge=0, le=1000)] = 2
 
     def evidence(self, velocity: NDArray[np.floating], seen: Mask) -> Evidence | None:
-        """See :func:`detectors.series.evidence.granger_evidence`."""
-        return granger_evidence(velocity, seen, self.lags, self.own_lags)
+        """Compute the adjusted share of i's residual on its own past that j's past explains."""
+        steps, uavs = velocity.shape[:2]
+        lags = max(1, count_lags(steps, self.lags, 3, _ROWS_PER_FEATURE_BEYOND))
+        own_lags = min(self.own_lags, lags)
+        rows = steps - lags
+        if uavs < 2 or rows < _LEAST_ROWS:
+            return None
+        values = velocity.astype(np.float64)
+        target = centre_columns(values[lags:], seen[lags:]).transpose(1, 0, 2)
+        past = centre_past(values, seen, lags)
+        theirs, _ = whiten(past)
+        own = whiten(past[:, :, : 3 * own_lags])[0] if own_lags else past[:, :, :0]
+        shares = [
+            explain_beyond_own_past(target, own, theirs),
+            explain_beyond_own_past(shift_in_time(target, axis=1), shift_in_time(own, axis=1), theirs),
+        ]
+        return adjust_shares(np.array(shares), rows, np.full(uavs, 3.0 * lags), 3.0 * own_lags)
 
 
 class OnePerRound(Detector):

@@ -27,10 +27,9 @@ def _write_arrays(path: Path, arrays: Mapping[str, Tensor]) -> None:
 def write_weights(
     path: Path, arrays: Mapping[str, Tensor], training: Mapping[str, Any], metrics: Mapping[str, Any]
 ) -> Path:
-    """Write arrays to ``path``, a ``.safetensors`` file that is returned, and the record of the training beside it.
+    """Write arrays to ``path``, a ``.safetensors`` file that is returned, and beside it the record, a ``.json`` file.
 
-    The record has the suffix ``.json``: the settings of the training with the versions that computed it, and the
-    measured quality, ``metrics``.
+    The record has the settings of the training, the versions that computed it, and the measured quality, ``metrics``.
     """
     _write_arrays(path, arrays)
     settings = {**training, "torch": torch.__version__, "numpy": np.__version__}
@@ -53,10 +52,7 @@ def packaged_arrays(package: str, name: str) -> dict[str, Tensor]:
 
 
 class Checkpoint:
-    """The file ``checkpoint.safetensors`` in the folder of a training: arrays, the losses so far, and the settings.
-
-    The ``settings`` must be equal for a training to resume from it.
-    """
+    """The file ``checkpoint.safetensors`` of a training: arrays, losses, and ``settings``, which must not change."""
 
     def __init__(self, folder: Path, settings: Mapping[str, Any]) -> None:
         self._path = folder / "checkpoint.safetensors"

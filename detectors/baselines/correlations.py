@@ -54,16 +54,11 @@ class LaggedNetwork(NetworkDetector):
         later[0] = False
         change = np.zeros_like(flight.velocity)
         change[1:] = np.diff(flight.velocity, axis=0)
-        found = [
-            correlate_flights(series, seen, lags)
-            for series, seen in (
-                (flight.velocity, flight.seen),
-                (np.where(later[..., None], change, 0.0), later),
-                (_directions(flight.velocity), flight.seen),
-            )
-        ]
-        mean = np.mean([strength for strength, _ in found], axis=0)
-        return Pairs(mean, mean - mean.T, found[0][1])
+        strength, delay = correlate_flights(flight.velocity, flight.seen, lags)
+        accelerations, _ = correlate_flights(np.where(later[..., None], change, 0.0), later, lags)
+        directions, _ = correlate_flights(_directions(flight.velocity), flight.seen, lags)
+        mean = np.mean([strength, accelerations, directions], axis=0)
+        return Pairs(mean, mean - mean.T, delay)
 
 
 class NetLagRegression(NetworkDetector):

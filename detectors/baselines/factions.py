@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy.sparse.csgraph import dijkstra
 
@@ -14,7 +13,7 @@ from detectors.parameters import Lags
 from detectors.series.designs import centre_columns, check_pairs, scale_to_unit
 from detectors.series.regressions import correlate_over_lags
 from detectors.series.votes import rank_uavs
-from usnet_env.arrays import Floats, Mask
+from usnet_env.arrays import Floats
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
@@ -32,10 +31,6 @@ class Factions(Detector):
     Args:
         max_lag: the largest lag in samples, at least 1.
         threshold: the smallest correlation that counts as following, from 0 to 1.
-
-    Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused or a window has more than 10,000
-            UAVs.
     """
 
     tags = Tags(most_uavs=10_000, uses_positions=False)
@@ -49,15 +44,17 @@ class Factions(Detector):
         Returns:
             Candidates, scores (PageRank), clusters (factions; -1: in no faction) and leader (-1: none).
         """
-        arguments = self.check_arguments()
+        self.check_arguments()
         check_pairs(window.uavs)
         living = np.flatnonzero(window.alive)
         scores = np.zeros(window.uavs)
         leader, clusters = np.full((2, window.uavs), -1, np.int64)
         candidates = np.zeros(window.uavs, bool)
         if len(living):
-            velocity, seen = window.velocity[:, living], window.velocity_seen[:, living]
-            network = build_following_network(velocity, seen, arguments.max_lag, arguments.threshold)
+            velocity, seen = window.velocity[:, living].astype(np.float64), window.velocity_seen[:, living]
+            flight = scale_to_unit(centre_columns(velocity, seen))
+            best = correlate_over_lags(flight, flight, min(self.max_lag, len(velocity) - 2))
+            network = np.where((best >= self.threshold) & (best > best.T), best, 0.0)  # (i, j): i follows j
             scores[living] = compute_pagerank(network)
             follows = network > 0
             leads = np.flatnonzero(follows.any(axis=0) & ~follows.any(axis=1))
@@ -71,13 +68,6 @@ class Factions(Detector):
             else:
                 candidates[rank_uavs(scores, window.alive, self.rng)[:1]] = True
         return Detection(candidates=candidates, scores=scores, clusters=clusters, leader=leader)
-
-
-def build_following_network(velocity: NDArray[np.floating], seen: Mask, max_lag: int, threshold: float) -> Floats:
-    """Build the network ``(n, n)`` of :class:`Factions`: the correlations with which i follows j, or 0."""
-    flight = scale_to_unit(centre_columns(velocity.astype(np.float64), seen))
-    best = correlate_over_lags(flight, flight, min(max_lag, len(velocity) - 2))
-    return np.where((best >= threshold) & (best > best.T), best, 0.0)
 
 
 def compute_pagerank(network: Floats) -> Floats:

@@ -49,32 +49,23 @@ class Pairs:
 class NetworkDetector(Detector):
     """Base class of detectors that score all pairs; the heads are UAVs that lead and are led by no UAV.
 
-    1. A subclass measures the ``strength`` with which UAV i follows UAV j, and the ``lead``: by how much this evidence
-       exceeds that for the reverse.
-    2. A pair is related if its strength exceeds that of surrogates in which half of the UAVs are shifted in time.
-       Detectors that compare places leave this out, because neighbours are in like places at all times.
-    3. The lead of related pairs is compared with that of other surrogates: the window is cut into up to 8 blocks, and
-       time is reversed in half of them, for all UAVs together. This keeps how UAVs move, and which move alike at the
-       same time, but a lead in the blocks that are not reversed is cancelled by those that are. i follows j if they are
-       related and the lead is higher.
-    4. Both thresholds control the share of UAVs that exceed them by chance (Benjamini and Hochberg, 1995), by a Gumbel
-       distribution with the mean and variance of the surrogates' row maxima.
-    5. The direct leader of i is the strongest of those that it follows, unless this closes a cycle. A head is the root
-       of a tree; a UAV that follows and is followed is a relay.
+    A pair is related if the ``strength`` with which i follows j exceeds that of surrogates in which half of the UAVs
+    are shifted in time (detectors that compare places leave this out). UAV i follows j if they are related and the
+    ``lead``, by how much the evidence exceeds that for the reverse, is higher than that of surrogates in which time is
+    reversed, for all UAVs together, in half of up to 8 blocks. Both thresholds control the false discovery rate
+    (Benjamini and Hochberg, 1995), by a Gumbel distribution with the mean and variance of the surrogates' row maxima.
+    The direct leader of i is the strongest of those that it follows, unless this closes a cycle. A head is the root of
+    a tree; a UAV that follows and is followed is a relay.
 
     Args:
         max_lag: L, the largest delay in samples, at least 1; a quarter of the window at most.
         max_delay: the largest delay in seconds instead; the window must know its step. ``None``: ``max_lag`` holds.
         level: false discovery rate of the followers: the expected share of them that follow no UAV. In a window in
             which no UAV leads, the probability that any is named.
-
-    Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is refused, a window has more than 10,000 UAVs
-            or fewer than 5 velocities, or it doesn't know the step that ``max_delay`` needs.
     """
 
     tags = Tags(most_uavs=10_000, least_steps=5, uses_positions=False)
-    _gated: ClassVar[bool] = True  # whether pairs must be related to be compared, step 2
+    _gated: ClassVar[bool] = True  # whether pairs must be related to be compared
 
     max_lag: Lags = 4
     max_delay: Seconds | None = None
@@ -123,8 +114,7 @@ class NetworkDetector(Detector):
     def _relate(self, flight: Flight, pairs: Pairs, lags: int, count: int) -> Mask:
         """Pairs ``(n, n)`` that are closer than in ``count`` / 2 surrogates with half of the UAVs shifted in time."""
         changes = (np.diff(flight.velocity, axis=0) ** 2).sum(axis=(0, 2))
-        half = np.zeros(len(changes), bool)
-        half[np.argsort(changes, kind="stable")[::2]] = True  # does not depend on indices
+        half = np.argsort(np.argsort(changes, kind="stable")) % 2 == 0  # does not depend on indices
         apart, maxima = half[:, None] != half, list[Floats]()
         for late in len(flight.velocity) * np.arange(1, count // 2 + 1) // (count // 2 + 1):
             shifted = (

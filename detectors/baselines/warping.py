@@ -38,14 +38,12 @@ class Mflica(NetworkDetector):
 
     def pairs(self, flight: Flight, lags: int, needed: Mask | None = None) -> Pairs:
         """Warp all pairs."""
-        if self.series == "velocity":
-            values = scale_to_unit(centre_columns(flight.velocity, flight.seen))
-        else:
-            values = flight.place
+        placed = self.series == "position"
+        values = flight.place if placed else scale_to_unit(centre_columns(flight.velocity, flight.seen))
         lead, cost, delay = warp_pairs(np.ascontiguousarray(values.swapaxes(0, 1)), flight.seen.T.copy(), lags)
         spread = (centre_columns(values, flight.seen) ** 2).sum(axis=2).mean(axis=0)
         total = spread[:, None] + spread
-        match = f"whose {'places' if self.series == 'position' else 'velocities'} match its earlier ones"
+        match = f"whose {'places' if placed else 'velocities'} match its earlier ones"
         return Pairs(1.0 - cost / np.where(total > 0, total, 1.0), lead, np.maximum(delay, 1), match)
 
 
@@ -64,13 +62,9 @@ class Flica(Mflica):
         network = np.where(whole.attention > whole.extras["threshold"], whole.attention, 0.0)
         scores = np.where(window.alive, compute_pagerank(network).round(12), 0.0)  # equal ranks are ties
         led = network.any(axis=1) | network.any(axis=0)
-        candidates = np.zeros(window.uavs, bool)
-        leader = np.full(window.uavs, -1)
-        if led.any():
-            head = int(np.where(led, scores, -1.0).argmax())
-            candidates[head] = True
-            leader = np.where(led, head, -1)
-        return Detection(candidates, scores, np.where(led, 0, -1), leader, whole.attention)
+        head = int(np.where(led, scores, -1.0).argmax()) if led.any() else -1
+        candidates = np.arange(window.uavs) == head
+        return Detection(candidates, scores, np.where(led, 0, -1), np.where(led, head, -1), whole.attention)
 
 
 @compiled()

@@ -136,11 +136,10 @@ def train_calibration(
 ) -> Path:
     """Fit swarms, count, estimate the calibration and write it.
 
-    It writes these files to ``out``: ``calibration.json`` and ``rows.csv``, a row of :func:`fit_swarm` for each swarm.
-
-    The defaults of ``training`` give the shipped calibration. ``progress`` is called with the number of finished
-    swarms and of all. It goes on from what is in ``out`` if ``resume``. The result does not depend on ``workers``, the
-    processes that draw swarms, and ``backend``, see :func:`usnet_env.evaluation.run.map_tasks`.
+    Files in ``out``: ``calibration.json`` and ``rows.csv``, a row of :func:`fit_swarm` for each swarm, from which it
+    goes on if ``resume``. The defaults of ``training`` give the shipped calibration. ``progress`` is called with the
+    number of finished swarms and of all. The result does not depend on ``workers`` and ``backend``, see
+    :func:`usnet_env.evaluation.run.map_tasks`.
 
     Raises:
         ArgumentError: an argument is refused, ``out`` can't be written, or it holds rows of other settings.
@@ -148,7 +147,13 @@ def train_calibration(
     training = CalibrationTraining() if training is None else training
     folder = reserve_folder(Path(out))
     path = folder / "rows.csv"
-    rows = _read_rows(path, training) if resume and path.exists() else []
+    rows: list[dict[str, Any]] = []
+    if resume and path.exists():
+        found = pd.read_csv(path, keep_default_na=False)
+        drawn = training.model_dump(exclude={"swarms"})
+        if (found[list(drawn)] != drawn).any(axis=None):
+            raise ArgumentError(f"out must hold no rows of other settings, got {quote(str(path))}.")
+        rows = found.to_dict("records")
     left = range(len(rows), training.swarms)
     for row in map_tasks(partial(fit_swarm, training), left, workers=workers, backend=backend):
         rows.append(row)
@@ -168,11 +173,3 @@ def train_calibration(
     }
     write_text(folder / "calibration.json", json.dumps(record, indent=2) + "\n")
     return folder / "calibration.json"
-
-
-def _read_rows(path: Path, training: CalibrationTraining) -> list[dict[str, Any]]:
-    table = pd.read_csv(path, keep_default_na=False)
-    drawn = training.model_dump(exclude={"swarms"})
-    if (table[list(drawn)] != drawn).any(axis=None):
-        raise ArgumentError(f"out must hold no rows of other settings, got {quote(str(path))}.")
-    return table.to_dict("records")

@@ -43,10 +43,6 @@ class Gassl(Detector):
         memory: T_0.
         implementation: ``"compiled"``, or ``"printed"``: the readable loop of :mod:`detectors.gassl.algorithm_1`,
             much slower, the same to float rounding.
-
-    Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is refused, or the window has no more than
-            T_0 velocities or more than 10,000 UAVs.
     """
 
     tags = Tags(needs=("torch",), most_uavs=10_000, least_steps=5, needs_unit_speed=True)

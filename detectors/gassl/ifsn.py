@@ -107,9 +107,7 @@ def predict(gamma, inputs):  # type: ignore[no-untyped-def]
 
 @compiled(error_model="numpy")
 def predict_backward(gamma, inputs, scale, one, two, three, d_output, d_gamma):  # type: ignore[no-untyped-def]
-    """The gradient with respect to Γ, written to ``d_gamma``; returns that with respect to the inputs as they were
-    before they were standardised, ``(R, d)``.
-    """  # noqa: D205  # one sentence
+    """The gradient with respect to Γ, written to ``d_gamma``; returns that of the inputs before standardisation."""
     times, entries = inputs.shape
     first, _, second, _, third, _, output, _ = _arrays(gamma, entries)
     d_first, d_first_bias, d_second, d_second_bias, d_third, d_third_bias, d_out, d_out_bias = _arrays(d_gamma, entries)

@@ -92,10 +92,9 @@ def _train_uav(  # type: ignore[no-untyped-def]
 
 
 def train(inputs: Inputs, phi: Singles, gamma: Singles, sizes: AgatSizes, steps: int, learning_rate: float) -> Fit:
-    """Lines 1 to 7 of Algorithm 1: one UAV after another, all times in every step, Γ handed on.
+    """Lines 1 to 7 of Algorithm 1; the initial Φ ``phi`` ``(n, parameters)`` and Γ ``gamma`` ``(parameters,)`` stay.
 
-    There are ``steps``, Ω, with the rate β for each UAV. The initial Φ ``phi`` ``(n, parameters)`` and the initial Γ
-    ``gamma`` ``(parameters,)`` stay as they are.
+    Each UAV has ``steps``, Ω, with the rate β.
     """
     uavs, heads = inputs.uavs, sizes.attn_heads
     phi, gamma = phi.copy(), gamma.copy()

@@ -24,7 +24,6 @@ from detectors.learned.network import Answer, HeadNetwork, NetworkSizes, draw_ne
 from detectors.random_swarms import draw_training_swarm, observe
 from detectors.weights import Checkpoint, write_losses, write_weights
 from usnet_env.arrays import Mask
-from usnet_env.config import Config
 from usnet_env.evaluation.run import map_tasks
 from usnet_env.files import reserve_folder
 
@@ -35,7 +34,7 @@ Count = Annotated[int, Field(ge=1, le=10_000_000)]
 Positive = Annotated[float, Field(gt=0)]
 
 
-class HeadTraining(Config):
+class HeadTraining(NetworkSizes):
     """Settings of the training; together they determine the weights.
 
     Args:
@@ -51,9 +50,6 @@ class HeadTraining(Config):
     steps: Count = 4000
     swarms: Count = 8
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
-    width: Annotated[int, Field(ge=4, le=512)] = 32
-    attn_heads: Annotated[int, Field(ge=1, le=32)] = 4
-    blocks: Annotated[int, Field(ge=1, le=16)] = 3
     rate: Positive = 2e-3
     warm: Count = 100
     decay: Annotated[float, Field(ge=0)] = 0.01
@@ -116,12 +112,10 @@ def train_heads(
 ) -> Path:
     """Train the network and write its weights.
 
-    It writes these files to ``out``: ``learned.safetensors`` and ``learned.json``, see :mod:`detectors.weights`;
-    ``losses.csv``, the mean loss of each step; ``checkpoint.safetensors``.
-
-    The defaults of ``training`` give the shipped weights. ``progress`` is called with the number of finished
-    steps and of all. It goes on from what is in ``out`` if ``resume``. The result does not depend on ``workers``, the
-    processes that draw swarms, and ``backend``, see :func:`usnet_env.evaluation.run.map_tasks`.
+    Files in ``out``: ``learned.safetensors`` and ``learned.json``, see :mod:`detectors.weights`; ``losses.csv``, the
+    mean loss of each step; ``checkpoint.safetensors``. The defaults of ``training`` give the shipped weights.
+    ``progress`` is called with the number of finished steps and of all; the other arguments are those of
+    :func:`detectors.mc_gassl.train.train_meta`.
 
     Raises:
         ArgumentError: ``out`` can't be written, or it holds a checkpoint with other settings.
@@ -140,12 +134,13 @@ def train_heads(
         losses.append(_run_step(training, step, examples, network, optimiser))
         progress(len(losses), training.steps)
         if len(losses) % checkpoint_every == 0 or len(losses) == training.steps:
-            _write_checkpoint(checkpoint, network, optimiser, losses)
+            saved = {f"network.{name}": value for name, value in network.state_dict().items()}
+            for number, state in optimiser.state_dict()["state"].items():
+                saved |= {f"optimiser.{number}.{name}": value for name, value in state.items()}
+            checkpoint.write(saved, losses)
     write_losses(folder, "step", [round(loss, 6) for loss in losses])
-    metrics = _evaluate_network(training, network, losses)
-    return write_weights(
-        folder / "learned.safetensors", network.state_dict(), training.model_dump(mode="json"), metrics
-    )
+    path, metrics = folder / "learned.safetensors", _evaluate_network(training, network, losses)
+    return write_weights(path, network.state_dict(), training.model_dump(mode="json"), metrics)
 
 
 def _draw_step(training: HeadTraining, step: int) -> list[tuple[NDArray[Any], ...]]:
@@ -192,15 +187,6 @@ def _evaluate_network(training: HeadTraining, network: HeadNetwork, losses: list
         "held_out_share_exact": float(np.mean(exact)),
         "held_out_share_of_leaders_right": float(np.mean(right)),
     }
-
-
-def _write_checkpoint(
-    checkpoint: Checkpoint, network: HeadNetwork, optimiser: torch.optim.Optimizer, losses: list[float]
-) -> None:
-    arrays = {f"network.{name}": value for name, value in network.state_dict().items()}
-    for number, state in optimiser.state_dict()["state"].items():
-        arrays |= {f"optimiser.{number}.{name}": value for name, value in state.items()}
-    checkpoint.write(arrays, losses)
 
 
 def _read_checkpoint(checkpoint: Checkpoint, network: HeadNetwork, optimiser: torch.optim.Optimizer) -> list[float]:

@@ -21,7 +21,7 @@ from detectors.mc_gassl.features import inputs_of
 from detectors.mc_gassl.gru import GruParameters
 from detectors.mc_gassl.training_steps import OnlineTraining, train_online
 from detectors.series.votes import select_top, shows_evidence, spread
-from usnet_env.arrays import Floats, Indices, Singles
+from usnet_env.arrays import Indices, Singles
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
@@ -40,7 +40,14 @@ def run_round(
     """
     clustering = clusterer.cluster(window, rng)  # lines 2, 3
     heads, gamma = detect_heads(window, clustering, gassl, rng)  # line 4
-    followed, updated, loss = update_gru(window, parameters, clustering.count, gamma, gassl, online, rng)  # line 5
+    living = np.flatnonzero(window.alive)  # line 5
+    chosen = best_heads(build_batch(window, living, gassl.memory), gamma)  # equation (37)
+    score = np.bincount(chosen, minlength=len(chosen)).astype(np.float64)  # c_{i'}, equation (38)
+    followed = spread(score, living, window.uavs)
+    labels = spread(recluster(chosen, clustering.count, rng), living, window.uavs, fill=-1)
+    generator = torch.Generator().manual_seed(int(rng.integers(2**63)))
+    dataset = inputs_of(window, gassl.memory), torch.from_numpy(labels)
+    updated, loss = train_online(parameters, *dataset, online, generator)  # equation (39)
     extras = {"count": clustering.count, "followed": followed, "online_loss": loss, "features": clustering.features}
     return replace(heads, clusters=clustering.labels, extras={**extras, **heads.extras}), updated
 
@@ -75,26 +82,6 @@ def detect_heads(
     return Detection(candidates, scores, None, leader, attention, {"attention_heads": attn_heads}), gamma
 
 
-def update_gru(
-    window: Window,
-    parameters: GruParameters,
-    count: int,
-    gamma: Singles,
-    gassl: Gassl,
-    online: OnlineTraining,
-    rng: np.random.Generator,
-) -> tuple[Floats, GruParameters, list[float]]:
-    """Line 5: re-clusters the swarm by the trained IFSN; c_{i'} ``(N,)``, W_r and the loss of each step."""
-    living = np.flatnonzero(window.alive)
-    chosen = best_heads(build_batch(window, living, gassl.memory), gamma)  # equation (37)
-    score = np.bincount(chosen, minlength=len(chosen)).astype(np.float64)  # c_{i'}, equation (38)
-    followed = spread(score, living, window.uavs)
-    labels = spread(recluster(chosen, count, rng), living, window.uavs, fill=-1)
-    generator = torch.Generator().manual_seed(int(rng.integers(2**63)))
-    dataset = inputs_of(window, gassl.memory), torch.from_numpy(labels)
-    return followed, *train_online(parameters, *dataset, online, generator)  # equation (39)
-
-
 def best_heads(inputs: Inputs, gamma: Singles) -> Indices:
     """i_H of every UAV, ``(n,)``: the other UAV from which the trained IFSN, Γ, predicts it best, equation (37)."""
     own, source = inputs.own.copy(), inputs.history.copy()
@@ -106,10 +93,7 @@ def best_heads(inputs: Inputs, gamma: Singles) -> Indices:
 
 
 def recluster(chosen: Indices, count: int, rng: np.random.Generator) -> Indices:
-    """The clusters of the dataset D_r, ``(n,)``: the M̂ UAVs with the highest scores, each with the UAVs that chose it.
-
-    ``chosen`` is i_H, ``count`` M̂, and ``rng`` breaks ties. Labels begin at 0; UAVs of no cluster have -1.
-    """
+    """Clusters ``(n,)``, or -1, of D_r: the M̂ (``count``) UAVs that most have ``chosen``, i_H, and their voters."""
     heads = select_top(np.bincount(chosen, minlength=len(chosen)), count, rng)
     labels = np.full(len(chosen), -1, np.int64)
     for label, head in enumerate(heads):

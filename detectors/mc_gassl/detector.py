@@ -47,10 +47,6 @@ class McGassl(Detector):
         start: the GRU network's parameters before round 1: ``"meta"`` (shipped, from ``usnet train meta``) or
             ``"random"``.
         memory: T_0.
-
-    Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is refused, or a window has no more than T_0
-            velocities or more than 10,000 UAVs.
     """
 
     tags = Tags(needs=("torch",), most_uavs=10_000, least_steps=5, takes_clusters=True, needs_unit_speed=True)
@@ -100,14 +96,10 @@ class McGassl(Detector):
             candidates = name_at_random(living, 1, window.uavs, self.rng)
             none = {"count": min(1, len(living)), "followed": np.zeros(window.uavs), "online_loss": []}
             return Detection(candidates, np.zeros(window.uavs), np.where(window.alive, 0, -1), extras=none)
-        found, self._parameters = run_round(window, self._parameters, self._make_clusterer(), gassl, online, self.rng)
+        clusterer, features = self.clusterer, self.features
+        if isinstance(clusterer, str):
+            if isinstance(features, str) and features == "gru":
+                features = partial(gru_features, parameters=self._parameters, memory=self.memory)
+            clusterer = make_clusterer(clusterer, features=features, count=self.count, memory=self.memory)
+        found, self._parameters = run_round(window, self._parameters, clusterer, gassl, online, self.rng)
         return found
-
-    def _make_clusterer(self) -> Any:
-        """The clusterer of lines 2 and 3 of Algorithm 2, with the GRU network as it is in this round."""
-        if not isinstance(self.clusterer, str):
-            return self.clusterer
-        features: Any = self.features
-        if isinstance(features, str) and features == "gru":
-            features = partial(gru_features, parameters=self._parameters, memory=self.memory)
-        return make_clusterer(self.clusterer, features=features, count=self.count, memory=self.memory)

@@ -62,8 +62,7 @@ class GruInputs:
 def draw_parameters(generator: torch.Generator, width: int = 3) -> GruParameters:
     """A random start: uniform in ±1/sqrt(w + 3), float32.
 
-    The paper's h_0 is a position, which makes the ``width`` w 3; a wider h starts with the position in its first three
-    entries and 0 in the others.
+    The paper's ``width`` w is 3; a wider h starts with the position in its first three entries and 0 in the others.
     """
     shape = (width, width + 3)
     return GruParameters(*((2.0 * torch.rand(shape, generator=generator) - 1.0) / shape[1] ** 0.5 for _ in range(3)))

@@ -17,12 +17,12 @@ import torch
 from pydantic import Field
 
 from detectors.mc_gassl.features import inputs_of
-from detectors.mc_gassl.gru import ARENA_SCALE, GruParameters, Scale, draw_parameters, read_parameters
+from detectors.mc_gassl.gru import GruParameters, draw_parameters, read_parameters
 from detectors.mc_gassl.training_steps import Clustered, Task, joint_step, meta_step
 from detectors.mc_gassl.triplet import Metric, batch_loss
 from detectors.weights import Checkpoint, write_losses, write_weights
 from usnet_env.arrays import Indices
-from usnet_env.config import ArgumentError, Config
+from usnet_env.config import ArgumentError
 from usnet_env.evaluation.run import map_tasks
 from usnet_env.files import reserve_folder
 from usnet_env.swarm import SwarmConfig, advance, start
@@ -36,7 +36,7 @@ Count = Annotated[int, Field(ge=1, le=10_000_000)]
 Positive = Annotated[float, Field(gt=0)]
 
 
-class MetaTraining(Config):
+class MetaTraining(Metric):
     """Everything that decides the weights.
 
     Args:
@@ -47,7 +47,7 @@ class MetaTraining(Config):
         width: entries of a feature, see :func:`detectors.mc_gassl.gru.draw_parameters`.
         inner_rate: alpha, of the step on the support swarm; plays no part in ``"joint"``.
         outer_rate: beta.
-        sampling, margin, times, anchors, scale: of a batch, see :class:`detectors.mc_gassl.triplet.Metric`.
+        sampling, margin, times, anchors, scale: of a batch, as in :class:`detectors.mc_gassl.triplet.Metric`.
         clusters, uavs, observation_steps, memory, mobility, head_jitter: of the swarms, see
             :class:`usnet_env.swarm.SwarmConfig`.
     """
@@ -59,11 +59,6 @@ class MetaTraining(Config):
     width: Annotated[int, Field(ge=3, le=4096)] = 3
     inner_rate: Positive = 0.1
     outer_rate: Positive = 0.3
-    sampling: Literal["hard", "semi-hard", "random"] = "hard"
-    margin: Positive = 0.5
-    times: Count = 8
-    anchors: Count = 256
-    scale: Scale = ARENA_SCALE
     clusters: Count = 5
     uavs: Count = 82
     observation_steps: Count = 100
@@ -106,22 +101,6 @@ def _draw_start(training: MetaTraining) -> GruParameters:
     return draw_parameters(_generator(training, _START), training.width)
 
 
-def _train(
-    training: MetaTraining, parameters: GruParameters, tasks: list[Task], episodes: range
-) -> tuple[GruParameters, list[float]]:
-    """Train by some episodes, each on one task at random and with a generator of its own."""
-    metric, losses = training.part(Metric), []
-    for episode in episodes:
-        generator = _generator(training, _EPISODE, episode)
-        task = tasks[int(torch.randint(len(tasks), (), generator=generator))]
-        if training.method == "meta":
-            parameters, loss = meta_step(parameters, task, metric, training.inner_rate, training.outer_rate, generator)
-        else:
-            parameters, loss = joint_step(parameters, task, metric, training.outer_rate, generator)
-        losses.append(loss)
-    return parameters, losses
-
-
 def train_meta(
     out: str | os.PathLike[str],
     training: MetaTraining | None = None,
@@ -134,39 +113,40 @@ def train_meta(
 ) -> Path:
     """Train the GRU network off-line and write its weights.
 
-    Files in ``out``, each appearing whole: ``meta.safetensors`` and ``meta.json`` (``joint.…`` with that method), see
-    :mod:`detectors.weights`; ``losses.csv``, the query loss of every episode; ``checkpoint.safetensors``.
-
-    The defaults of ``training`` make the weights that the package ships. ``progress`` is called with the number of
-    strategies drawn and episodes done, and of all there are. It goes on from the checkpoint in ``out`` if ``resume``.
-    The result does not depend on ``workers``, the processes that draw swarms, and ``backend``, see
-    :func:`usnet_env.evaluation.run.map_tasks`.
+    Files in ``out``: ``meta.safetensors`` and ``meta.json`` (``joint.…`` with that method), see
+    :mod:`detectors.weights`; ``losses.csv``, the query loss of every episode; ``checkpoint.safetensors``, from which it
+    goes on if ``resume``. The defaults of ``training`` make the weights that the package ships. ``progress`` is called
+    with the number of strategies drawn and episodes done, and of all. The result does not depend on ``workers`` and
+    ``backend``, see :func:`usnet_env.evaluation.run.map_tasks`.
 
     Raises:
         ArgumentError: ``out`` can't be written to, or its checkpoint is of another training or of more episodes.
     """
     training = MetaTraining() if training is None else training
-    # A training can be prolonged: a checkpoint may be of fewer episodes.
     folder = reserve_folder(Path(out))
-    checkpoint = Checkpoint(folder, training.model_dump(mode="json", exclude={"episodes"}))
+    checkpoint = Checkpoint(folder, training.model_dump(mode="json", exclude={"episodes"}))  # it may be prolonged
     total = training.strategies + training.episodes
     arrays, losses = checkpoint.read() if resume else ({}, [])
     if len(losses) > training.episodes:
         raise ArgumentError(
             f"episodes must be at least the {len(losses)} of the checkpoint in out, got {training.episodes}."
         )
-    parameters = read_parameters(arrays) if arrays else _draw_start(training)
-    tasks = []
-    draw = partial(_draw_windows, training)
-    for windows in map_tasks(draw, range(training.strategies), workers=workers, backend=backend):
+    parameters, metric = read_parameters(arrays) if arrays else _draw_start(training), training.part(Metric)
+    tasks, strategies = [], range(training.strategies)
+    for windows in map_tasks(partial(_draw_windows, training), strategies, workers=workers, backend=backend):
         tasks.append(_make_task(training, windows))
         progress(len(tasks), total)
     while len(losses) < training.episodes:
-        episodes = range(len(losses), min(len(losses) + checkpoint_every, training.episodes))
-        parameters, more = _train(training, parameters, tasks, episodes)
-        losses += more
-        checkpoint.write(vars(parameters), losses)
-        progress(training.strategies + len(losses), total)
+        generator = _generator(training, _EPISODE, len(losses))  # of this episode
+        task = tasks[int(torch.randint(len(tasks), (), generator=generator))]
+        if training.method == "meta":
+            parameters, loss = meta_step(parameters, task, metric, training.inner_rate, training.outer_rate, generator)
+        else:
+            parameters, loss = joint_step(parameters, task, metric, training.outer_rate, generator)
+        losses.append(loss)
+        if len(losses) % checkpoint_every == 0 or len(losses) == training.episodes:
+            checkpoint.write(vars(parameters), losses)
+            progress(training.strategies + len(losses), total)
     write_losses(folder, "episode", losses)
     path, metrics = folder / f"{training.method}.safetensors", _metrics(training, parameters, losses)
     return write_weights(path, vars(parameters), training.model_dump(mode="json"), metrics)

@@ -31,11 +31,7 @@ def descend(parameters: GruParameters, loss: Tensor, at: GruParameters, rate: fl
 
 
 def train_online(
-    parameters: GruParameters,
-    inputs: GruInputs,
-    labels: Tensor,
-    settings: OnlineTraining,
-    generator: torch.Generator,
+    parameters: GruParameters, inputs: GruInputs, labels: Tensor, settings: OnlineTraining, generator: torch.Generator
 ) -> tuple[GruParameters, list[float]]:
     """Gradient descent on the triplet loss of one window of n UAVs; the loss before each step.
 

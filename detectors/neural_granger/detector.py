@@ -46,10 +46,6 @@ class NeuralGranger(Detector):
         blocks: contiguous blocks of times that are held out, a fifth of all times, with gaps of T_0 on both sides.
         ridge: penalty of the null model.
         floor: squared error, in (metres per step)², that is added to all errors before their logarithm is taken.
-
-    Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is invalid, or the window has no more than T_0
-            velocities or more than 10,000 UAVs.
     """
 
     tags = Tags(needs=("torch",), most_uavs=10_000, least_steps=5, needs_unit_speed=True)
@@ -87,16 +83,14 @@ class NeuralGranger(Detector):
         if not shows_evidence(window, living):
             candidates = name_at_random(living, 0 if self.gate else self.top_k, window.uavs, self.rng)
             return Detection(candidates, np.zeros(window.uavs), extras={"followed": False})
-        found = "cuda" if torch.cuda.is_available() else "cpu"
-        device = torch.device(found if self.device == "auto" else self.device)
+        automatic = "cuda" if torch.cuda.is_available() else "cpu"
+        device = torch.device(automatic if self.device == "auto" else self.device)
         generator = torch.Generator(device).manual_seed(int(self.rng.integers(2**63)))
         fit = fit_networks(build_samples(window, living, self.memory, device), settings, generator)
         second = fit.held_out_gain.sort(dim=0, descending=True).values[1]
         attention, gain, explained = (part.double().cpu().numpy() for part in (fit.attention, second, fit.explained))
         choice, other = choose_heads(attention, False, self.rng), choose_heads(attention, True, self.rng)
-        c = attention.copy()
-        np.fill_diagonal(c, 0.0)
-        c = c.sum(axis=0) / len(attention)
+        c = np.where(np.eye(len(living), dtype=bool), 0.0, attention).sum(axis=0) / len(living)
         followed = bool(gain[fit.winner] >= self.gate_threshold)
         named = np.zeros(len(living), bool)
         if not self.gate or followed:

@@ -135,15 +135,6 @@ def split_times(times: int, blocks: int, gap: int, device: torch.device) -> tupl
     return used.nonzero()[:, 0], held.nonzero()[:, 0]
 
 
-def _predict_from_own_history(samples: Samples, ridge: float) -> Tensor:
-    """Each UAV's next velocity ``(n, R, 3)`` from its own last ones by the null model."""
-    past = (_VELOCITY_SCALE * samples.velocity.flatten(2)).cpu().numpy()
-    past = np.concatenate([past, np.ones_like(past[..., :1])], axis=-1)
-    target, weight = samples.target.cpu().numpy(), samples.weight.cpu().numpy()
-    found = predict_from_own_past(past, target, weight, ridge, gap=samples.velocity.shape[2])
-    return torch.from_numpy(found).to(samples.target.device)
-
-
 def _weighted_mean(values: Tensor, weight: Tensor) -> Tensor:
     return (values * weight).sum(-1) / weight.sum(-1).clamp(min=1.0)
 
@@ -153,7 +144,11 @@ class Problem:
 
     def __init__(self, samples: Samples, settings: Any) -> None:
         self.samples, self.settings = samples, settings
-        self.null = _predict_from_own_history(samples, settings.ridge)
+        past = (_VELOCITY_SCALE * samples.velocity.flatten(2)).cpu().numpy()
+        past = np.concatenate([past, np.ones_like(past[..., :1])], axis=-1)
+        target, weight = samples.target.cpu().numpy(), samples.weight.cpu().numpy()
+        null = predict_from_own_past(past, target, weight, settings.ridge, gap=samples.velocity.shape[2])
+        self.null = torch.from_numpy(null).to(samples.target.device)
         self.null_error = ((self.null - samples.target) ** 2).sum(-1)  # (n, R)
         # The mean velocity of a UAV that flies nearly straight would dominate the inputs; biases replace it.
         velocity = samples.velocity - samples.velocity.mean((1, 2), keepdim=True)
@@ -222,11 +217,7 @@ def fit_networks(samples: Samples, settings: Any, generator: torch.Generator) ->
 
 
 def _train(problem: Problem, network: AdditiveNetwork, used: Tensor, generator: torch.Generator) -> None:
-    """Train by AdamW at the times ``used`` to predict UAVs from all others; the loss is the mean log error of the UAVs.
-
-    That is a Gaussian log-likelihood in which each UAV has its own variance. A UAV that no network can predict, such as
-    a decoy, then has no more weight than the others.
-    """
+    """Train by AdamW at the times ``used``; the loss, the mean log error, gives each UAV its own variance."""
     samples, settings = problem.samples, problem.settings
     everyone = torch.arange(samples.uavs, device=used.device)
     others = everyone[:, None] != everyone

@@ -1,9 +1,8 @@
 """Tells UAVs that lead from UAVs that only move like others, because all of them answer to a common cause.
 
-Members of a formation about a virtual point predict each other: each is one more measurement of the point. So do
-animals of a herd that a shepherd drives. But their past predicts the others no better than their future does. The past
-of a head predicts its followers better than its future, which they do not know. The followers' own past has no part in
-this comparison, because it holds the common cause as well.
+Members of a formation about a virtual point predict each other, but their past predicts the others no better than
+their future does. The past of a head predicts its followers better than its future, which they do not know. The
+followers' own past has no part in this comparison, because it holds the common cause as well.
 """
 
 from __future__ import annotations
@@ -112,9 +111,8 @@ def _bound(values: Floats) -> Floats:
 def _measure_leads(group: Floats, past: Floats, future: Floats, longest: int, turned: float) -> tuple[Floats, Floats]:
     """Contributions ``(P, 8)`` of the blocks to the lead of P pairs; the leads ``(P, 2)`` of the predictions.
 
-    These are the lead that the group's prediction from the head's past has in place of the group, and, with its sign
-    changed, that of the prediction from the head's future, as shares of the group's energy. All arrays are
-    ``(P, T, a)``; ``turned`` is the sign that they have in reversed time.
+    The predictions are from the head's past and, with the sign changed, its future. All arrays are ``(P, T, a)``;
+    ``turned`` is the sign that they have in reversed time.
     """
     pair = np.stack([past, turned * future[:, ::-1]], axis=1)  # (P, 2, T, a): in both directions of time
     across = pair.reshape(-1, *group.shape[1:]).swapaxes(1, 2)
@@ -156,7 +154,7 @@ def _compare_both_ways(features: Floats, target: Floats, longest: int, turned: f
                 gained = (ahead[step, axis] - turned * back[steps - 1 - step, axis]) * target[pair, 0, step, axis]
                 blocks[pair, (_BLOCKS * (step + 1) - 1) // steps] += gained / total
         for way, known in enumerate((ahead, back)):
-            gram, moment = _multiply_later(features[pair, 1 - way, first:last], _reverse(known, turned), longest)
+            gram, moment = _multiply_later(features[pair, 1 - way, first:last], turned * known[::-1], longest)
             expected[pair, way] = (energy[way] - _fit_delay(gram, moment, longest)[2]) / total
     return blocks, expected
 
@@ -186,16 +184,6 @@ def _predict(features: Floats, law: Floats, delay: int) -> Floats:
             for axis in range(axes):
                 predicted[step, axis] += features[p, step - delay] * law[p, axis]
     return predicted
-
-
-@compiled()
-def _reverse(values: Floats, turned: float) -> Floats:
-    """``(T, a)`` in reversed time."""
-    reversed_values = np.empty_like(values)
-    for step in range(len(values)):
-        for axis in range(values.shape[1]):
-            reversed_values[step, axis] = turned * values[len(values) - 1 - step, axis]
-    return reversed_values
 
 
 @compiled()

@@ -1,7 +1,4 @@
-"""Samples that the observer missed: one rule for every detector that needs tracks without gaps.
-
-Regressions that can leave a sample out do so by their masks (:mod:`detectors.series.evidence`).
-"""
+"""Samples that the observer missed: one rule for every detector that needs tracks without gaps."""
 
 from __future__ import annotations
 

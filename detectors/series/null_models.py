@@ -24,8 +24,7 @@ def predict_from_own_past(
 ) -> NDArray[RealT]:
     """Predict each UAV from its own past by a cross-fitted ridge regression.
 
-    The rows of a fold, of consecutive rows, are predicted by a fit to the other folds, without the ``gap`` rows on each
-    side of the fold, which share samples with it. So the errors are those of rows that were not fitted. ``past`` is
+    Each fold of consecutive rows is predicted by a fit to the others, without the ``gap`` rows next to it. ``past`` is
     ``(..., R, p)``, with a column of ones for the mean, ``target`` and prediction are ``(..., R, d)``, ``weight``
     ``(..., R)`` is 1 where the target was seen, and ``penalty`` is added to the diagonal of the Gram matrix.
     """

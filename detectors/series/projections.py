@@ -7,7 +7,6 @@ of features with each other and m those with a target, is the squared length of 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import cache
 from math import prod
 
 import numpy as np
@@ -50,7 +49,7 @@ def explain_exactly(features: Floats, target: Singles, weight: Singles) -> Float
     ``(R, C)`` are the squares of these weights.
     """
     axes = features.shape[1]
-    row, column = _list_lower(axes)
+    row, column = np.tril_indices(axes)
     singles = features.astype(np.float32)
     gram = _multiply(singles[:, row] * singles[:, column], weight)
     return np.asarray(_solve(_multiply(singles, target), gram, axes).T)
@@ -61,12 +60,6 @@ def _multiply(features: Floats | Singles, target: Singles) -> Singles:
     flat = features.astype(np.float32, copy=False).reshape(-1, features.shape[2])
     product = flat @ target.reshape(len(target), -1)
     return product.reshape(*features.shape[:2], *target.shape[1:])
-
-
-@cache
-def _list_lower(width: int) -> tuple[Indices, Indices]:
-    """Rows and columns of the lower triangle of a matrix."""
-    return np.tril_indices(width)
 
 
 @compiled()
@@ -164,8 +157,7 @@ def multiply_pairs(
 def _solve(product: Singles, gram: Singles, axes: int) -> Floats:
     """``(k, C)``: m' G^-1 m, summed over the axes, with G less what the own past explains, by Cholesky's method.
 
-    ``product`` ``(k, p, a + z, C)`` are features times innovations, which are m, and times own pasts; ``gram``
-    ``(k, p (p + 1) / 2, C)`` are lower triangles of features times features.
+    ``product`` ``(k, p, a + z, C)``: features times innovations, own pasts; ``gram``: lower triangles ``(k, …, C)``.
     """
     uavs, features, width, count = product.shape
     explained = np.zeros((uavs, count))

@@ -74,27 +74,12 @@ def spread(
     return wide
 
 
-def compute_votes(evidence: Evidence) -> tuple[Indices, Floats]:
-    """The vote of each UAV, ``(n,)`` int64: the UAV with the highest evidence in its row; and its weight ``(n,)``.
-
-    The weight is the difference between this evidence and its value by chance, at least 0. So the vote of a head, which
-    follows no UAV, has nearly no weight.
-    """
-    vote = evidence.pairs.argmax(axis=1)
-    best = evidence.pairs.max(axis=1)
-    return vote.astype(np.int64), np.maximum(best - evidence.chance, 0.0)
-
-
 def cover_voters(evidence: Evidence, most: int | None = None) -> list[int]:
     """Choose heads for unknown M by a greedy cover of the significant voters.
 
     Let e_ij be the evidence above the threshold. Head j explains the share e_ij / max_k e_ik of a significant voter i;
     several heads explain the largest of their shares. The head that raises the sum of these shares the most is added as
-    long as it raises it by at least ``LEAST_VOTERS``. A follower that votes for another follower of the same head adds
-    no head, since the true head explains it nearly as well.
-
-    Returns:
-        Indices of at most ``most`` heads in the order of choice; empty if no UAV follows another one.
+    long as it raises it by at least ``LEAST_VOTERS``. The result has at most ``most`` indices, in the order of choice.
     """
     threshold = evidence.threshold
     above = np.maximum(evidence.pairs - threshold, 0.0)
@@ -139,9 +124,10 @@ def detection_from_evidence(
     """Derive a detection from pairwise evidence among the living UAVs; ``None``: the window is too short.
 
     Candidates are in the first round the UAVs with the ``clusters`` highest scores, if M is known; otherwise the heads
-    of :func:`cover_voters`, or the UAV with the highest score if there are none. A score is the sum of the weights of a
-    UAV's votes; ``rng`` breaks ties. Clusters are numbered in the order of the heads' indices; attention is the
-    evidence, from 0.
+    of :func:`cover_voters`, or the UAV with the highest score if there are none. Each UAV votes for the UAV with the
+    highest evidence in its row; the weight is the difference from its value by chance, at least 0, so that of a head
+    is about 0. A score is the sum of the weights of a UAV's votes; ``rng`` breaks ties. Clusters are numbered in the
+    order of the heads' indices; attention is the evidence, from 0.
     """
     uavs = len(alive)
     living = np.flatnonzero(alive)
@@ -151,8 +137,8 @@ def detection_from_evidence(
     threshold = np.inf
     if evidence is not None:
         threshold = evidence.threshold
-        chosen, weight[living] = compute_votes(evidence)
-        vote[living] = living[chosen]
+        vote[living] = living[evidence.pairs.argmax(axis=1)]
+        weight[living] = np.maximum(evidence.pairs.max(axis=1) - evidence.chance, 0.0)
         np.add.at(scores, vote[living], weight[living])
         attention[np.ix_(living, living)] = np.maximum(evidence.pairs, 0.0)
         found = cover_voters(evidence, clusters)

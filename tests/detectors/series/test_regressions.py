@@ -5,8 +5,8 @@ import pytest
 from series_windows import flight, gaps
 from sklearn.linear_model import Ridge
 
+from detectors.lagged import Granger, LaggedCorrelation, LaggedRegression
 from detectors.series.designs import centre_columns, centre_past
-from detectors.series.evidence import correlation_evidence, granger_evidence, regression_evidence
 from detectors.series.regressions import (
     correlate_at_lag,
     correlate_over_lags,
@@ -52,9 +52,8 @@ def test_shares_are_those_of_one_ridge_per_pair(make, lags, squares, ridge):
 def test_unseen_samples_are_not_read():
     velocity, seen = flight(6), gaps(6)
     wild = np.where(seen[..., None], velocity, 1e3)
-    for one in (regression_evidence, granger_evidence, correlation_evidence):
-        arguments = {regression_evidence: (3, True, 1e-3), granger_evidence: (2, 1), correlation_evidence: (3,)}[one]
-        plain, other = (one(values, seen, *arguments) for values in (velocity, wild))
+    for detector in (LaggedRegression(lags=3), Granger(lags=2, own_lags=1), LaggedCorrelation(max_lag=3)):
+        plain, other = (detector.evidence(values, seen) for values in (velocity, wild))
         np.testing.assert_allclose(other.pairs, plain.pairs, atol=1e-6)
         np.testing.assert_allclose(other.surrogate, plain.surrogate, atol=1e-6)
 
