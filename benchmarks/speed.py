@@ -1,11 +1,10 @@
 """Speed and memory of the simulator, of detectors and of the evaluator, as ratios within one run.
 
-    OMP_NUM_THREADS=1 python benchmarks/speed.py                        # all parts but peers
+    OMP_NUM_THREADS=1 python benchmarks/speed.py                        # all parts
     OMP_NUM_THREADS=1 python benchmarks/speed.py --parts field scaling  # these parts; the others stay in the file
-    OMP_NUM_THREADS=1 python benchmarks/speed.py --parts peers          # needs pip install '.[bench]'
 
-The speed of a shared machine drifts, so contestants take turns, each turn gives one ratio, and the median counts. All
-run in one thread, except VMAS, which uses PyTorch's threads. The result is benchmarks/results/speed.json.
+The speed of a shared machine drifts, so contestants take turns, each turn gives one ratio, and the median counts. The
+result is benchmarks/results/speed.json.
 """
 
 from __future__ import annotations
@@ -158,34 +157,6 @@ def evaluation(turns: int, episodes: int = 300) -> dict[str, object]:
     }
 
 
-def peers(turns: int) -> dict[str, object]:
-    """Agent-steps a second of the vector env, of MPE2's simple_tag and of VMAS' flocking, in turns."""
-    import torch
-    import vmas
-    from mpe2 import simple_tag_v3
-
-    ours = gym.make_vec(GAME, num_envs=EPISODES)
-    ours.reset(seed=0)
-    actions = (np.random.default_rng(0).random((EPISODES, UAVS)) < 0.05).astype(np.int8)
-    tag = simple_tag_v3.parallel_env(num_good=3, num_adversaries=7, num_obstacles=2, max_cycles=10**9)
-    tag.reset(seed=0)
-    tag_actions = {agent: int(tag.action_space(agent).sample()) for agent in tag.agents}
-    flock = vmas.make_env("flocking", num_envs=4096, device="cpu", n_agents=10, seed=0)
-    flock_actions = [torch.rand(4096, 2) * 2 - 1 for _ in range(10)]
-    steps = np.array([4 * EPISODES * UAVS * ours.unwrapped.config.steps, 300 * len(tag_actions), 3 * 4096 * 10])
-    taken = take_turns(
-        turns,
-        lambda: [ours.step(actions) for _ in range(4)],
-        lambda: [tag.step(tag_actions) for _ in range(300)],
-        lambda: [flock.step(flock_actions) for _ in range(3)],
-    )
-    what, rates = "agent-steps a second of usnet over those of", (steps / taken).T
-    return {
-        "simple_tag_v3": describe(f"{what} MPE2's simple_tag_v3, 10 agents", rates[0] / rates[1]),
-        "vmas_flocking": describe(f"{what} VMAS' flocking, 4,096 envs of 10 agents", rates[0] / rates[2]),
-    }
-
-
 PARTS: dict[str, Callable[[int], dict[str, object]]] = {
     "stepping": lambda turns: {follow: stepping(turns, follow=follow) for follow in FOLLOW},
     "field": lambda turns: {follow: stepping(turns, follow=follow, memory=12) for follow in FIELD_MODELS},
@@ -196,7 +167,6 @@ PARTS: dict[str, Callable[[int], dict[str, object]]] = {
     "memory": memory,
     "detectors": detectors,
     "evaluation": evaluation,
-    "peers": peers,
 }
 
 
@@ -204,10 +174,10 @@ def main(argv: list[str] | None = None) -> None:
     parser = parse(__doc__)
     parser.add_argument("--turns", type=int, default=15)
     parser.add_argument("--out", type=Path, default=RESULTS / "speed.json")
-    parser.add_argument("--parts", nargs="+", choices=list(PARTS), default=[part for part in PARTS if part != "peers"])
+    parser.add_argument("--parts", nargs="+", choices=list(PARTS), default=list(PARTS))
     given = parser.parse_args(argv)
     result = json.loads(given.out.read_text(encoding="utf-8")) if given.out.exists() else {}
-    result |= {"machine": machine(), "versions": versions(("torch", "mpe2", "vmas")), "turns": given.turns}
+    result |= {"machine": machine(), "versions": versions(("torch",)), "turns": given.turns}
     for part in given.parts:
         result[part] = PARTS[part](given.turns)
         write_text(given.out, json.dumps(result, indent=1) + "\n")

@@ -21,18 +21,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from shared import (
-    COLORS,
-    FOLLOW,
-    RESULTS,
-    Game,
-    describe_counts,
-    draw_intervals,
-    measure_and_draw,
-    panels,
-    parse,
-    save_figure,
-)
+import shared
+from shared import FOLLOW, Game
 
 from detectors.clustering import make_clusterer
 from usnet_env import Window
@@ -92,22 +82,24 @@ def draw(rows: pd.DataFrame, folder: Path) -> None:
     named = {(clusterer, features): label for clusterer, features, label, _ in PICTURED}
     rows = rows.assign(detector=[named.get(key, "") for key in zip(rows.clusterer, rows.features, strict=True)])
     for number, (_, features, label, marker) in enumerate(PICTURED):
-        color = COLORS[number // 2] if marker != "*" else COLORS[-1]
+        color = shared.COLORS[number // 2] if marker != "*" else shared.COLORS[-1]
         fill = "white" if features == "raw" else color
         looks[label] = {"marker": marker, "mfc": fill, "ms": 11 if marker == "*" else 6, "color": color}
-    figure, ((axes,),) = panels(11, 5.4)
-    draw_intervals(axes, pd.concat([rows, rows.assign(follow="all")]), "follow", [*FOLLOW, "all"], "purity", looks)
+    figure, ((axes,),) = shared.panels(11, 5.4)
+    shared.draw_intervals(
+        axes, pd.concat([rows, rows.assign(follow="all")]), "follow", [*FOLLOW, "all"], "purity", looks
+    )
     axes.set(xlabel="follow strategy", ylabel="purity", xlim=(-0.5, len(FOLLOW) + 0.5), ylim=(0, 1.03))
-    count = describe_counts(rows, ["clusterer", "features", "follow"])
+    count = shared.describe_counts(rows, ["clusterer", "features", "follow"])
     caption = (
         f"Means of {count} windows a point; bars are 95 % intervals. M is given. The paper, in words: "
         "metric learning is at least 0.1 above each of the others on average."
     )
-    save_figure(figure, folder / "purity.png", "Purity of clustering, M = 5, N = 82", caption)
+    shared.save_figure(figure, folder / "purity.png", "Purity of clustering, M = 5, N = 82", caption)
 
 
 def main(argv: list[str] | None = None) -> None:
-    parser = parse(__doc__, RESULTS / "paper" / "purity.csv.gz")
+    parser = shared.parse(__doc__, shared.RESULTS / "paper" / "purity.csv.gz")
     parser.add_argument("--clusterer", nargs="+", choices=list(CLUSTERERS), default=list(CLUSTERERS))
     parser.add_argument("--features", nargs="+", choices=FEATURES, default=list(FEATURES))
     parser.add_argument("--count", nargs="+", choices=["given", "estimated"], default=["given", "estimated"])
@@ -121,7 +113,7 @@ def main(argv: list[str] | None = None) -> None:
         for episode in range(given.episodes)
         if (clusterer, count) != ("hdbscan", "given")  # it takes no M
     ]
-    measure_and_draw(given, games, partial(play, seed=given.seed), draw)
+    shared.measure_and_draw(given, games, partial(play, seed=given.seed), draw)
 
 
 if __name__ == "__main__":

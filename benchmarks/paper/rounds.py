@@ -19,20 +19,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pandas as pd
-from shared import (
-    COLORS,
-    MARKERS,
-    RESULTS,
-    STUDIES,
-    TITLES,
-    Game,
-    describe_counts,
-    draw_intervals,
-    measure_and_draw,
-    panels,
-    parse,
-    save_figure,
-)
+import shared
+from shared import Game
 
 import usnet_env.envs  # noqa: F401  registers the environments
 from usnet_env import make_detector
@@ -65,18 +53,18 @@ def said(metric: str, words: pd.Series, uavs: int) -> tuple[float, float]:
 def draw(rows: pd.DataFrame, folder: Path) -> None:
     """Draw R, redundancy and J_m of each study, beside what the paper says."""
     words = pd.read_csv(WORDS, index_col="study")
-    figure, grid = panels(15, 3.6 * len(STUDIES) + 0.8, len(STUDIES), len(PANELS))
+    figure, grid = shared.panels(15, 3.6 * len(shared.STUDIES) + 0.8, len(shared.STUDIES), len(PANELS))
     names = sorted(set(rows.detector), key=lambda name: (name in TRIVIAL, name))
-    looks = {name: {"color": COLORS[k], "marker": MARKERS[k], "ms": 5} for k, name in enumerate(names)}
+    looks = {name: {"color": shared.COLORS[k], "marker": shared.MARKERS[k], "ms": 5} for k, name in enumerate(names)}
     looks |= {name: {**looks[name], "color": "#777777"} for name in names if name in TRIVIAL}
-    for line, (study, swarms) in zip(grid, STUDIES.items(), strict=True):
+    for line, (study, swarms) in zip(grid, shared.STUDIES.items(), strict=True):
         chosen, x = rows[rows[list(swarms)].isin(swarms).all(axis=1)], study if study in swarms else "follow"
         sizes = np.broadcast_to(swarms["uavs"], len(swarms[x]))
         for axes, (metric, (label, scale)) in zip(line, PANELS.items(), strict=True):
             bounds = scale * np.array([said(metric, words.loc[study], uavs) for uavs in sizes])
             edges = np.repeat(np.arange(len(bounds)), 2) + np.tile([-0.5, 0.5], len(bounds))
             axes.fill_between(edges, *np.repeat(bounds, 2, axis=0).T, color="#cccccc", label="the paper, in words")
-            draw_intervals(axes, chosen, x, swarms[x], metric, looks, scale)
+            shared.draw_intervals(axes, chosen, x, swarms[x], metric, looks, scale)
             axes.set_ylabel(label)
             if metric == "redundancy":
                 axes.set_yscale("symlog", linthresh=1)
@@ -86,19 +74,21 @@ def draw(rows: pd.DataFrame, folder: Path) -> None:
             ticks = [0, 1, 10, 100] if metric == "redundancy" else [1, 2, 3, 5, 10, 20]
             axes.set_yticks(ticks, [str(tick) for tick in ticks])
             axes.minorticks_off()
-        line[0].set_title(TITLES[study], loc="left", fontsize=10)
-    count = describe_counts(rows, ["detector", "follow", "clusters", "uavs"])
+        line[0].set_title(shared.TITLES[study], loc="left", fontsize=10)
+    count = shared.describe_counts(rows, ["detector", "follow", "clusters", "uavs"])
     caption = f"Means of {count} episodes a point; bars are 95 % intervals. Grey marks: trivial policies."
-    save_figure(figure, folder / "rounds.png", "P2: rounds, redundancy and J_m", caption)
+    shared.save_figure(figure, folder / "rounds.png", "P2: rounds, redundancy and J_m", caption)
 
 
 def main(argv: list[str] | None = None) -> None:
-    parser = parse(__doc__, RESULTS / "paper" / "rounds.csv.gz")
-    parser.add_argument("--study", action="append", choices=list(STUDIES), help="may repeat; by default all")
+    parser = shared.parse(__doc__, shared.RESULTS / "paper" / "rounds.csv.gz")
+    parser.add_argument("--study", action="append", choices=list(shared.STUDIES), help="may repeat; by default all")
     parser.add_argument("--detector", action="append", help="may repeat; by default mc-gassl and baselines")
     parser.add_argument("--episodes", type=int, default=10)
     given = parser.parse_args(argv)
-    swarms = dict.fromkeys(swarm for study in given.study or STUDIES for swarm in product(*STUDIES[study].values()))
+    swarms = dict.fromkeys(
+        swarm for study in given.study or shared.STUDIES for swarm in product(*shared.STUDIES[study].values())
+    )
     games: list[Game] = [
         {"detector": detector, "follow": follow, "clusters": clusters, "uavs": uavs}
         | {"mobility": "iid", "head_jitter": False, "episode": episode}
@@ -106,7 +96,7 @@ def main(argv: list[str] | None = None) -> None:
         for follow, clusters, uavs in swarms
         for episode in range(given.episodes)
     ]
-    measure_and_draw(given, games, partial(play, seed=given.seed), draw)
+    shared.measure_and_draw(given, games, partial(play, seed=given.seed), draw)
 
 
 if __name__ == "__main__":

@@ -74,27 +74,28 @@ def write_rows(path: Path, rows: pd.DataFrame) -> None:
 
 
 def measure(path: Path, games: Sequence[Game], play: Play, workers: int) -> None:
-    """Play the games that a file lacks, and keep their rows in it, also after an interruption.
+    """Play the games that a file lacks; the rows of each are appended at once, and all are sorted at the end.
 
     Args:
-        path: the file of the rows.
+        path: the file of the rows; its columns stay.
         games: what their rows begin with.
         play: plays a game and returns its rows; a function of a module or a ``functools.partial`` of one.
         workers: number of processes.
     """
-    keys, rows = list(games[0]), []
-    old = read_rows(path) if path.exists() else pd.DataFrame(columns=keys)
-    known = set(old[keys].itertuples(index=False, name=None))
+    keys, columns, known = list(games[0]), None, set()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.exists():
+        old = read_rows(path)
+        columns, known = list(old), set(old[keys].itertuples(index=False, name=None))
     missing = [game for game in games if tuple(game.values()) not in known]
-    try:
-        with progress_bar("games") as progress:
-            for done, found in enumerate(map_tasks(play, missing, workers=workers), 1):
-                rows += found
-                progress(done, len(missing))
-    finally:
-        if rows:
-            whole = pd.concat([part for part in (old, pd.DataFrame(rows)) if len(part)])
-            write_rows(path, whole.sort_values(keys, kind="stable").round(4))
+    with progress_bar("games") as progress:
+        for done, found in enumerate(map_tasks(play, missing, workers=workers), 1):
+            rows = pd.DataFrame(found, columns=columns)
+            rows.to_csv(path, mode="a", header=columns is None, index=False, lineterminator="\n")
+            columns = list(rows)
+            progress(done, len(missing))
+    if missing:
+        write_rows(path, read_rows(path).sort_values(keys, kind="stable").round(4))
 
 
 def measure_and_draw(given: argparse.Namespace, games: Sequence[Game], play: Play, draw: Draw) -> None:

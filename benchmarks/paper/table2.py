@@ -19,19 +19,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from shared import (
-    COLORS,
-    FOLLOW,
-    MARKERS,
-    RESULTS,
-    Game,
-    describe_counts,
-    draw_intervals,
-    measure_and_draw,
-    panels,
-    parse,
-    save_figure,
-)
+import shared
+from shared import FOLLOW, Game
 
 from usnet_env import Window, make_detector
 from usnet_env.envs import SingleClusterEnv
@@ -70,25 +59,25 @@ def draw(rows: pd.DataFrame, folder: Path) -> None:
     """Draw the rates of the paper's setting against m, a panel for each follow strategy."""
     rows = rows[(rows.mobility == "iid") & (rows.decoys == 0) & ~rows.head_jitter]
     paper, names = pd.read_csv(PAPER), list(dict.fromkeys(rows.detector))
-    looks = {name: {"color": COLORS[k], "marker": MARKERS[k], "ms": 4} for k, name in enumerate(names)}
-    figure, grid = panels(13.2, 7.2, 2, 4, sharey=True)
+    looks = {name: {"color": shared.COLORS[k], "marker": shared.MARKERS[k], "ms": 4} for k, name in enumerate(names)}
+    figure, grid = shared.panels(13.2, 7.2, 2, 4, sharey=True)
     grid[1, 3].set_visible(False)
     for axes, follow in zip(grid.ravel(), FOLLOW, strict=False):
-        draw_intervals(axes, rows[rows.follow == follow], "followers", FOLLOWERS, "hit", looks, 100)
+        shared.draw_intervals(axes, rows[rows.follow == follow], "followers", FOLLOWERS, "hit", looks, 100)
         theirs = paper[paper.ifs == follow]
         places = [FOLLOWERS.index(size) for size in theirs.followers]
         axes.plot(places, theirs.detection_rate_percent, "o", mfc="none", mec="black", ms=9, label="the paper")
         axes.set(xlabel="followers m", ylabel="rate, %" if axes in grid[:, 0] else "", title=follow)
-    count = describe_counts(rows, ["detector", "follow", "followers"])
+    count = shared.describe_counts(rows, ["detector", "follow", "followers"])
     caption = (
         "Percent of episodes in which the head is the only candidate. "
         f"{count} episodes a point; bars are 95 % Wilson intervals. Circles: 1,000 runs."
     )
-    save_figure(figure, folder / "detection-rates.png", "Detection rate of P1, one cluster", caption)
+    shared.save_figure(figure, folder / "detection-rates.png", "Detection rate of P1, one cluster", caption)
 
 
 def main(argv: list[str] | None = None) -> None:
-    parser = parse(__doc__, RESULTS / "paper" / "table2.csv.gz")
+    parser = shared.parse(__doc__, shared.RESULTS / "paper" / "table2.csv.gz")
     parser.add_argument("--detector", action="append", help="may repeat; by default those of the table")
     parser.add_argument("--cells", default=",".join(FOLLOW), help="such as f1:2,f4:15 or f1; by default all 70")
     parser.add_argument("--episodes", type=int, help=f"of each cell; by default {MANY} up to m = 15, else {FEW}")
@@ -105,7 +94,7 @@ def main(argv: list[str] | None = None) -> None:
         for name in given.detector or DETECTORS
         for episode in range(given.episodes or (MANY if followers <= 15 else FEW))
     ]
-    measure_and_draw(given, games, partial(play, seed=given.seed), draw)
+    shared.measure_and_draw(given, games, partial(play, seed=given.seed), draw)
 
 
 if __name__ == "__main__":

@@ -145,7 +145,7 @@ def test_ids_of_npz_and_parquet_keep_their_types(tmp_path, ids, expected):
 
 def test_tracks_of_one_name_in_several_gpx_files_are_several_ids(tmp_path):
     logs = [write_gpx(tmp_path / f"log{k}.gpx", k, "ACTIVE LOG", *["Rex"][:k]) for k in range(2)]
-    assert read_tracks(logs).ids == ("ACTIVE LOG (log0.gpx)", "ACTIVE LOG (log1.gpx)", "Rex")
+    assert read_tracks(logs).ids == (f"ACTIVE LOG ({logs[0]})", f"ACTIVE LOG ({logs[1]})", "Rex")
     assert read_tracks([logs[1], tmp_path / "folder" / ".." / "log1.gpx"]).ids == ("ACTIVE LOG", "Rex")  # one file
     folders = [write_gpx(tmp_path / str(k) / "track.gpx", k, "") for k in range(2)]
     assert len(set(read_tracks(folders).ids)) == 2

@@ -231,9 +231,9 @@ def test_a_missing_package_is_named(tmp_path, monkeypatch):
 
 
 BAD = {
-    "no id": ("t,x,y\n0,1,2\n", "for id;"),
-    "no x": ("id,t,y\na,1,2\n", "for x;"),
-    "no time": ("id,x,y\na,1,2\n", "for t;"),
+    "no id": ("t,x,y\n0,1,2\n", "for id,"),
+    "no x": ("id,t,y\na,1,2\n", "for x,"),
+    "no time": ("id,x,y\na,1,2\n", "for t,"),
     "a column twice": ("id,t,x,x,y\na,0,1,1,2\n", "'x'"),
     "no names": ("a,0,1,2\nb,0,2,3\n", "row 1 names"),
     "NaN": ("id,t,x,y\na,0,1,2\nb,0,nan,2\n", "x must be a number"),

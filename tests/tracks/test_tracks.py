@@ -133,8 +133,7 @@ def test_the_step_is_longer_where_positions_are_noisy():
     quiet, noisy = (dense(wandering(steps=1500, noise=noise)).resample() for noise in (0.0, 3.0))
     assert quiet.step == 0.5
     assert noisy.step > 1
-    assert "about 3 m" in noisy.notes[0]
-    assert "Warning: the step is this long because of the noise" in noisy.notes[-1]
+    assert "about 3 m, and shorter delays may be missed" in noisy.notes[0]
 
 
 def test_where_no_id_follows_the_sampling_interval_stays():
@@ -190,11 +189,6 @@ def test_gaps_jumps_and_uneven_sampling_are_reported():
     times = np.cumsum(np.random.default_rng(0).uniform(0.2, 0.8, 400))
     (found,) = Tracks.from_samples(ids, np.tile(times, 6), flat).report().warnings
     assert "uneven" in found
-
-
-def test_degrees_that_are_called_metres_are_reported():
-    places = wandering() * (1e-5, 1e-5, 0) + (11.5, 48.1, 0)
-    assert "degrees" in doubts(dense(places))
 
 
 @pytest.mark.parametrize(("name", "value"), [("step", 0), ("step", "fast"), ("step", 1e-9), ("max_gap", np.nan)])

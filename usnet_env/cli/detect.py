@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -117,15 +116,16 @@ def detect(
         found = find_leaders(even, player, on_window=keep, **options)
     if not unconfirmed and all(answer.leader is None and answer.clusters is None for _, answer, _ in kept):
         print_message("the detector names no followers, so no leader is confirmed; --unconfirmed lists its candidates.")
+    content = json.dumps(found.as_dict(), indent=2, allow_nan=False)
     if as_json:
-        click.echo(_to_json(found))
+        click.echo(content)
     else:
-        for sentence in facts:
-            click.echo(_plain(sentence))
+        click.echo("\n".join(map(_plain, facts)))
         show(*_tables(found))
     if folder is not None:
         title = ", ".join(Path(name).name for name in tracks)
         episode = _make_record(even, kept, title, found.detector, seed) if record else None
+        write_text(folder / "leaders.json", content + "\n")
         _write_files(folder, found, episode, ([cut for cut, _, _ in kept], title, even))
         click.echo(f"{', '.join(sorted(path.name for path in folder.iterdir()))} are in {folder}.", err=True)
 
@@ -134,19 +134,13 @@ def _plain(text: Any) -> str:
     return "".join(filter(str.isprintable, str(text)))
 
 
-def _to_json(found: FoundLeaders) -> str:
-    return json.dumps(found.as_dict(), indent=2, allow_nan=False)
-
-
 def _tables(found: FoundLeaders) -> list[Table]:
     rows: list[list[str]] = []
     for window in found.windows:
-        cells = [_cells(leader) for leader in window.leaders]
-        if window.not_confirmed or not cells:
-            named = f"Not confirmed: {_names(window.not_confirmed)}." if window.not_confirmed else ""
-            cells.append(["" if cells else "none found", "", "", named])
-        whens = [[str(window.start), str(window.end)], *[["", ""]] * len(cells)]
-        rows += [[*when, *row] for when, row in zip(whens, cells, strict=False)]
+        cells = [_cells(leader) for leader in window.leaders] or [["none found", "", "", ""]]
+        if window.not_confirmed:
+            cells.append(["", "", "", f"Not confirmed: {_names(window.not_confirmed)}."])
+        rows += [[str(window.start), str(window.end), *row] for row in cells]
     over_file = [[*_cells(leader), f"{leader.share or 0.0:.0%}"] for leader in found.leaders]
     headings = ["leader", "p", "followers", "why"]
     return [
@@ -181,7 +175,7 @@ def _make_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str
 
 
 def _write_files(folder: Path, found: FoundLeaders, episode: EpisodeRecord | None, drawn: tuple[Any, str, Any]) -> None:
-    """Write tables, JSON, the episode and, where their extras are installed, a replay and a picture of ``drawn``."""
+    """Write tables, the episode and, where their extras are installed, a replay and a picture of ``drawn``."""
     from usnet_env.drawing import write_figure
     from usnet_env.replay import write_recording
     from usnet_env.tracks.picture import draw_leaders
@@ -190,13 +184,10 @@ def _write_files(folder: Path, found: FoundLeaders, episode: EpisodeRecord | Non
         (folder / name).unlink(missing_ok=True)
     for name, table in found.tables().items():
         write_text(folder / f"{name}.csv", table.to_csv(index=False))
-    write_text(folder / "leaders.json", _to_json(found) + "\n")
-    writers: dict[str, Callable[[], Any]] = {
-        "picture": lambda: write_figure(draw_leaders(found, *drawn), folder / "picture.png")
-    }
+    writers: dict[str, Any] = {"picture": lambda: write_figure(draw_leaders(found, *drawn), folder / "picture.png")}
     if episode is not None:
         episode.save(folder / "episode.npz")
-        writers["replay"] = partial(write_recording, episode, folder / "replay.rrd")
+        writers["replay"] = lambda: write_recording(episode, folder / "replay.rrd")
     with warnings.catch_warnings(record=True, action="always") as caught:
         for name, write in writers.items():
             try:
@@ -212,38 +203,30 @@ def _make_record(even: Tracks, kept: Sequence[Kept], title: str, detector: str, 
     from usnet_env.provenance import versions
     from usnet_env.replay import EpisodeRecord
 
-    rounds, ids, instants = len(kept), len(even.ids), kept[0][0].window.observation_steps + 1
-    position, velocity = (np.zeros((rounds, length, ids, 3), np.float32) for length in (instants, instants - 1))
-    seen = np.zeros((rounds, instants, ids), bool)
-    root, scores, reasons = np.full((rounds, ids), -1, np.int64), np.zeros((rounds, ids)), []
+    rounds, ids, steps = len(kept), len(even.ids), kept[0][0].window.observation_steps
+    arrays: dict[str, Any] = {
+        "position": np.zeros((rounds, steps + 1, ids, 3)),
+        "velocity": np.zeros((rounds, steps, ids, 3)),
+        "seen": np.zeros((rounds, steps + 1, ids), bool),
+        "scores": np.zeros((rounds, ids)),
+        "root": np.full((rounds, ids), -1),
+        "decoy": np.zeros(ids, bool),
+        "alive": np.ones((rounds, ids), bool),
+        "over_budget": np.ones(rounds, bool),
+        **dict.fromkeys(("objective", "seconds"), np.zeros(rounds)),
+    }
+    reasons = []
     for r, (cut, answer, detected) in enumerate(kept):
-        rows, window = cut.rows, cut.window
-        position[r][:, rows] = np.where(window.seen[..., None], window.position + cut.origin, 0.0)
-        velocity[r][:, rows], seen[r][:, rows], scores[r, rows] = window.velocity, window.seen, answer.scores
-        behind = detected.roots(cut.ids)
-        root[r, rows] = np.where(behind >= 0, rows[behind], -1)
+        rows, window, behind = cut.rows, cut.window, detected.roots(cut.ids)
+        place = np.where(window.seen[..., None], window.position + cut.origin, 0.0)
+        for name, values in (("position", place), ("velocity", window.velocity), ("seen", window.seen)):
+            arrays[name][r][:, rows] = values
+        arrays["scores"][r, rows] = answer.scores
+        arrays["root"][r, rows] = np.where(behind >= 0, rows[behind], -1)
         reasons.append({str(rows[cut.ids.index(leader.id)]): leader.reason for leader in detected.leaders})
-    candidates = root == np.arange(ids)  # confirmed ones only
-    times = {end: [getattr(found, end) for _, _, found in kept] for end in ("start", "end")}
-    return EpisodeRecord(
-        position=position,
-        velocity=velocity,
-        seen=seen,
-        alive=np.ones((rounds, ids), bool),
-        root=root,
-        candidates=candidates,
-        scores=scores,
-        objective=np.zeros(rounds),
-        head=candidates.any(axis=0),
-        decoy=np.zeros(ids, bool),
-        over_budget=np.ones(rounds, bool),
-        seconds=np.zeros(rounds),
-        leader_estimate=root,
-        reasons=reasons,
-        env_id=title,
-        detector=detector,
-        detector_seed=seed,
-        config={"ids": [*even.ids], "step": even.step, "frame": even.frame, "origin": even.origin.tolist(), **times},
-        versions=versions(),
-        labelled=False,
-    )
+    candidates = arrays["root"] == np.arange(ids)  # confirmed ones only
+    arrays |= {"candidates": candidates, "head": candidates.any(axis=0), "leader_estimate": arrays["root"]}
+    config = {"ids": [*even.ids], "step": even.step, "frame": even.frame, "origin": even.origin.tolist()}
+    config |= {end: [getattr(found, end) for _, _, found in kept] for end in ("start", "end")}
+    about: Any = {"env_id": title, "detector": detector, "detector_seed": seed, "config": config, "reasons": reasons}
+    return EpisodeRecord(**arrays, **about, versions=versions(), labelled=False)

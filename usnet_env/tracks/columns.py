@@ -60,13 +60,13 @@ def choose_columns(header: Sequence[str], mapping: Mapping[Any, str], where: str
     plane = ("lon", "lat") if degrees and not given & {"x", "y"} else ("x", "y")
     time = "frame" if "frame" in found and ("frame" in given or "t" not in found) else "t"
     found = {role: name for role, name in found.items() if role in ("id", time, *plane, "z", "leader")}
-    missing = [role for role in ("id", time, *plane) if role not in found]
-    if missing:
-        known = f"row 1 names {quote(list(header))}, of which {quote(found)} are known"
-        raise ArgumentError(f"columns (--column) must name those of {where} for {', '.join(missing)}; {known}.")
-    if len(set(found.values())) < len(found) or any(header.count(name) != 1 for name in found.values()):
-        got = f"got {quote(found)}; it has {quote(list(header))}"
-        raise ArgumentError(f"columns (--column) must give each role a column that {where} has once, {got}.")
+    must, chosen = "", list(found.values())
+    if missing := [role for role in ("id", time, *plane) if role not in found]:
+        must = f"name those of {where} for {', '.join(missing)}"
+    elif len(set(chosen)) < len(chosen) or any(header.count(name) != 1 for name in chosen):
+        must = f"give each role a column that {where} has once"
+    if must:
+        raise ArgumentError(f"columns (--column) must {must}, got {quote(found)}; row 1 names {quote(list(header))}.")
     return found
 
 

@@ -206,15 +206,12 @@ def _answer(player: DetectorLike, cut: TrackWindow, seed: int, number: int, time
     try:
         player.reset(int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1)[0]))
         detection = player.detect(fit_window(player, cut.window))
-        if len(detection.candidates) == len(cut.ids):
-            return detection
-        problem = f"an answer for {len(detection.candidates)} of {len(cut.ids)} UAVs"
-    except ArgumentError:
-        raise
+        if len(detection.candidates) != len(cut.ids):
+            raise ValueError(f"an answer for {len(detection.candidates)} of {len(cut.ids)} UAVs")
+        return detection
     except Exception as error:  # a detector may raise anything
-        problem = describe_error(error)
-    label, when = quote(detector_label(player)), "from {} to {}".format(*times)
-    raise ArgumentError(f"detector must answer every window, got {problem} from {label} in the window {when}.")
+        found = f"{describe_error(error)} from {quote(detector_label(player))} in the window from {times[0]}"
+        raise ArgumentError(f"detector must answer every window, got {found} to {times[1]}.") from error
 
 
 def _detect_window(
@@ -264,30 +261,22 @@ def _measure_delay(cut: TrackWindow, follower: int, leader: int) -> float | None
 
 
 def _number_groups(found: list[Group], known: list[Group]) -> list[int]:
-    """Number the groups of a window from 1, so that a group keeps its number from window to window.
+    """Number the groups of a window from 1, by the earlier groups with which they share the most members.
 
-    A group has the number of the earlier group with which it shares the most members; a common leader counts as a
-    quarter of them. It has a new number if it shares less than a quarter with each. ``known`` holds each group as it
-    was found last, in the order of the numbers, and is updated.
+    ``known`` holds each group as it was found last, in the order of the numbers, and is updated.
     """
     share = np.zeros((len(found), len(known)))
     for (k, (head, now)), (g, (leader, then)) in product(enumerate(found), enumerate(known)):
         share[k, g] = len(now & then) / len(now | then) + _SAME_LEADER * (head == leader)
     same = {k: int(g) for k, g in zip(*linear_sum_assignment(-share), strict=True) if share[k, g] >= _SAME_GROUP}
     for k, group in enumerate(found):
-        if k in same:
-            known[same[k]] = group
-        else:
-            same[k] = len(known)
-            known.append(group)
+        g = same.setdefault(k, len(known))
+        known[g : g + 1] = [group]
     return [same[k] + 1 for k in range(len(found))]
 
 
 def _summarise(windows: list[DetectedWindow], ids: Sequence[str | int], seen: Indices | None) -> tuple[Leader, ...]:
-    """The leaders over the file, the one with the most windows first.
-
-    ``seen`` ``(N,)`` is the number of windows that hold each id, or ``None`` if leaders are not confirmed.
-    """
+    """The leaders over the file; ``seen`` ``(N,)`` windows hold each id, ``None`` if leaders are not confirmed."""
     row = {name: k for k, name in enumerate(ids)}
     entries_of: dict[tuple[int, int], list[Leader]] = {}  # by the group and the row of its leader
     for window in windows:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 import warnings
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
 _MOST_MAPS, _COLUMNS = 6, 3
 _MAP, _ROW, _MARGIN = 5.2, 0.27, 2.0  # inches: a map, a row of the lower chart, and the space for titles and legend
 _MOST_ROWS, _MOST_NAMES = 16, 12  # of the lower chart; leaders that a map names
-_LONGEST_LINE, _LONGEST_NAME = 40, 24  # characters
+_LONGEST_NAME = 24  # characters
 _MARKS = (drawing.HEAD_MARK, drawing.FOLLOWER_MARK, drawing.LINK_MARK, drawing.UNLED_MARK)  # of the legend
 
 
@@ -29,16 +28,13 @@ def draw_leaders(found: FoundLeaders, cuts: Iterable[TrackWindow], title: str, t
 
     Args:
         found: the leaders.
-        cuts: all windows; up to six are drawn, evenly spread, those with leaders first.
+        cuts: all windows; up to six of those with leaders are drawn, evenly spread.
         title: what the tracks are.
         tracks: the tracks, which say where their origin is.
     """
     windows = found.windows
-    order: list[int] = []
-    for led in (True, False):
-        places = [k for k, window in enumerate(windows) if bool(window.leaders) == led]
-        order += [places[int(k)] for k in np.linspace(0, len(places) - 1, min(len(places), _MOST_MAPS))]
-    chosen = sorted(order[:_MOST_MAPS])
+    places = [k for k, window in enumerate(windows) if window.leaders] or [*range(len(windows))]
+    chosen = [places[int(k)] for k in np.linspace(0, len(places) - 1, min(len(places), _MOST_MAPS))]
     columns, bars = min(len(chosen), _COLUMNS), min(len(found.leaders), _MOST_ROWS)
     rows, chart = -(-len(chosen) // columns), 1.0 + _ROW * max(bars, 1)
     figure = drawing.new_figure(columns * _MAP + _MARGIN + 1, rows * _MAP + chart + _MARGIN)
@@ -56,11 +52,7 @@ def draw_leaders(found: FoundLeaders, cuts: Iterable[TrackWindow], title: str, t
             axes = figure.add_subplot(grid[divmod(len(maps), columns)])
             place, present = _draw_map(axes, cut, window, tracks)
             marks |= present
-            line = textwrap.shorten(
-                "not confirmed: " + ", ".join(map(str, window.not_confirmed)), _LONGEST_LINE, placeholder=" …"
-            )
-            text = f"{window.start} to {window.end}" + f"\n{line}" * bool(window.not_confirmed)
-            axes.set_title(drawing.escape_math(text), fontsize=9, loc="left")
+            axes.set_title(f"{window.start} to {window.end}", fontsize=9, loc="left")
             maps.append((axes, place, cut, window))
     _draw_times(figure.add_subplot(grid[-1, :]), found, names)
     drawing.draw_legend(maps[columns - 1][0], {mark: marks[mark] for mark in _MARKS if mark in marks})

@@ -58,7 +58,7 @@ def read_tracks(
 
     Args:
         path: the file or files. ULog files hold one track each, whose id is the name of the file. The tracks of one
-            name in several GPX or ULog files are different ids, which have the file's name added.
+            name in several GPX or ULog files are different ids, which have the path added.
         columns: names of columns by role, where they can't be guessed: ``id``, ``t`` (seconds or timestamps) or
             ``frame``, ``x`` and ``y`` (metres) or ``lon`` and ``lat`` (degrees), ``z``, ``leader``. ``""`` leaves one
             out. If heights are missing in some rows, all are left out unless their column is named here.
@@ -105,10 +105,8 @@ def _read_file(path: Path, options: _Options) -> _Part:
     where, mapping = quote(os.fspath(path)), options.columns or {}
     try:
         (header, read_columns), for_itself = _open_table(path, options)
-        names, movebank = (
-            roles.choose_columns(header, mapping, where),
-            roles.MOVEBANK & {name.replace("_", "-") for name in header},
-        )
+        names = roles.choose_columns(header, mapping, where)
+        movebank = roles.MOVEBANK & {name.replace("_", "-") for name in header}
         marks = {"visible": "visible"} if movebank and "visible" in header else {}
         table = read_columns(names | marks)
         count = len(table)
@@ -208,14 +206,17 @@ def _make_tracks(paths: list[Path], parts: list[_Part], options: _Options, where
     if any(part.names.keys() != names.keys() or part.timestamps != timestamps for part in parts if part.counts["rows"]):
         found = ", ".join(quote(part.names) for part in parts)
         raise ArgumentError(f"path must be files with the same columns and kind of times, got {found} in {where}.")
-    _name_tracks(paths, parts)
+    count = Counter(label for part in parts for label in part.rows["id"].unique())
+    for path, part in zip(paths, parts, strict=True):
+        if part.for_itself:
+            part.rows["id"] = [f"{name} ({path})" if count[name] > 1 else name for name in part.rows["id"]]
     rows = pd.concat([part.rows for part in parts], ignore_index=True)
     counts = sum((part.counts for part in parts), Counter())
     notes = []
     if empty := int(rows["z"].isna().sum()) if "z" in names else 0:
         notes.append(f"Column {names.pop('z')} (z) has no value in {empty} of {len(rows)} rows and is left out.")
         rows = rows.drop(columns="z")
-    notes = [f"Columns: {', '.join(f'{role} = {name}' for role, name in names.items())}.", *notes]
+    notes.insert(0, f"Columns: {', '.join(f'{role} = {name}' for role, name in names.items())}.")
     for kind, what in (("skipped", "without a time, place or id"), ("marked", "marked as outliers in the file")):
         if counts[kind]:
             notes.append(f"{counts[kind]} of {counts['rows']} rows, {what}, skipped.")
@@ -239,17 +240,6 @@ def _make_tracks(paths: list[Path], parts: list[_Part], options: _Options, where
         notes += sentences
     fields = sort_samples(ids, codes, time, axes, clock=clock, origin=origin, leader=leader, notes=notes)
     return Tracks(**fields, frame=frame)
-
-
-def _name_tracks(paths: list[Path], parts: list[_Part]) -> None:
-    """Add the name of the file to an id that other files have too, unless this means one id."""
-    ids = [set(part.rows["id"]) for part in parts]
-    count = Counter(label for each in ids for label in each)
-    for path, part, different in zip(paths, parts, ids, strict=True):
-        ending = path.name if [file.name for file in paths].count(path.name) == 1 else path.as_posix()
-        if part.for_itself:
-            names = {label: f"{label} ({ending})" if count[label] > 1 else label for label in different}
-            part.rows["id"] = part.rows["id"].map(names)
 
 
 def _number(labels: pd.Series[Any]) -> tuple[Indices, tuple[str | int, ...]]:

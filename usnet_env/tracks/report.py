@@ -49,13 +49,7 @@ def find_problems(tracks: Samples) -> TrackReport:
         f"{whole} of {ids} ids are there from the beginning to the end.",
         *tracks.notes,
     )
-    warnings = (
-        *_doubt_time_unit(tracks.clock),
-        *_doubt_gaps(tracks, typical),
-        *_doubt_jumps(tracks),
-        *_doubt_degrees(tracks),
-    )
-    return TrackReport(facts, warnings)
+    return TrackReport(facts, (*_doubt_time_unit(tracks.clock), *_doubt_gaps(tracks, typical), *_doubt_jumps(tracks)))
 
 
 def _place(tracks: Samples, sample: int) -> str:
@@ -94,13 +88,3 @@ def _doubt_jumps(tracks: Samples) -> Iterator[str]:
         fastest = int(steps[jumps.speed[steps].argmax()])
         speed = format_number(jumps.speed[fastest], 3)
         yield f"{format_count(count, 'jump')}, {fast}; the fastest has {speed} m/s, after {_place(tracks, fastest)}."
-
-
-def _doubt_degrees(tracks: Samples) -> Iterator[str]:
-    if tracks.frame != "metres" or not tracks.samples:
-        return
-    place = tracks.position[:, :2] + tracks.origin[:2]
-    extent = float(np.ptp(place, axis=0).max())
-    far = np.abs(place)
-    if (far <= (180, 90)).all() and (place != np.round(place)).any() and 0 < extent <= 5 <= far.min(axis=0).max():
-        yield f"The tracks extend over {extent:.3g} m: x and y may be degrees (then map the columns lon and lat)."

@@ -37,11 +37,8 @@ _LARGEST_SCALE = 64  # samples; the noise asks for no longer step
 
 def typical_intervals(tracks: Samples) -> Floats:
     """``(N,)`` median interval between the samples of each id, seconds; NaN for an id with fewer than two samples."""
-    typical = np.full(len(tracks.ids), np.nan)
-    for i, (first, last) in enumerate(pairwise(tracks.offsets)):
-        if last - first > 1:
-            typical[i] = np.median(np.diff(tracks.time[first:last]))
-    return typical
+    times = np.split(tracks.time, tracks.offsets[1:-1])
+    return np.array([np.median(np.diff(time)) if len(time) > 1 else np.nan for time in times])
 
 
 class Jumps(NamedTuple):
@@ -96,8 +93,7 @@ def resample_positions(tracks: SamplesT, step: float, max_gap: float | None) -> 
     parts = [slice(int(first), int(last)) for first, last in pairwise(tracks.offsets)]
     filled = [i for i, part in enumerate(parts) if part.stop - part.start > 1]
     counts = np.zeros(len(parts), np.int64)
-    for i in filled:
-        counts[i] = int(_grid_numbers(tracks.time[parts[i]] / step, step, max_gap)[1].sum())
+    counts[filled] = [_grid_numbers(tracks.time[parts[i]] / step, step, max_gap)[1].sum() for i in filled]
     if counts.sum() > _MOST_GRID:
         raise ArgumentError(f"step must be longer, got {step:g} s, {counts.sum():g} samples of at most {_MOST_GRID:g}.")
     grids = [_resample_one(tracks.time[parts[i]], tracks.position[parts[i]], step, max_gap) for i in filled]
@@ -159,12 +155,10 @@ def _fit_lines(at: Floats, position: Floats, number: Indices, place: Floats) -> 
     place[fitted] = (position[starts] + line)[where[fitted]]
 
 
-def choose_step(tracks: Samples) -> tuple[float, tuple[str, ...]]:
-    """Choose the step of the grid, in seconds, and say why, a sentence each; an id must have two samples.
+def choose_step(tracks: Samples) -> tuple[float, str]:
+    """Choose the step of the grid, in seconds, and say why in a sentence; an id must have two samples.
 
-    The shortest step that is tried is long enough that the mean squared movement is at least four times its noise; each
-    further step is √2 times as long, as long as the tracks have 100 steps. Gross jumps count as steps of no length. The
-    shortest step with 80 % of the largest mean lead is chosen.
+    Steps are tried from one in which the movement exceeds its noise four times, each √2 times as long as the last.
     """
     interval = float(f"{np.nanmedian(typical_intervals(tracks)):.9g}")  # differences of times have rounding errors
     tracks = close_jumps(tracks)
@@ -176,16 +170,14 @@ def choose_step(tracks: Samples) -> tuple[float, tuple[str, ...]]:
     largest = max(mean for mean, _, _ in leads)
     best = next(k for k, (mean, _, _) in enumerate(leads) if mean >= _NEARLY * largest)
     (_, lag, followers), step = leads[best], factors[best] * interval
-    why, warnings = "no id follows another with a significant delay", []
+    why = "no id follows another with a significant delay"
     if largest:
         after = f"about {format_number(lag * step, 2)} s (median of {followers})"
         why = f"it is the shortest that shows clearly who follows: an id follows another after {after}"
-        if best == 0 and needed > 1:
-            warnings.append("Warning: the step is this long because of the noise; shorter delays may be missed.")
-    factor = f"{factors[best]:g} sampling intervals of {format_number(interval)} s"
-    sampled = factor if factors[best] > 1 else "the sampling interval"
+    sampled = f"{factors[best]:g} times the sampling interval"
     noisy = f"; the noise of the positions is about {format_number(noise, 2)} m" * bool(noise)
-    return step, (f"The step is {format_number(step)} s, {sampled}: {why}{noisy}.", *warnings)
+    hidden = ", and shorter delays may be missed" if largest and best == 0 and needed > 1 else ""
+    return step, f"The step is {format_number(step)} s, {sampled}: {why}{noisy}{hidden}."
 
 
 def _sample_velocities(tracks: Samples, interval: float) -> Floats:
@@ -245,9 +237,8 @@ def _noise(velocity: Floats) -> tuple[float, int]:
 def _measure_leads(velocity: Floats) -> tuple[float, float, int]:
     """The mean lead over the ids with velocities ``(T, n, 3)``, the median lag in steps, and the number of followers.
 
-    The lead of j over i is max_τ C(τ) - max_τ C(-τ), τ = 1, ..., 4, with the correlation C(τ) of the changes of i's
-    velocity with those of j's velocity τ steps before. The lead over i is that of the best j, less the median for
-    tracks that are shifted in time. It counts if it is significant and the delay is at most 4 steps.
+    The lead of j over i is max_τ C(τ) - max_τ C(-τ), τ = 1, ..., 4; C(τ) correlates the changes of i's velocity with
+    those of j's τ steps before. That over i is the best j's, less the median for tracks that are shifted in time.
     """
     if velocity.shape[1] < 2 or len(velocity) <= _FEWEST_STEPS:
         return 0.0, 0.0, 0

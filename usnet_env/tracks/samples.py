@@ -153,9 +153,8 @@ def match_leaders(
 ) -> tuple[Indices | None, list[str]]:
     """Which id each sample follows: ``(S,)``, -1 for none, or ``None`` if no leader has a track; and sentences.
 
-    A label, of which ``index`` ``(S,)`` are the numbers, names the id of the same text, or else of an equal number:
-    pandas writes the id 0 as 0.0 in a column with gaps. A number that equals several ids, such as 1 and 01, is none of
-    them. ``codes`` ``(S,)`` are the numbers of the samples' own ids.
+    A label, of which ``index`` ``(S,)`` are the numbers, names the id of the same text, or else the only id of an equal
+    number: pandas writes 0 as 0.0 in a column with gaps. ``codes`` ``(S,)`` are the numbers of the samples' own ids.
     """
     same = {str(name): k for k, name in enumerate(ids)}
     equal: dict[float | None, int] = {}

@@ -121,12 +121,13 @@ class Tracks(Samples):
         if (np.diff(self.offsets) < 2).all():
             raise ArgumentError("tracks must hold an id with at least 2 samples; each id has only one.")
         tracks = self if keep_spikes else leave_out_spikes(self)
-        why: tuple[str, ...] = ()
+        notes = [*self.notes]
         if step is None:
             step, why = choose_step(tracks)
+            notes.append(why)
         if spikes := self.samples - tracks.samples:
-            why = (*why, f"{format_count(spikes, 'spike')} left out, unless keep_spikes (--keep-spikes) is given.")
-        return replace(resample_positions(tracks, step, max_gap), notes=(*self.notes, *why))
+            notes.append(f"{format_count(spikes, 'spike')} left out, unless keep_spikes (--keep-spikes) is given.")
+        return replace(resample_positions(tracks, step, max_gap), notes=tuple(notes))
 
     def windows(
         self, length: int = 100, stride: int | None = None, *, least_steps: int | None = None
