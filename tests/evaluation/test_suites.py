@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import time
 from hashlib import sha256
 from importlib.resources import files
 from pathlib import Path
@@ -128,10 +127,7 @@ def test_detectors_are_compared_over_cells_by_groups_of_a_swarm(path):
         ("a: 1", "suite must be a YAML file with a mapping of cells"),
         (SUITE + "  last: {follow: f99}\n", "follow must be one of .*, in the cell 'last' of the suite own."),
         (SUITE + "  last: {env: USNET/Multi}\n", "env must be one of .*, in the cell 'last' of the suite own."),
-        (
-            SUITE + "  last: {follow: {f1: f2}}\n",
-            "suite must be .*: follow must be a number, a text or a list of them, in the cell 'last'",
-        ),
+        (SUITE + "  last: {follow: {f1: f2}}\n", "follow must be a name, .*, in the cell 'last' of the suite own."),
         (SUITE.replace("seed: 4711", "seed: 4"), "seed must be greater than or equal to 1000, got 4."),
         (SUITE.replace("purpose: A test.", ""), "purpose must be given"),
         (SUITE + "extra: 3\n", "extra is not an argument of Suite"),
@@ -144,13 +140,3 @@ def test_a_wrong_file_is_refused_in_one_sentence_before_anything_is_played(path,
         evaluate_suite(path, "none", out=tmp_path / "run")
     assert re.match(message, str(refused.value))
     assert not (tmp_path / "run").exists()
-
-
-def test_a_file_whose_aliases_stand_for_billions_of_values_is_refused_at_once(path):
-    levels = "".join(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]\n" for n in range(1, 12))
-    begin = time.process_time()
-    for text in (f"a0: &a0 [1]\n{levels}{SUITE}", f"a0: &a0 [1]\n{levels}{SUITE}  last: {{cluster_sizes: *a11}}\n"):
-        path.write_text(text)
-        with pytest.raises(ArgumentError):
-            load_suite(path)
-    assert time.process_time() - begin < 10

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -134,26 +134,31 @@ def as_agent(detector: Any) -> Agent:
     )
 
 
+def find_label(given: Any) -> str:
+    """The label of what is a detector's name, a detector or a policy."""
+    return detector_label(given) if isinstance(given, str) or hasattr(given, "detect") else type(given).__name__
+
+
+def check_labels(argument: str, labels: Sequence[str]) -> None:
+    """Refuse labels that are missing, equal or not printable."""
+    if not labels or len({*labels}) < len(labels) or not all(label and label.isprintable() for label in labels):
+        raise ArgumentError(f"{argument} must have different labels of printable characters, got {quote(labels)}.")
+
+
 def label_detectors(detector: Any, trivial: bool, isolated: bool) -> dict[str, Any]:
     """Give each detector its own label; refuse what can't be a detector, and a name or argument that no detector has.
 
     A constructor that fails is no wrong argument: the detector's rows have the reason. ``isolated`` says that detectors
     that are given by name are made in their own processes only.
     """
-    found: dict[str, Any] = {}
     if isinstance(detector, Mapping):
-        found = named_values("detector", detector)
+        named = named_values("detector", detector)
+        labels, several = list(named), list(named.values())
     else:
-        for given in detector if isinstance(detector, list | tuple) else [detector]:
-            named = isinstance(given, str) or hasattr(given, "detect")
-            label = detector_label(given) if named else type(given).__name__
-            if label in found:
-                raise ArgumentError(
-                    f"detector must be a mapping of labels if two are {label!r}, got {quote(detector)}."
-                )
-            found[label] = given
-    if not found or not all(label and label.isprintable() for label in found):
-        raise ArgumentError(f"detector must have at least one label of printable characters, got {quote(list(found))}.")
+        several = list(detector) if isinstance(detector, list | tuple) else [detector]
+        labels = [find_label(given) for given in several]
+    check_labels("detector", labels)
+    found = dict(zip(labels, several, strict=True))
     found |= {name: name for name in TRIVIAL if trivial and name not in found}
     for given in found.values():
         try:

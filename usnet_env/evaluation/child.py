@@ -24,6 +24,7 @@ from usnet_env.evaluation.agents import Answer, as_agent
 from usnet_env.evaluation.tasks import EvaluationError, become_worker, describe_failure, dumps, loads
 
 _MEGABYTE = 1_000_000
+_ARRAYS = ("candidates", "scores", "clusters")
 
 
 class ChildDetector:
@@ -34,8 +35,7 @@ class ChildDetector:
         seconds: largest wall time of one call. A process that exceeds it is killed.
         megabytes: memory in 10^6 bytes that one call may allocate beyond what the process holds. Linux only.
 
-    Raises:
-        EvaluationError: also by each call: the detector raised an exception, exceeded a limit, or ended its process.
+    Each call raises an :class:`EvaluationError` if the detector fails, exceeds a limit, or ends its process.
     """
 
     def __init__(self, detector: Any, seconds: float | None = None, megabytes: float | None = None) -> None:
@@ -106,7 +106,7 @@ def serve() -> None:
     megabytes: float | None = None
     with contextlib.suppress(EOFError, ConnectionError):
         while True:
-            message, answer, error = connection.recv_bytes(), None, ""
+            message, answer, error, reply = connection.recv_bytes(), None, "", io.BytesIO()
             try:
                 if agent is None:
                     detector, megabytes = loads(message)
@@ -117,16 +117,9 @@ def serve() -> None:
                         answer = getattr(agent, name)(argument)
             except (Exception, SystemExit) as failure:
                 error = describe_failure(failure)
-            connection.send_bytes(_pack(error, answer))
-
-
-def _pack(error: str, answer: Answer | None) -> bytes:
-    """A reply as the bytes of an ``npz`` file."""
-    names = ("candidates", "scores", "clusters") if answer else ()
-    arrays = {name: array for name in names if (array := getattr(answer, name)) is not None}
-    file = io.BytesIO()
-    np.savez(file, error=error, **arrays)
-    return file.getvalue()
+            arrays = {} if answer is None else {name: getattr(answer, name) for name in _ARRAYS}
+            np.savez(reply, error=error, **{name: array for name, array in arrays.items() if array is not None})
+            connection.send_bytes(reply.getvalue())
 
 
 @contextlib.contextmanager

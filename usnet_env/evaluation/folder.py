@@ -7,7 +7,7 @@ import csv
 import io
 import json
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,21 +27,16 @@ COLUMNS = (*KEYS, *METRICS, "error")
 
 
 class RunFolder:
-    """A folder that is open for further rows; it is created, or holds an earlier part of the same run.
-
-    Raises:
-        ArgumentError: the folder holds a run with other arguments, or it can't be written.
-    """
+    """A folder that is open for further rows: a new one, or that of a run with the same arguments."""
 
     def __init__(self, folder: Path, config: dict[str, Any], columns: Sequence[str]) -> None:
         self.path = reserve_folder(folder) / ROWS
         self.rows = pd.DataFrame(columns=list(columns))
         about = {"versions": versions(), "machine": machine(), "commit": _find_commit(), "arguments": config}
-        whole = b""
         if (folder / RUN).exists() or self.path.exists():
             known, self.rows = read_run(folder)
             about |= known | {"arguments": _join(folder, known["arguments"], config)}
-            whole = _read_whole_lines(self.path)
+        whole = _read_whole_lines(self.path)
         write_text(folder / RUN, json.dumps(about, indent=2) + "\n")
         self._file = self.path.open("a", encoding="utf-8", errors="backslashreplace", newline="")
         self._file.truncate(len(whole))  # without a last line that was not written to its end
@@ -64,6 +59,11 @@ class RunFolder:
             self._file.close()
 
 
+def column_types(names: Iterable[str]) -> dict[str, Any]:
+    """The types of columns with these names."""
+    return {name: object if name in TEXTS else np.int64 if name in KEYS else np.float64 for name in names}
+
+
 def _read_whole_lines(path: Path) -> bytes:
     """The rows that were written to their end."""
     data = path.read_bytes() if path.exists() else b""
@@ -78,7 +78,7 @@ def read_run(folder: Path) -> tuple[dict[str, Any], pd.DataFrame]:
         names = whole.partition(b"\n")[0].decode().split(",")
         rows = pd.read_csv(
             io.BytesIO(whole),
-            dtype={name: object if name in TEXTS else np.int64 if name in KEYS else np.float64 for name in names},
+            dtype=column_types(names),
             keep_default_na=False,
             na_values={name: [""] for name in names if name not in TEXTS},
             float_precision="round_trip",
@@ -100,8 +100,8 @@ def _join(folder: Path, known: dict[str, Any], asked: dict[str, Any]) -> dict[st
         "episodes": max(known["episodes"], asked["episodes"]),
     }
     for before, now in ((known | joined, asked | joined), (known["cells"], asked["cells"])):
-        for name in before.keys() & now.keys():
-            if before[name] != now[name]:
+        for name in before:
+            if before[name] != now.get(name, before[name]):
                 raise ArgumentError(
                     f"out must be a new folder, or that of a run with the same arguments, got {quote(str(folder))}, "
                     f"in which {name} is {quote(before[name])} instead of {quote(now[name])}."

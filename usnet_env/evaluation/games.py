@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from usnet_env.config import ArgumentError, describe_arguments, named_values, quote, unknown_name
+from usnet_env.config import describe_arguments, named_values, unknown_name
+from usnet_env.evaluation.agents import check_labels
 from usnet_env.evaluation.play import Row, detector_step, record_metrics, row_keys
 from usnet_env.evaluation.result import EvaluationResult
 from usnet_env.evaluation.run import RunArguments, Task, play_run
@@ -66,8 +67,7 @@ def evaluate_games(
     Args:
         game: ``"usnet_observers_v0"``, ``"usnet_evasion_v0"``, or a function that makes a game in Parallel form.
         players: for each label, the policies of a team: a mapping of agents or roles to policies, as
-            :func:`usnet_env.multiagent.play.play_game` takes it. A name such as ``"lagged-regression"`` stands for an
-            observer with the detector of this name.
+            :func:`usnet_env.multiagent.play.play_game` takes it. The name of a detector stands for an observer with it.
         game_kwargs: arguments of the game.
         out: folder of the run.
         how: ``episodes``, ``seed``, ``workers``, ``progress`` and ``backend``, as of :func:`usnet_env.evaluate`.
@@ -88,8 +88,7 @@ def evaluate_games(
         raise unknown_name("game", game, GAMES)
     make = game if callable(game) else import_module(f"usnet_env.multiagent.{game}").parallel_env
     teams = {label: named_values("players", team) for label, team in named_values("players", players).items()}
-    if not teams or not all(label and label.isprintable() for label in teams):
-        raise ArgumentError(f"players must map labels of printable characters to policies, got {quote(players)}.")
+    check_labels("players", list(teams))
     env = make(**kwargs)
     for team in teams.values():
         for role, policy in team.items():

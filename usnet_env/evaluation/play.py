@@ -68,21 +68,9 @@ def detector_step(label: str, where: str) -> Iterator[None]:
 def play_episode(
     env: gym.Env[Any, Any], agent: Agent, cell: str, label: str, episode: int, seeds: tuple[int, int]
 ) -> Row:
-    """Play one episode to its end, and score it.
+    """Play one episode to its end, and return its row: the values of :data:`KEYS`, the metrics, and an empty ``error``.
 
-    Args:
-        env: a USNET environment.
-        agent: what :func:`as_agent` returns.
-        cell: name of the setting.
-        label: name of the agent.
-        episode: number of the episode.
-        seeds: those of the swarm and of the agent, see :func:`episode_seeds`.
-
-    Returns:
-        The row: the values of :data:`KEYS`, the metrics, and an empty ``error``.
-
-    Raises:
-        EvaluationError: the agent raised an exception, or its answer has a wrong type or shape.
+    The seeds are those of :func:`episode_seeds`. An exception of the agent is raised as an :class:`EvaluationError`.
     """
     number = count(1)
 

@@ -6,15 +6,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from os import PathLike
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
 from usnet_env.config import ArgumentError, format_count, quote, unknown_name
 from usnet_env.evaluation import stats, tables
-from usnet_env.evaluation.folder import COLUMNS, TEXTS, read_run
-from usnet_env.evaluation.play import KEYS, LOWER_IS_BETTER, METRICS, RATES
+from usnet_env.evaluation.folder import column_types, read_run
+from usnet_env.evaluation.play import KEYS, LOWER_IS_BETTER, RATES
 from usnet_env.evaluation.stats import CONFIDENCE, Interval, Profile, mean_interval
 from usnet_env.evaluation.tasks import LONGEST_REASON
 from usnet_env.files import as_path
@@ -71,19 +71,14 @@ class EvaluationResult:
         self.config = dict(config)
         self.cells = list(dict.fromkeys([*self.config.get("cells", {}), *rows["cell"].unique()]))
         self.detectors = list(dict.fromkeys([*self.config.get("detectors", []), *rows["detector"].unique()]))
-        kinds = {name: object if name in TEXTS else np.int64 if name in KEYS else np.float64 for name in rows.columns}
         orders = {"detector": self.detectors, "cell": self.cells}
         places = [pd.Index(order).get_indexer(rows[name]) for name, order in orders.items()]
         order = np.lexsort([rows["episode"].to_numpy(np.int64), *places])
-        self.rows = rows.astype(kinds).iloc[order].reset_index(drop=True)
+        self.rows = rows.astype(column_types(rows.columns)).iloc[order].reset_index(drop=True)
 
     @classmethod
     def load(cls, folder: str | PathLike[str]) -> EvaluationResult:
-        """Read the folder of a run; of a run that is not finished, the rows that there are.
-
-        Raises:
-            ArgumentError: it is no folder of a run, or a file in it is broken.
-        """
+        """Read the folder of a run, finished or not; what is no such folder is an :class:`ArgumentError`."""
         about, rows = read_run(as_path("folder", folder))
         return cls(rows, about["arguments"])
 
@@ -130,9 +125,8 @@ class EvaluationResult:
     @property
     def _title(self) -> str:
         """What was played, such as ``paper (version 1), 4 cells, 5 to 20 of 40 episodes of each detector``."""
-        name = ", ".join(self.cells)
-        if self.config.get("suite"):
-            name = f"{self.config['suite']}, {format_count(len(self.cells), 'cell')}"
+        suite = self.config.get("suite")
+        name = f"{suite}, {format_count(len(self.cells), 'cell')}" if suite else ", ".join(self.cells)
         played = sorted({entry["episodes"] for entry in self.summary}) or [0]
         asked = max(self.config.get("episodes", 0) * len(self.cells), played[-1])
         numbers = " to ".join(str(number) for number in dict.fromkeys((played[0], played[-1])))
@@ -168,9 +162,6 @@ class EvaluationResult:
         Args:
             metrics: a list of metrics, or ``None`` for all: the table has a line for each detector and a column for
                 each metric. A single name: it has a line for each cell and a column for each detector.
-
-        Raises:
-            ArgumentError: there is no such metric.
         """
         return tables.format_markdown(*self._grid(metrics))
 
@@ -183,8 +174,7 @@ class EvaluationResult:
     ) -> tuple[list[str], list[list[str]]]:
         """The heading and the lines of a table, as of :meth:`to_markdown`."""
         for name in [metrics] if isinstance(metrics, str) else metrics or ():
-            if name not in self.metrics and name not in METRICS:
-                raise unknown_name("metrics", name, self.metrics)
+            self._check_metric(name, "metrics")
         if not isinstance(metrics, str):
             known = [name for name in self.metrics if any(name in entry["metrics"] for entry in self.summary)]
             chosen = known if metrics is None else [name for name in metrics if name in known]
@@ -196,14 +186,8 @@ class EvaluationResult:
             lines.append([cell, *(tables.format_interval(each and each._asdict()) for each in found)])
         return [tables.heading(self.summary, metrics), *map(tables.printable, self)], lines
 
-    @overload
-    def compare(self, a: str, b: str, metric: str = "J") -> Comparison: ...
-    @overload
-    def compare(self, a: str, b: list[str] | tuple[str, ...] | None = None, metric: str = "J") -> list[Comparison]: ...
-    def compare(
-        self, a: str, b: str | list[str] | tuple[str, ...] | None = None, metric: str = "J"
-    ) -> Comparison | list[Comparison]:
-        """Compare a detector with another one, or with several, episode by episode: all played against the same swarms.
+    def compare(self, a: str, b: str | Sequence[str] | None = None, metric: str = "J") -> Any:
+        """Compare a detector with another one (a :class:`Comparison`) or several (a list of them), episode by episode.
 
         Cells whose swarms have the same seed depend on each other: their differences are one group, which is resampled,
         and changes its sign, as a whole. With k others, the intervals have the level 1 - 0.05 / k and the p-values are
@@ -224,11 +208,9 @@ class EvaluationResult:
                 raise unknown_name("detector", label, self)
         wide = self.rows.pivot(index=["cell", "swarm_seed"], columns="detector", values=metric)
         pairs = {other: (wide[a] - wide[other]).dropna() for other in others}
-        for other in others:
-            if pairs[other].empty:
-                raise ArgumentError(
-                    f"b must have episodes with {metric} in common with {quote(a)}, got {quote(other)}."
-                )
+        for other, pair in pairs.items():
+            if pair.empty:
+                raise ArgumentError(f"b must have episodes with {metric} in common with {a!r}, got {quote(other)}.")
         adjusted = stats.holm([stats.paired_test(pair.groupby("swarm_seed").sum()) for pair in pairs.values()])
         level = 1 - (1 - CONFIDENCE) / max(1, len(others))
         found = []
@@ -247,9 +229,7 @@ class EvaluationResult:
     def performance_profiles(self, metric: str = "J", thresholds: Sequence[float] | None = None) -> dict[str, Profile]:
         """The share of episodes in which each detector is better than each threshold, averaged over the cells.
 
-        Args:
-            metric: which one.
-            thresholds: ``(t,)``; by default 101 from the lowest to the highest value.
+        Thresholds are ``(t,)``, by default 101 from the lowest to the highest value.
         """
         strata, values = self._strata(metric), self.rows[metric].dropna()
         at = np.linspace(values.min(), values.max(), 101) if thresholds is None else thresholds
@@ -266,27 +246,19 @@ class EvaluationResult:
         return found
 
     def merge(self, other: EvaluationResult) -> EvaluationResult:
-        """Join the result of other detectors that have met the same swarms, such as one of another folder.
-
-        Raises:
-            ArgumentError: the two have another suite, cells or seed, or a label in common.
-        """
+        """Join the result of other detectors, such as one of another folder, with the same suite, cells and seed."""
         shared = [label for label in self.detectors if label in other.detectors]
         differing = [name for name in ("suite", "cells", "seed") if self.config.get(name) != other.config.get(name)]
         if shared or differing:
-            raise ArgumentError(
-                "other must have other labels than this result, and the same suite, cells and seed, got "
-                f"{f'{quote(shared[0])} in both' if shared else f'another {differing[0]}'}."
-            )
-        names = dict.fromkeys([*COLUMNS[:-1], *self.metrics, *other.metrics, "error"])
-        rows = pd.concat([self.rows, other.rows])[list(names)]
+            got = f"{quote(shared[0])} in both" if shared else f"another {differing[0]}"
+            raise ArgumentError(f"other must have other labels, and the same suite, cells and seed, got {got}.")
         episodes = max(result.config.get("episodes", 0) for result in (self, other))
         config = {"detectors": [*self.detectors, *other.detectors], "episodes": episodes}
-        return EvaluationResult(rows, self.config | config)
+        return EvaluationResult(pd.concat([self.rows, other.rows]), self.config | config)
 
-    def _check_metric(self, metric: str) -> None:
+    def _check_metric(self, metric: str, argument: str = "metric") -> None:
         if metric not in self.metrics:
-            raise unknown_name("metric", metric, self.metrics)
+            raise unknown_name(argument, metric, self.metrics)
 
 
 def _interval(rows: pd.DataFrame, metric: str) -> Interval | None:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, closing
+from itertools import product
 from os import PathLike
 from typing import Any, Literal, NamedTuple
 
@@ -59,20 +59,14 @@ class Task(NamedTuple):
 class DetectorPlayer:
     """Plays tasks in one process, with the agent of one detector in one cell at a time, which is warmed up first.
 
-    An environment that is given is that of all tasks; otherwise that of each cell is made.
+    ``make`` returns the environment of the cell with a name.
     """
 
-    def __init__(
-        self,
-        cells: Mapping[str, Cell],
-        detectors: Mapping[str, Any],
-        how: RunArguments,
-        env: gym.Env[Any, Any] | None = None,
-    ) -> None:
-        self.cells, self.detectors, self.how, self._given = cells, detectors, how, env
-        self._env: Any = env
+    def __init__(self, make: Callable[[str], Any], detectors: Mapping[str, Any], how: RunArguments) -> None:
+        self.make, self.detectors, self.how = make, detectors, how
+        self._env: Any = None
         self._agent: Agent = None
-        self._place: tuple[str, str] | None = None  # the cell and the label of the agent
+        self._place = ("", "")  # the cell and the label of the agent
         self._broken: EvaluationError | None = None  # its constructor or its warm-up has failed
 
     def __call__(self, task: Task) -> Row:
@@ -85,16 +79,15 @@ class DetectorPlayer:
             return play_episode(self._env, self._agent, *task)
         except EvaluationError as error:
             if isinstance(self._agent, ChildDetector) and not self._agent.running and self._broken is None:
-                self._place = None  # a new one is made, and warmed up as the first one was
+                self._place = (task.cell, "")  # a new one is made, and warmed up as the first one was
             self._env.reset(seed=task.seeds[0])
             return {**row_keys(*task, self._env.unwrapped.swarm.head), "error": error.reason}
 
     def _prepare(self, task: Task) -> None:
         """Make the agent, and the environment if the cell is another one than before."""
-        self._close_agent()
-        if self._given is None and (self._place is None or self._place[0] != task.cell):
-            self.close()
-            self._env = make_environment(self.cells[task.cell].env, self.cells[task.cell].arguments)
+        self.close()
+        if self._place[0] != task.cell:
+            self._env = self.make(task.cell)
         self._place, self._broken = task[:2], None
         try:
             with detector_step(task.label, "its constructor"):
@@ -106,16 +99,11 @@ class DetectorPlayer:
         except EvaluationError as error:
             self._broken = error
 
-    def _close_agent(self) -> None:
+    def close(self) -> None:
+        """End the child process."""
         if isinstance(self._agent, ChildDetector):
             self._agent.close()
         self._agent = None
-
-    def close(self) -> None:
-        """End the child process, and close the environment that was made here."""
-        self._close_agent()
-        if self._env is not None and self._given is None:
-            self._env.close()
 
 
 def evaluate(
@@ -152,13 +140,11 @@ def evaluate(
         env_kwargs: arguments of the environment.
         workers: number of processes; the rows do not depend on it, except for the seconds.
         trivial: also evaluate the policies of :data:`TRIVIAL`.
-        out: folder for ``run.json`` (arguments, versions, commit, machine) and ``rows.csv``, to which each row is
-            appended. The same call plays what is missing or has failed. A call with more episodes or other detectors
-            extends the run. Whoever changes a detector's code starts a new folder.
+        out: folder for ``run.json`` and ``rows.csv``, to which each row is appended. The same call plays what is
+            missing or has failed; one with more episodes or other detectors extends the run.
         progress: show a progress bar on standard error.
-        time_limit: largest wall time of one answer, or of one ``reset``, in seconds; ``None``: no limit.
-        memory_limit: largest memory in megabytes (10^6 bytes) that one answer, or one ``reset``, may allocate;
-            ``None``: no limit. Linux only. With one of the two limits, each detector plays in a child process.
+        time_limit: largest wall time in seconds of one answer, or of one ``reset``, in a child process.
+        memory_limit: largest memory in megabytes (10^6 bytes) that one of them may allocate there. Linux only.
         isolate: play each detector in a child process, so that an accident there ends no run.
         backend: where episodes are played, as of :func:`map_tasks`: ``"serial"``, ``"processes"`` or ``"ray"``.
 
@@ -167,7 +153,7 @@ def evaluate(
 
     Raises:
         ArgumentError: an argument was refused.
-        EvaluationError: a worker process was ended, or a row could not be written; the same call resumes.
+        EvaluationError: a worker process was ended; the same call resumes.
     """
     how = RunArguments(
         episodes=episodes, seed=seed, workers=workers, progress=progress, backend=backend, trivial=trivial,
@@ -182,8 +168,8 @@ def evaluate(
     game: Any = env.unwrapped
     name = type(game).__name__ if env.spec is None else env.spec.id
     config = getattr(game, "widest_config", getattr(game, "config", None))  # of a field, not of its last episode
-    described = {} if config is None else describe_arguments(config)
-    return _evaluate_cells({name: Cell(env=name, arguments=described)}, detector, how, out, env=env)
+    arguments = {} if config is None else describe_arguments(config)
+    return _evaluate_cells({name: Cell(env=name, arguments=arguments)}, detector, how, out, env=env)
 
 
 def evaluate_suite(
@@ -227,8 +213,6 @@ def _evaluate_cells(
     env: gym.Env[Any, Any] | None = None,
 ) -> EvaluationResult:
     """Check everything that can be refused, then play."""
-    if how.memory_limit is not None and not sys.platform.startswith("linux"):
-        raise ArgumentError(f"memory_limit must be None on a system other than Linux, got {how.memory_limit:g}.")
     detectors = label_detectors(detector, how.trivial, how.isolated)
     of_tracks = hasattr(getattr(env, "unwrapped", None), "score_answer")
     for name, cell in (cells if suite is None else suite.cells).items() if env is None else ():
@@ -243,7 +227,11 @@ def _evaluate_cells(
         "cells": {name: cell.model_dump() for name, cell in cells.items()},
         "detectors": list(detectors),
     }
-    return play_run(DetectorPlayer(cells, detectors, how, env), config, how, out, TRACK_METRICS if of_tracks else ())
+
+    def make(name: str) -> Any:
+        return make_environment(cells[name].env, cells[name].arguments) if env is None else env
+
+    return play_run(DetectorPlayer(make, detectors, how), config, how, out, TRACK_METRICS if of_tracks else ())
 
 
 def play_run(
@@ -253,44 +241,25 @@ def play_run(
     out: str | PathLike[str] | None,
     metrics: Iterable[str] = (),
 ) -> EvaluationResult:
-    """Play the missing episodes of a run: cells x detectors x episodes -> rows.
-
-    Args:
-        play: plays a task and returns its row. Its method ``close``, if any, is called at the end, in this process.
-        config: the arguments of the run, with ``cells`` and ``detectors``.
-        how: how many tasks are played, and where.
-        out: the folder where rows are kept.
-        metrics: columns that rows have besides :data:`COLUMNS`.
-    """
+    """Play the missing tasks of a run, whose rows have further metrics; ``play`` may have a method ``close``."""
     columns = [*COLUMNS[:-1], *metrics, "error"]
-    config = json.loads(json.dumps(config | {"episodes": how.episodes, "seed": how.seed}, default=_describe))
+    config = json.loads(
+        json.dumps(
+            config | {"episodes": how.episodes, "seed": how.seed},
+            default=lambda value: value.tolist() if hasattr(value, "tolist") else quote(value),
+        )
+    )
+    rows: list[Row] = []
     with ExitStack() as stack:
         stack.callback(getattr(play, "close", lambda: None))
         kept = None if out is None else stack.enter_context(closing(RunFolder(as_path("out", out), config, columns)))
         known = pd.DataFrame(columns=columns) if kept is None else kept.rows
         done = set(known.loc[known["error"] == "", ["cell", "detector", "episode"]].itertuples(index=False, name=None))
-        tasks = [
-            Task(cell, label, episode, episode_seeds(how.seed, episode))
-            for cell in config["cells"]
-            for label in config["detectors"]
-            for episode in range(how.episodes)
-            if (cell, label, episode) not in done
-        ]
-        total = len(config["cells"]) * len(config["detectors"]) * how.episodes
+        everything = list(product(config["cells"], config["detectors"], range(how.episodes)))
+        tasks = [Task(*place, episode_seeds(how.seed, place[2])) for place in everything if place not in done]
         show = stack.enter_context(progress_bar("episodes", how.progress))
-        rows: list[tuple[Any, ...]] = []
         played = stack.enter_context(closing(map_tasks(play, tasks, workers=how.workers, backend=how.backend)))
-        for number, row in enumerate(played, total - len(tasks) + 1):
-            if kept is None:
-                rows.append(tuple(row.get(name) for name in columns))
-            else:
-                kept.append(row)
-            show(number, total)
-    if out is not None:
-        return EvaluationResult.load(out)
-    return EvaluationResult(pd.DataFrame(rows, columns=columns), config)
-
-
-def _describe(value: Any) -> Any:
-    """What JSON does not hold: an array as a list, another object as its text."""
-    return value.tolist() if hasattr(value, "tolist") else quote(value)
+        for number, row in enumerate(played, len(everything) - len(tasks) + 1):
+            (rows if kept is None else kept).append(row)
+            show(number, len(everything))
+    return EvaluationResult(pd.DataFrame(rows, columns=columns), config) if out is None else EvaluationResult.load(out)

@@ -59,14 +59,10 @@ def _mean_by_group(sample: Floats, groups: Sample | None) -> Floats:
 
 
 def rate_interval(values: Sample, groups: Sample | None = None) -> Interval:
-    """Compute the share of ones in a sample of zeros and ones, with Wilson's score interval.
+    """Compute the share of ones in a sample of zeros and ones ``(n,)``, with Wilson's score interval.
 
-    Values of one group depend on each other: n is then the number of values divided by the design effect (Kish, Survey
-    Sampling, 1965, section 8.2). If all values are equal, n is the number of groups.
-
-    Args:
-        values: ``(n,)`` of 0 and 1.
-        groups: ``(n,)`` the group of each, such as the seed of a swarm; ``None``: all are independent.
+    Values of one of the ``groups`` ``(n,)``, such as the seeds of swarms, depend on each other: n is then the number of
+    values divided by the design effect (Kish, Survey Sampling, 1965, section 8.2), or that of groups if all are equal.
     """
     sample, z = _check_sample(values), NormalDist().inv_cdf((1 + CONFIDENCE) / 2)
     grouped = _mean_by_group(sample, groups)
@@ -84,16 +80,11 @@ def rate_interval(values: Sample, groups: Sample | None = None) -> Interval:
 
 
 def mean_interval(values: Sample, confidence: float = CONFIDENCE, groups: Sample | None = None) -> Interval:
-    """Compute the mean of a sample, with the bias-corrected and accelerated (BCa) bootstrap interval of scipy.
+    """Compute the mean of a sample ``(n,)``, with the bias-corrected and accelerated (BCa) bootstrap interval of scipy.
 
     Its level is expanded, since the interval of few values is too narrow otherwise (Hesterberg, The American
     Statistician 69, 2015). Of more than 5,000 values it is the interval of the normal limit. If all values are equal,
-    it is [mean, mean]: resampling cannot show more spread than the sample has. So it is for one value.
-
-    Args:
-        values: ``(n,)``.
-        confidence: of the interval.
-        groups: ``(n,)`` the group of each value; groups are resampled as a whole. ``None``: all are independent.
+    it is [mean, mean]. Values of one of the ``groups`` ``(n,)`` depend on each other, and are resampled as a whole.
     """
     given = _check_sample(values)
     sample = _mean_by_group(given, groups)

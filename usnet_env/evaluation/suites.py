@@ -62,15 +62,9 @@ def load_suite(suite: str | PathLike[str]) -> Suite:
         content = dict(yaml.safe_load(source.read_bytes()))
         shared, env = content.pop("arguments", None) or {}, content.pop("env", "USNET/MultiCluster-v0")
         cells = {str(name): {"env": env} | shared | (given or {}) for name, given in content.pop("cells").items()}
-        for name, arguments in cells.items():
-            for argument, value in arguments.items():
-                items = value if isinstance(value, list) else [value]
-                if not all(isinstance(item, str | int | float | None) for item in items):
-                    raise TypeError(f"{argument} must be a number, a text or a list of them, in the cell {name!r}")
     except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError) as error:
         reason = " ".join(str(getattr(error, "strerror", None) or error).split())
-        raise ArgumentError(
-            f"suite must be a YAML file with a mapping of cells, got {path.name!r}: {reason}."
-        ) from None
+        sentence = f"suite must be a YAML file with a mapping of cells, got {path.name!r}: {reason}."
+        raise ArgumentError(sentence) from None
     made = {name: Cell(env=arguments.pop("env"), arguments=arguments) for name, arguments in cells.items()}
     return Suite(name=path.stem, cells=made, **content)

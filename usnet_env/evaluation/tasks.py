@@ -60,19 +60,15 @@ def describe_failure(error: BaseException) -> str:
 
 
 def map_tasks(
-    function: Callable[[TaskT], ResultT],
-    tasks: Iterable[TaskT],
-    *,
-    workers: int = 1,
-    backend: str | None = None,
+    function: Callable[[TaskT], ResultT], tasks: Iterable[TaskT], *, workers: int = 1, backend: str | None = None
 ) -> Generator[ResultT, None, None]:
     """Run a function on tasks, in this process or in worker processes of joblib.
 
     Workers get the function once, by value, together with the parts that this program has registered: functions and
-    classes of a script or a notebook work there.
+    classes of a script or a notebook work there. If the function has state, each worker has a copy for the whole call.
 
     Args:
-        function: what to call with each task. If it has state, each worker has a copy that lasts for the whole call.
+        function: what to call with each task.
         tasks: the tasks.
         workers: number of processes; 1 is this process.
         backend: ``"serial"``: this process; ``"processes"`` or ``None``: child processes; ``"ray"``: the nodes of a Ray
@@ -83,7 +79,6 @@ def map_tasks(
 
     Raises:
         EvaluationError: a worker process was ended.
-        MissingExtraError: Ray is not installed.
     """
     if workers == 1 or backend == "serial":
         yield from map(function, tasks)
@@ -96,7 +91,7 @@ def map_tasks(
     except BrokenProcessPool:
         raise EvaluationError(
             "a worker process was ended, by a signal, for want of memory, or by what it played. The same call resumes "
-            "a run that has a folder. In isolation, a detector that ends its process has failed, and the others go on."
+            "a run that has a folder. In isolation, a detector that ends its process is a failed row."
         ) from None
 
 
@@ -137,8 +132,8 @@ def dumps(value: Any) -> bytes:
     """Pickle a value for another process, with what this program has registered."""
     parts = {kind: registry.registered for kind, registry in REGISTRIES.items() if registry.registered}
     modules = {REGISTRIES[kind].home for kind in parts}
-    for part in (part for registered in parts.values() for part in registered.values()):
-        modules.add(getattr(part, "function", getattr(part, "rule", part)).__module__)
+    for registered in parts.values():
+        modules |= {getattr(part, "function", getattr(part, "rule", part)).__module__ for part in registered.values()}
     return cloudpickle.dumps((modules - {"__main__"}, cloudpickle.dumps((parts, value))))
 
 
