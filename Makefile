@@ -45,7 +45,6 @@ count:  ## print the size of the project: lines, words, refusals, long files
 	@$(PYTHON) tests/packaging/count.py
 
 bench: $(INSTALLED)  ## measure the speed of the simulator; numbers are in benchmarks/
-	$(BIN)/pip install --quiet --quiet --editable '.[bench]'
 	$(BIN)/python benchmarks/speed.py
 
 animation: $(INSTALLED)  ## play the demo and write docs/images/game.gif
