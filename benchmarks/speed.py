@@ -1,4 +1,4 @@
-"""Speed and memory of the simulator, of detectors and of the evaluator, as ratios within one run.
+"""Speed and memory of the simulator and of detectors, as ratios within one run.
 
     OMP_NUM_THREADS=1 python benchmarks/speed.py                        # all parts
     OMP_NUM_THREADS=1 python benchmarks/speed.py --parts field scaling  # these parts; the others stay in the file
@@ -12,8 +12,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import tempfile
-import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -25,8 +23,7 @@ import numpy as np
 from paper.shared import FOLLOW, RESULTS, ROOT, parse
 
 import usnet_env  # noqa: F401  registers the environments
-from usnet_env import Detection, Window, evaluate, make_detector
-from usnet_env.evaluation.play import as_agent, episode_seeds, play_episode
+from usnet_env import Window, make_detector
 from usnet_env.files import write_text
 from usnet_env.provenance import machine, versions
 from usnet_env.swarm import SwarmConfig, advance, register_formation, start
@@ -124,39 +121,6 @@ def detectors(turns: int) -> dict[str, object]:
     }
 
 
-class Waits:
-    """A detector that waits 10 ms and names all UAVs, so that an episode has one round."""
-
-    def reset(self, seed: int | None = None) -> None:
-        """Start an episode."""
-
-    def detect(self, window: Window) -> Detection:
-        """Name all UAVs."""
-        time.sleep(0.01)
-        return Detection(window.alive, window.alive)
-
-
-def evaluation(turns: int, episodes: int = 300) -> dict[str, object]:
-    """Episodes of one answer of 10 ms: by `evaluate` in several ways, over a plain loop."""
-    env = gym.make(GAME)
-
-    def loop() -> None:
-        agent = as_agent(Waits())
-        for episode in range(episodes):
-            play_episode(env, agent, "", "waits", episode, episode_seeds(0, episode))
-
-    def play(out: bool = False, **how: Any) -> None:
-        with tempfile.TemporaryDirectory() as folder:
-            evaluate(GAME, Waits(), episodes=episodes, out=Path(folder) / "run" if out else None, **how)
-
-    ways = {"": {}, "(out=…)": {"out": True}, "(isolate=True)": {"isolate": True}, "(workers=2)": {"workers": 2}}
-    taken = take_turns(turns, loop, *(partial(play, **how) for how in ways.values()))
-    what = f"seconds of {episodes} episodes with one answer of 10 ms, over those of a loop"
-    return {
-        f"evaluate{way}": describe(what, seconds / taken[:, 0]) for way, seconds in zip(ways, taken.T[1:], strict=True)
-    }
-
-
 PARTS: dict[str, Callable[[int], dict[str, object]]] = {
     "stepping": lambda turns: {follow: stepping(turns, follow=follow) for follow in FOLLOW},
     "field": lambda turns: {follow: stepping(turns, follow=follow, memory=12) for follow in FIELD_MODELS},
@@ -166,7 +130,6 @@ PARTS: dict[str, Callable[[int], dict[str, object]]] = {
     "scaling": lambda turns: {follow: scaling(follow, turns) for follow in ("pigeons", "vicsek", "couzin")},
     "memory": memory,
     "detectors": detectors,
-    "evaluation": evaluation,
 }
 
 

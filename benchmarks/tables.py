@@ -156,7 +156,7 @@ def speed_block() -> str:
         [name, *(f"{1e9 * each:.0f}" for each in row["seconds_per_uav_step"])] for name, row in found["scaling"].items()
     ]
     parts.append(markdown(("ns of a UAV step", *(f"N = {uavs:,}" for uavs in sizes)), grown))
-    for part, title in (("detectors", "detector"), ("evaluation", "evaluation"), ("peers", "environment")):
+    for part, title in (("detectors", "detector"), ("peers", "environment")):
         lines = [[f"`{name}`", row["what"], _spread(row["ratios"])] for name, row in found.get(part, {}).items()]
         parts += [markdown((title, "ratio", "median (range of the turns)"), lines)] if lines else []
     return "\n\n".join([*parts, f"1,000 swarms of 82 UAVs take {found['memory']['bytes'] / 2**30:.2f} GiB."])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import traceback
 from importlib import import_module
-from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -94,14 +93,7 @@ def check_detector(ctx: click.Context, name: str, expected: tuple[str, ...]) -> 
     from detectors import checks
 
     reasons = {check.strip(): reason.strip() for check, _, reason in (text.partition("=") for text in expected)}
-    number = count(1)
-    with progress_bar("checks") as progress:
-        results = checks.check_detector(
-            name,
-            expected_failed_checks=reasons,
-            on_fail=None,
-            callback=lambda _: progress(next(number), len(checks.CHECKS)),
-        )
+    results = checks.check_detector(name, expected_failed_checks=reasons, on_fail=None)
     click.echo(checks.results_table(results))
     if os.environ.get("USNET_TRACEBACK"):
         for error in filter(None, (result.error for result in results)):

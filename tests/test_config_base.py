@@ -15,7 +15,6 @@ from usnet_env.config import (
     missing_extra,
     named_values,
     optional_seed,
-    plain_text,
     quote,
     real_number,
     unknown_name,
@@ -184,9 +183,8 @@ def test_what_is_no_number_in_the_limits_is_refused(value):
 
 
 def test_texts_and_named_values_are_what_they_say():
-    assert plain_text("label", "a") == "a"
     assert (named_values("extras", None), named_values("extras", {"a": 1})) == ({}, {"a": 1})
-    for check, value in ((plain_text, 3), (named_values, [1]), (named_values, {1: 2})):
+    for check, value in ((named_values, [1]), (named_values, {1: 2})):
         with pytest.raises(ArgumentError, match=r"^it must be "):
             check("it", value)
 

@@ -99,13 +99,6 @@ def optional_seed(name: str, value: Any) -> int | None:
     return None if value is None else whole_number(name, value, 0)
 
 
-def plain_text(name: str, value: Any) -> str:
-    """Return the argument ``name``, which must be a ``str``."""
-    if not isinstance(value, str):
-        raise ArgumentError(f"{name} must be a text, got {quote(value)}.")
-    return value
-
-
 def named_values(name: str, value: Any) -> dict[str, Any]:
     """Return the argument ``name``, a mapping of names to values or ``None``, as a new dictionary."""
     if not isinstance(value, Mapping | None) or not all(isinstance(key, str) for key in value or ()):

@@ -38,7 +38,6 @@ def check_detector(
     *,
     expected_failed_checks: Mapping[str, str] | None = None,
     on_fail: Literal["raise"] | None = "raise",
-    callback: Callable[[CheckResult], None] | None = None,
 ) -> list[CheckResult]:
     """Run all conformance checks on copies of a detector; one result per check, in the order of :data:`CHECKS`.
 
@@ -46,18 +45,13 @@ def check_detector(
         detector: an object with ``detect`` and ``reset``, or a name as :func:`usnet_env.make_detector` takes it.
         expected_failed_checks: names of checks that this detector can't pass, each with the reason.
         on_fail: ``"raise"`` to raise an error after a failure, or ``None`` to only return the results.
-        callback: function that is called with each result as soon as it exists.
 
     Raises:
         DetectorChecksError: a check failed unexpectedly. It is raised after all checks have run.
         ArgumentError: not a detector, or an unknown check.
     """
     detector, excuses = _find_detector(detector), _check_names(expected_failed_checks or {})
-    results = []
-    for check in CHECKS:
-        results.append(_run_check(check, detector, excuses))
-        if callback is not None:
-            callback(results[-1])
+    results = [_run_check(check, detector, excuses) for check in CHECKS]
     if on_fail == "raise" and exit_status(results):
         raise DetectorChecksError(detector, results)
     return results

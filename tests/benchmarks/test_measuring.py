@@ -123,9 +123,3 @@ def test_speed_keeps_the_parts_that_are_not_measured(tmp_path, monkeypatch, caps
     assert all(row["ratio"] > 0 for row in found["kinematics"].values())
     assert set(found["detectors"]) == set(speed.DETECTORS)
     assert "kinematics" in capsys.readouterr().out
-
-
-def test_each_way_to_evaluate_is_compared_with_a_loop():
-    found = speed.evaluation(turns=1, episodes=1)
-    assert len(found) == 4
-    assert all(len(row["ratios"]) == 1 and row["ratio"] > 0 for row in found.values())

@@ -27,6 +27,8 @@ def make_environment(env_id: str, env_kwargs: Mapping[str, Any]) -> gym.Env[Any,
         raise ArgumentError(f"env must name a module that can be imported, got {quote(env_id)}: {error}.") from None
     if name not in gym.registry:
         raise unknown_name("env", env_id, usnet_ids())
+    if "render_mode" in env_kwargs:
+        raise ArgumentError("render_mode must be left out: an evaluation draws no pictures.")
     env: gym.Env[Any, Any] = gym.make(name, disable_env_checker=True, **env_kwargs)
     check_environment(env)
     return env
