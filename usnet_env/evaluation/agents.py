@@ -136,7 +136,7 @@ def as_agent(detector: Any) -> Agent:
 
 def find_label(given: Any) -> str:
     """The label of what is a detector's name, a detector or a policy."""
-    return detector_label(given) if isinstance(given, str) or hasattr(given, "detect") else type(given).__name__
+    return detector_label(given) if isinstance(given, str) or hasattr(type(given), "detect") else type(given).__name__
 
 
 def check_labels(argument: str, labels: Sequence[str]) -> None:

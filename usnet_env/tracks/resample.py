@@ -174,7 +174,7 @@ def choose_step(tracks: Samples) -> tuple[float, str]:
     if largest:
         after = f"about {format_number(lag * step, 2)} s (median of {followers})"
         why = f"it is the shortest that shows clearly who follows: an id follows another after {after}"
-    sampled = f"{factors[best]:g} times the sampling interval"
+    sampled = f"{factors[best]:g} times the sampling interval".removeprefix("1 times ")
     noisy = f"; the noise of the positions is about {format_number(noise, 2)} m" * bool(noise)
     hidden = ", and shorter delays may be missed" if largest and best == 0 and needed > 1 else ""
     return step, f"The step is {format_number(step)} s, {sampled}: {why}{noisy}{hidden}."
