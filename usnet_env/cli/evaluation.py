@@ -102,7 +102,7 @@ def evaluate(
         click.echo(f"{written} episode files are in {out}/episodes; `usnet replay {out}` lists them.", err=True)
     if out is not None and not as_json:
         click.echo(f"Rows and arguments are in {out}.", err=True)
-    if any(not entry["episodes"] for entry in result.summary):
+    if not (result.rows["error"] == "").groupby(result.rows["detector"]).any().all():
         ctx.exit(2)
 
 

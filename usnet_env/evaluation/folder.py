@@ -9,16 +9,18 @@ import json
 import subprocess
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from usnet_env.config import ArgumentError, quote
 from usnet_env.evaluation.play import KEYS, METRICS, Row
 from usnet_env.evaluation.tasks import EvaluationError
 from usnet_env.files import reserve_folder, write_text
 from usnet_env.provenance import machine, versions
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 RUN, ROWS = "run.json", "rows.csv"
 TEXTS = ("cell", "detector", "error")
@@ -30,6 +32,8 @@ class RunFolder:
     """A folder that is open for further rows: a new one, or that of a run with the same arguments."""
 
     def __init__(self, folder: Path, config: dict[str, Any], columns: Sequence[str]) -> None:
+        import pandas as pd
+
         self.path = reserve_folder(folder) / ROWS
         self.rows = pd.DataFrame(columns=list(columns))
         about = {"versions": versions(), "machine": machine(), "commit": _find_commit(), "arguments": config}
@@ -72,6 +76,8 @@ def _read_whole_lines(path: Path) -> bytes:
 
 def read_run(folder: Path) -> tuple[dict[str, Any], pd.DataFrame]:
     """Read what ``run.json`` holds, and the rows; what is no folder of a run is refused."""
+    import pandas as pd
+
     try:
         about = json.loads((folder / RUN).read_text(encoding="utf-8"))
         whole = _read_whole_lines(folder / ROWS) or ",".join(COLUMNS).encode()

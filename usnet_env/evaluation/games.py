@@ -9,8 +9,6 @@ from os import PathLike
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-import pandas as pd
-
 from usnet_env.config import describe_arguments, named_values, unknown_name
 from usnet_env.evaluation.agents import check_labels
 from usnet_env.evaluation.play import Row, detector_step, record_metrics, row_keys
@@ -40,6 +38,8 @@ class GamePlayer:
 
     def __call__(self, task: Task) -> Row:
         """Play one game; one in which a policy fails is a row with the reason in ``error``."""
+        import pandas as pd
+
         from usnet_env.multiagent.play import play_game
 
         try:

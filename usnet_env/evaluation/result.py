@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from usnet_env.config import ArgumentError, format_count, quote, unknown_name
 from usnet_env.evaluation import stats, tables
@@ -20,6 +19,7 @@ from usnet_env.evaluation.tasks import LONGEST_REASON
 from usnet_env.files import as_path
 
 if TYPE_CHECKING:
+    import pandas as pd
     from rich.table import Table
 
 
@@ -68,6 +68,8 @@ class EvaluationResult:
     """
 
     def __init__(self, rows: pd.DataFrame, config: Mapping[str, Any]) -> None:
+        import pandas as pd  # processes that only play do without it: it takes a third of a second
+
         self.config = dict(config)
         self.cells = list(dict.fromkeys([*self.config.get("cells", {}), *rows["cell"].unique()]))
         self.detectors = list(dict.fromkeys([*self.config.get("detectors", []), *rows["detector"].unique()]))
@@ -89,9 +91,18 @@ class EvaluationResult:
         ``metrics`` has ``{"mean", "low", "high"}`` by the name of each metric: its mean over all episodes of all cells
         that have it, and its 95 % interval; episodes of several cells with the same seed of the swarm are one group.
         """
+        return self._summarise(self.metrics)
+
+    @cached_property
+    def _ranked(self) -> list[dict[str, Any]]:
+        """The summary with the intervals that a ranking shows, and no others: resampling takes long."""
+        return self._summarise(tables.RANKED)
+
+    def _summarise(self, with_interval: Collection[str]) -> list[dict[str, Any]]:
+        """The summary; the other metrics have their mean in place of the ends of the interval."""
         entries = []
         for label, rows in self._by_detector():
-            found = {name: _interval(rows, name) for name in self.metrics}
+            found = {name: _interval(rows, name, name in with_interval) for name in self.metrics}
             metrics = {name: interval._asdict() for name, interval in found.items() if interval is not None}
             failed = int((rows["error"] != "").sum())
             entries.append({"detector": label, "episodes": len(rows) - failed, "failed": failed, "metrics": metrics})
@@ -127,7 +138,7 @@ class EvaluationResult:
         """What was played, such as ``paper (version 1), 4 cells, 5 to 20 of 40 episodes of each detector``."""
         suite = self.config.get("suite")
         name = f"{suite}, {format_count(len(self.cells), 'cell')}" if suite else ", ".join(self.cells)
-        played = sorted({entry["episodes"] for entry in self.summary}) or [0]
+        played = sorted(set((self.rows["error"] == "").groupby(self.rows["detector"]).sum())) or [0]
         asked = max(self.config.get("episodes", 0) * len(self.cells), played[-1])
         numbers = " to ".join(str(number) for number in dict.fromkeys((played[0], played[-1])))
         of = f" of {asked}" if asked > played[-1] else ""
@@ -139,7 +150,7 @@ class EvaluationResult:
 
     def __iter__(self) -> Iterator[str]:
         """The labels of the detectors."""
-        return (entry["detector"] for entry in self.summary)
+        return (label for label, _ in self._by_detector())
 
     def table(self, metrics: Sequence[str] | str | None = None) -> Table:
         """Create a table for a terminal: a column for each detector, a line for each metric, or cell for one name."""
@@ -150,11 +161,11 @@ class EvaluationResult:
 
     def ranking(self) -> Table:
         """Create a table for a terminal of 80 columns: the detectors by J (in recorded tracks F1), best first."""
-        return tables.make_table(f"{self._title}: means, best first", *tables.list_ranking(self.summary))
+        return tables.make_table(f"{self._title}: means, best first", *tables.list_ranking(self._ranked))
 
     def conclusion(self) -> str:
         """State which detector has the best J, which intervals overlap its interval, and which detectors failed."""
-        return tables.conclude(self.summary)
+        return tables.conclude(self._ranked)
 
     def to_markdown(self, metrics: Sequence[str] | str | None = None) -> str:
         """The means and 95 % intervals as a table in Markdown.
@@ -184,7 +195,7 @@ class EvaluationResult:
         for cell, rows in [*parts, ("all cells", self.rows)]:
             found = [_interval(rows[rows["detector"] == label], metrics) for label in self]
             lines.append([cell, *(tables.format_interval(each and each._asdict()) for each in found)])
-        return [tables.heading(self.summary, metrics), *map(tables.printable, self)], lines
+        return [tables.heading(self._ranked, metrics), *map(tables.printable, self)], lines
 
     def compare(self, a: str, b: str | Sequence[str] | None = None, metric: str = "J") -> Any:
         """Compare a detector with another one (a :class:`Comparison`) or several (a list of them), episode by episode.
@@ -234,7 +245,7 @@ class EvaluationResult:
         strata, values = self._strata(metric), self.rows[metric].dropna()
         at = np.linspace(values.min(), values.max(), 101) if thresholds is None else thresholds
         lower = metric in LOWER_IS_BETTER or metric.startswith("price")
-        lower |= metric == "J" and tables.objective(self.summary)[2] == 1
+        lower |= metric == "J" and tables.objective(self._ranked)[2] == 1
         return {label: stats.performance_profile(parts, at, lower) for label, parts in strata.items()}
 
     def _strata(self, metric: str) -> dict[str, list[pd.Series[float]]]:
@@ -254,6 +265,8 @@ class EvaluationResult:
             raise ArgumentError(f"other must have other labels, and the same suite, cells and seed, got {got}.")
         episodes = max(result.config.get("episodes", 0) for result in (self, other))
         config = {"detectors": [*self.detectors, *other.detectors], "episodes": episodes}
+        import pandas as pd
+
         return EvaluationResult(pd.concat([self.rows, other.rows]), self.config | config)
 
     def _check_metric(self, metric: str, argument: str = "metric") -> None:
@@ -261,10 +274,15 @@ class EvaluationResult:
             raise unknown_name(argument, metric, self.metrics)
 
 
-def _interval(rows: pd.DataFrame, metric: str) -> Interval | None:
-    """The mean of a metric with its interval; ``None`` if no row has a value. Rows of the same swarm are one group."""
+def _interval(rows: pd.DataFrame, metric: str, resampled: bool = True) -> Interval | None:
+    """The mean of a metric with its interval, or the mean three times; ``None`` if no row has a value.
+
+    Rows of the same swarm are one group.
+    """
     values = rows[["swarm_seed", metric]].dropna()
     if values.empty:
         return None
+    if not resampled:
+        return Interval(*[float(values[metric].to_numpy().mean())] * 3)
     interval = stats.rate_interval if metric in RATES else mean_interval
     return interval(values[metric].to_numpy(), groups=values["swarm_seed"].to_numpy())

@@ -10,7 +10,6 @@ from os import PathLike
 from typing import Any, Literal, NamedTuple
 
 import gymnasium as gym
-import pandas as pd
 from pydantic import Field
 
 from usnet_env.config import ArgumentError, Config, describe_arguments, named_values, quote, unknown_name
@@ -249,6 +248,8 @@ def play_run(
             default=lambda value: value.tolist() if hasattr(value, "tolist") else quote(value),
         )
     )
+    import pandas as pd  # not at the top: worker processes do without it
+
     rows: list[Row] = []
     with ExitStack() as stack:
         stack.callback(getattr(play, "close", lambda: None))

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 Summary = Sequence[Mapping[str, Any]]
 Lines = list[list[str]]
 
+RANKED = ("J", "f1_first")  # the metrics that a ranking may show with intervals
 _NAMES = {"f1_first": "F1", "ap_first": "AP", "seconds_per_round": "s"}  # in headings
 _LATEX = str.maketrans(
     {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "|": r"\textbar{}"}
