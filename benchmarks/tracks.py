@@ -9,7 +9,6 @@ the file and once with 0.5 s. A row is one detector's answer to one window, comp
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -19,7 +18,7 @@ import pandas as pd
 from paper.shared import RESULTS, parse, write_rows
 
 from usnet_env import make_detector
-from usnet_env.detection import fit_window
+from usnet_env.detection import ask
 from usnet_env.objectives import find_roots, group_leader_accuracy
 from usnet_env.plugins import detector_label
 from usnet_env.tracks import read_tracks
@@ -37,9 +36,7 @@ def score(cut: Any, name: str, seed: int) -> dict[str, Any]:
     """Answer one window, and compare the answer with the file's leaders."""
     detector, window = make_detector(name), cut.window
     detector.reset(seed)
-    begun = time.perf_counter()
-    answer = detector.detect(fit_window(detector, window))
-    seconds = time.perf_counter() - begun
+    answer, seconds = ask(detector, window)
     everyone = np.arange(window.uavs)
     roots = find_roots(cut.leader)
     head = np.isin(everyone, roots[roots != everyone])

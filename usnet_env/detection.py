@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -96,3 +97,20 @@ def fit_window(detector: Any, window: Window) -> Window:
     speed = float(np.sqrt((window.velocity[seen].astype(np.float64) ** 2).sum(axis=-1).mean())) if seen.any() else 0.0
     unit = speed or 1.0
     return replace(window, position=window.position / unit, velocity=window.velocity / unit)
+
+
+def ask(detector: Any, window: Window) -> tuple[Detection, float]:
+    """The answer of a detector to a window, which it gets as of :func:`fit_window`, and the seconds that it took.
+
+    Raises:
+        ArgumentError: the answer is no detection for all UAVs of the window.
+    """
+    window = fit_window(detector, window)
+    begin = time.perf_counter()
+    answer = detector.detect(window)
+    seconds = time.perf_counter() - begin
+    if not isinstance(answer, Detection) or len(answer.candidates) != window.uavs:
+        raise ArgumentError(
+            f"detect must return a usnet_env.Detection for all {window.uavs} UAVs, got {quote(answer)}."
+        )
+    return answer, seconds

@@ -5,7 +5,6 @@ Matplotlib is an extra; its global state (pyplot, ``rcParams``) is not changed.
 
 from __future__ import annotations
 
-import os
 import warnings
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -19,8 +18,8 @@ from numpy.typing import NDArray
 
 from usnet_env.arrays import Floats, Indices, Mask, Singles
 from usnet_env.config import MissingExtraError as MissingExtraError  # others import it from here
-from usnet_env.config import format_count, how_to_install
-from usnet_env.files import as_path, atomic_write
+from usnet_env.config import how_to_install
+from usnet_env.files import atomic_write
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -248,14 +247,6 @@ def pixels_of(figure: Figure) -> NDArray[np.uint8]:
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
-def describe_frame(
-    number: int, hits: int, redundant: int, objective: float, reward: float | None = None, over_budget: bool = False
-) -> str:
-    """The title of the frame of a round that was played: its result, J so far, and the reward."""
-    found = "over the shot budget" if over_budget else f"{format_count(hits, 'head')} hit, {redundant} redundant"
-    return f"round {number}: {found}   J {objective:.3f}" + ("" if reward is None else f"   reward {reward:.3f}")
-
-
 class EpisodeFrames:
     """Renders the frames of one episode: on axes that only grow, with the UAVs destroyed in earlier rounds."""
 
@@ -317,24 +308,19 @@ def caption_figure(figure: Figure, title: str, caption: str) -> None:
     figure.suptitle(f"{title}\n{lines}", x=0.01, ha="left", fontsize=10.5)
 
 
-def write_figure(figure: Figure, path: str | os.PathLike[str], formats: Sequence[str] = ("png",)) -> list[Path]:
-    """Write a figure in some formats; the same figure gives the same bytes, and each file appears whole.
+def write_figure(figure: Figure, path: Path) -> Path:
+    """Write a figure as ``.png`` (200 pixels per inch) or ``.pdf`` (vectors); the file appears whole.
 
-    Args:
-        figure: the figure.
-        path: the file; its suffix is replaced by that of each format.
-        formats: ``"png"`` (200 pixels per inch), ``"pdf"`` (vectors), or both.
+    The same figure gives the same bytes.
 
     Raises:
         ArgumentError: the place can't be written to.
     """
     from matplotlib import rc_context
 
-    files = [as_path("path", path).with_suffix(f".{kind}") for kind in formats]
-    with warnings.catch_warnings(record=True, action="always") as caught, rc_context({"pdf.fonttype": 42}):
-        for file, kind in zip(files, formats, strict=True):
-            with atomic_write(file) as aside:
-                figure.savefig(aside, format=kind, dpi=200, metadata=_METADATA[kind])
+    kind, fonts = path.suffix.lower()[1:], rc_context({"pdf.fonttype": 42})
+    with warnings.catch_warnings(record=True, action="always") as caught, fonts, atomic_write(path) as aside:
+        figure.savefig(aside, format=kind, dpi=200, metadata=_METADATA[kind])
     if any("missing from font" in str(each.message) for each in caught):
         warnings.warn("The fonts of this machine lack some characters of the figure: it has boxes there.", stacklevel=2)
-    return files
+    return path

@@ -12,7 +12,6 @@ together: `42+21` is a batch of the 21 episodes from 42 on.
 
 from __future__ import annotations
 
-import time
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,6 +22,7 @@ import shared
 from shared import FOLLOW, Game
 
 from usnet_env import Window, make_detector
+from usnet_env.detection import ask
 from usnet_env.envs import SingleClusterEnv
 
 FOLLOWERS = (2, 3, 5, 10, 15, 20, 25, 30, 40, 50)
@@ -44,9 +44,7 @@ def play(game: Game, seed: int) -> list[dict[str, Any]]:
     observation, _ = env.reset(seed=make_seed(seed, game, 0))
     window, detector = Window.from_observation(observation), make_detector(game["detector"])
     detector.reset(make_seed(seed, game, 1))
-    begun = time.perf_counter()
-    answer = detector.detect(window)
-    seconds = time.perf_counter() - begun
+    answer, seconds = ask(detector, window)
     found = {
         "named": int(answer.candidates.any()),
         "hit": int(np.array_equal(answer.candidates, env.swarm.head)),

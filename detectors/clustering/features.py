@@ -103,10 +103,7 @@ def compute_rbf_affinity(features: Floats, max_lag: int) -> Floats:
 
 
 #: The built-in affinities by name: functions of features and L.
-AFFINITIES: dict[str, Callable[[Floats, int], Floats]] = {
-    "lag": compute_lag_affinity,
-    "rbf": compute_rbf_affinity,
-}
+AFFINITIES: dict[str, Callable[[Floats, int], Floats]] = {"lag": compute_lag_affinity, "rbf": compute_rbf_affinity}
 
 
 def regularise_affinity(affinity: Floats) -> Floats:

@@ -19,16 +19,7 @@ import numpy as np
 from scipy.special import betaln
 
 from detectors.follow_mixture.delays import ASKED, sample_single_uavs
-from detectors.follow_mixture.evidence import (
-    RARE,
-    Pairs,
-    Statistics,
-    Targets,
-    gain_by_law,
-    pair,
-    pick,
-    screen,
-)
+from detectors.follow_mixture.evidence import RARE, Pairs, Statistics, Targets, gain_by_law, pair, pick, screen
 from detectors.series.designs import sum_groups
 from detectors.series.features import LONE, make_features
 from detectors.series.projections import NOTHING, RIDGE, project

@@ -40,7 +40,8 @@ def test_rows_are_those_of_single_games(tmp_path):
         game = play_game(env, policies, seeds[0], policy_seed=seeds[1])
         assert (row["J"], row["rounds"], row["success"]) == (pytest.approx(game.J), game.rounds, game.success)
         assert row["redundancy"] == pytest.approx(game.redundant / row["uavs"])
-        assert row["recall_first"] == pytest.approx(game.first_hits / row["heads"])
+        first_hits = (game.record["candidates"][0] & game.record["head"]).sum()
+        assert row["recall_first"] == pytest.approx(first_hits / row["heads"])
         assert row["return_observer"] == game.returns["observer_0"]
         heads = [value for name, value in game.prices.items() if name.startswith("head")]
         assert row["price_head"] == pytest.approx(sum(heads) / len(heads))

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from usnet_env.arrays import Floats, Indices, Mask, Observation
-from usnet_env.config import ArgumentError, Config, quote
-from usnet_env.drawing import describe_frame
+from usnet_env.config import ArgumentError, Config, format_count, quote
 from usnet_env.objectives import hits_and_redundant, single_cluster_objective
 from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState, advance, destroy, start
 from usnet_env.swarm.config import Count, Price
@@ -154,10 +153,11 @@ def play_round(rules: Rules, state: GameState, candidates: Mask) -> tuple[GameSt
 
 
 def title_round(metrics: Mapping[str, Any]) -> str:
-    """The title of the picture of a round, from its metrics as plain numbers."""
+    """The title of the picture of a round, from its metrics as plain numbers: its result, J so far, and the reward."""
     reward = sum(value for name, value in metrics.items() if name.startswith("reward_"))
-    hits, redundant, over_budget = metrics["hits"], metrics["redundant"], bool(metrics["over_budget"])
-    return describe_frame(metrics["round"], hits, redundant, metrics["J"], reward, over_budget)
+    found = f"{format_count(metrics['hits'], 'head')} hit, {metrics['redundant']} redundant"
+    found = "over the shot budget" if metrics["over_budget"] else found
+    return f"round {metrics['round']}: {found}   J {metrics['J']:.3f}   reward {reward:.3f}"
 
 
 def initial_info(rules: Rules, state: GameState) -> dict[str, NDArray[Any]]:

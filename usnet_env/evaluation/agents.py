@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError, named_values, quote
-from usnet_env.detection import Detection, fit_window
+from usnet_env.detection import ask
 from usnet_env.parts import named_parameters, parse_label
 from usnet_env.plugins import DETECTORS, detector_label, make_detector
 from usnet_env.window import Window
@@ -55,14 +55,7 @@ class DetectorAgent:
 
     def answer(self, observation: Any) -> Answer:
         """Return the detector's answer; only the call of ``detect`` is timed."""
-        window = fit_window(self.detector, Window.from_observation(observation))
-        begin = time.perf_counter()
-        detection = self.detector.detect(window)
-        seconds = time.perf_counter() - begin
-        if not isinstance(detection, Detection) or len(detection.candidates) != window.uavs:
-            raise ArgumentError(
-                f"detect must return a usnet_env.Detection for all {window.uavs} UAVs, got {quote(detection)}."
-            )
+        detection, seconds = ask(self.detector, Window.from_observation(observation))
         return Answer(detection.candidates, detection.scores, detection.clusters, seconds)
 
     def warm_up(self, observation: Any) -> None:

@@ -27,8 +27,6 @@ class GameResult:
         J: J_m, the objective of P2.
         rounds: R, the number of rounds.
         success: whether every head was hit.
-        first_hits: number of heads hit in the first round.
-        first_redundant: number of redundant candidates in the first round.
         redundant: number of redundant candidates in all rounds.
         record: the arguments of :class:`usnet_env.replay.EpisodeRecord`, from which replays and figures are made.
     """
@@ -38,8 +36,6 @@ class GameResult:
     J: float
     rounds: int
     success: bool
-    first_hits: int
-    first_redundant: int
     redundant: int
     record: dict[str, Any]
 
@@ -137,8 +133,6 @@ def play_game(
         J=float(metrics["J"][-1]),
         rounds=len(rounds),
         success=bool(metrics["success"][-1]),
-        first_hits=int(metrics["hits"][0]),
-        first_redundant=int(metrics["redundant"][0]),
         redundant=int(metrics["redundant"].sum()),
         record=record,
     )

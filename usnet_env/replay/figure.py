@@ -88,5 +88,4 @@ def write_picture(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path:
         ArgumentError: the name has another ending, or the place can't be written to.
         MissingExtraError: matplotlib is not installed.
     """
-    place = check_ending(path, ".png", ".pdf")
-    return drawing.write_figure(draw_episode(record), place, [place.suffix.lower()[1:]])[0]
+    return drawing.write_figure(draw_episode(record), check_ending(path, ".png", ".pdf"))

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from usnet_env.arrays import Indices
 from usnet_env.config import ArgumentError, describe_arguments, optional_seed, quote
-from usnet_env.detection import Detection, fit_window
+from usnet_env.detection import Detection, ask
 from usnet_env.envs.play import PlayedRound, play_rounds
 from usnet_env.files import as_path
 from usnet_env.objectives import list_followers
@@ -55,12 +55,8 @@ def record_episode(
     seconds: list[float] = []
 
     def answer(observation: Any, truth: SwarmState) -> Detection:
-        window = fit_window(detector, Window.from_observation(observation))
-        began = time.perf_counter()
-        detection = detector.detect(window)
-        seconds.append(time.perf_counter() - began)
-        if not isinstance(detection, Detection) or detection.candidates.shape != (window.uavs,):
-            raise ArgumentError(f"detector must answer a Detection for {window.uavs} UAVs, got {quote(detection)}.")
+        detection, spent = ask(detector, Window.from_observation(observation))
+        seconds.append(spent)
         return detection
 
     rounds = list(play_rounds(env, answer, seed))

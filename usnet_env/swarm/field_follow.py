@@ -188,7 +188,6 @@ class Reference(Slots):
     The references fly by the swarm's mobility.
     """
 
-    has_heads = False
     has_references = True
 
     def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
@@ -203,7 +202,6 @@ class Reference(Slots):
 class Independent(FieldStrategy):
     """Every UAV flies on its own by the swarm's mobility; H_0 is empty."""
 
-    has_heads = False
     has_followers = False
 
     def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
@@ -220,7 +218,6 @@ class Shifted(FieldStrategy):
     of a cluster repeats another at a lag below T / m.
     """
 
-    has_heads = False
     shifts_tracks = True
     lags = 2  # those of f2
 

@@ -106,7 +106,6 @@ class Shepherd(Couzin):
     flight: float = 80.0
     flee: float = 1.5
     standoff: float = 40.0
-    has_heads = False
     has_references = True
     chaser = flock_kernels.DRIVER
 

@@ -49,8 +49,8 @@ class Roles:
 class SwarmState:
     """The true state of B swarms between two rounds; :meth:`episode` gives one swarm without the leading axis.
 
-    The last six arrays may be left out for a swarm of f1 to f7. Besides its N UAVs a swarm of a field model may have R
-    references: points that fly like heads and that no sensor sees. Their indices are N to N + R - 1.
+    Besides its N UAVs a swarm of a field model may have R references: points that fly like heads and that no sensor
+    sees. Their indices are N to N + R - 1.
 
     Args:
         head: ``(B, N)`` bool, H_0, the heads at the start, destroyed or not; none in a swarm that no UAV leads.
@@ -82,26 +82,12 @@ class SwarmState:
     free: Indices
     mobility_state: Floats
     parameters: Singles
-    bystander: Mask = None  # type: ignore[assignment]  # set below
-    source: Indices = None  # type: ignore[assignment]
-    clock: Indices = None  # type: ignore[assignment]
-    kinematic_state: Singles = None  # type: ignore[assignment]
-    reference_position: Singles = None  # type: ignore[assignment]
-    reference_velocity: Singles = None  # type: ignore[assignment]
-
-    def __post_init__(self) -> None:
-        position, velocity = self.past_position, self.past_velocity
-        defaults = {
-            "bystander": np.zeros_like(self.decoy),
-            "source": self.root,
-            "clock": np.zeros(self.alive.shape[:-1], np.int64),
-            "kinematic_state": np.zeros((*self.alive.shape, 0), np.float32),
-            "reference_position": position[..., :0, :],
-            "reference_velocity": velocity[..., :0, :],
-        }
-        for name, default in defaults.items():
-            if getattr(self, name) is None:
-                object.__setattr__(self, name, default)
+    bystander: Mask
+    source: Indices
+    clock: Indices
+    kinematic_state: Singles
+    reference_position: Singles
+    reference_velocity: Singles
 
     @property
     def position(self) -> Singles:

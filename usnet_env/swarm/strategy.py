@@ -89,7 +89,6 @@ class FollowStrategy(ABC):
         equation: the equation as text, for lists and documentation pages.
         lags: number of past head velocities that the strategy uses; ``memory`` T_0 must be at least this.
         noise: kappa_n, the scale of the noise.
-        has_heads: whether heads lead the clusters; otherwise H_0 is empty, and the right answer is the empty set.
         has_references: whether each cluster has a reference, which flies by the swarm's mobility in place of its heads.
         has_followers: whether UAVs follow; otherwise all UAVs fly by the swarm's mobility.
         shifts_tracks: whether the observer sees the steps of each track rolled in time by a shift of its own.
@@ -98,7 +97,6 @@ class FollowStrategy(ABC):
     equation: str = ""
     lags: int = 1
     noise: float = KAPPA_NOISE
-    has_heads: bool = True
     has_references: bool = False
     has_followers: bool = True
     shifts_tracks: bool = False

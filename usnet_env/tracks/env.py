@@ -137,19 +137,25 @@ class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
         follows = (roots >= 0) & (roots != np.arange(uavs))
         head = np.zeros(uavs, bool)
         head[roots[follows]] = True
-        last = np.zeros((1, uavs, 3), np.float32)
+        last, none = np.zeros((1, uavs, 3), np.float32), np.zeros((0, uavs, 3), np.float32)
         last[0, cut.rows] = cut.window.position[-1]
-        free = np.flatnonzero(alive & ~follows)
+        free, root = np.flatnonzero(alive & ~follows), np.where(alive, roots, -1)
         return SwarmState(
             head=head,
             decoy=alive & ~head & ~follows,
             alive=alive,
-            root=np.where(alive, roots, -1),
+            root=root,
             past_position=last,
-            past_velocity=np.zeros((0, uavs, 3), np.float32),
+            past_velocity=none,
             free=free,
             mobility_state=np.zeros((len(free), 0)),
             parameters=np.zeros(0, np.float32),
+            bystander=np.zeros(uavs, bool),
+            source=root,
+            clock=np.zeros((), np.int64),
+            kinematic_state=np.zeros((uavs, 0), np.float32),
+            reference_position=last[:, :0],
+            reference_velocity=none[:, :0],
         )
 
     def score_answer(self, scores: NDArray[np.float64]) -> dict[str, float | None]:

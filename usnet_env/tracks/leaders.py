@@ -16,7 +16,7 @@ from scipy.special import bdtrc
 
 from usnet_env.arrays import Floats, Indices
 from usnet_env.config import ArgumentError, format_count, quote, whole_number
-from usnet_env.detection import Detection, fit_window
+from usnet_env.detection import Detection, ask
 from usnet_env.objectives import list_followers
 from usnet_env.parts import describe_error
 from usnet_env.plugins import DetectorLike, detector_label, make_detector
@@ -205,10 +205,7 @@ def _answer(player: DetectorLike, cut: TrackWindow, seed: int, number: int, time
     """Ask the detector for one window; what it raises becomes an ``ArgumentError`` that names the window."""
     try:
         player.reset(int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1)[0]))
-        detection = player.detect(fit_window(player, cut.window))
-        if len(detection.candidates) != len(cut.ids):
-            raise ValueError(f"an answer for {len(detection.candidates)} of {len(cut.ids)} UAVs")
-        return detection
+        return ask(player, cut.window)[0]
     except Exception as error:  # a detector may raise anything
         found = f"{describe_error(error)} from {quote(detector_label(player))} in the window from {times[0]}"
         raise ArgumentError(f"detector must answer every window, got {found} to {times[1]}.") from error
