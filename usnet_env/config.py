@@ -60,6 +60,11 @@ def missing_extra(user: str, error: BaseException) -> MissingExtraError | None:
     return MissingExtraError(f"{user} needs {module}; {how_to_install(EXTRAS[module])}.") if module in EXTRAS else None
 
 
+def printable(text: object) -> str:
+    """The text without characters that would control a terminal."""
+    return "".join(filter(str.isprintable, str(text)))
+
+
 def format_count(number: int, noun: str) -> str:
     """Format a number with its noun: ``1 head``, ``2 heads``."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

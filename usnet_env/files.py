@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from errno import EISDIR
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any
@@ -31,8 +30,6 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     final = as_path("path", path)
     aside = final.with_name(f".{uuid4().hex}.{final.name}")
     try:
-        if final.is_dir():
-            raise IsADirectoryError(EISDIR, os.strerror(EISDIR))
         final.parent.mkdir(parents=True, exist_ok=True)
         yield aside
         os.replace(aside, final)

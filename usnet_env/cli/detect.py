@@ -13,7 +13,7 @@ import numpy as np
 
 from usnet_env.cli.options import PositiveNumber, WholeNumber
 from usnet_env.cli.output import print_message, show
-from usnet_env.config import MissingExtraError
+from usnet_env.config import MissingExtraError, printable
 from usnet_env.files import as_path, reserve_folder, write_text
 from usnet_env.progress import progress_bar
 
@@ -120,7 +120,7 @@ def detect(
     if as_json:
         click.echo(content)
     else:
-        click.echo("\n".join(map(_plain, facts)))
+        click.echo("\n".join(map(printable, facts)))
         show(*_tables(found))
     if folder is not None:
         title = ", ".join(Path(name).name for name in tracks)
@@ -128,10 +128,6 @@ def detect(
         write_text(folder / "leaders.json", content + "\n")
         _write_files(folder, found, episode, ([cut for cut, _, _ in kept], title, even))
         click.echo(f"{', '.join(sorted(path.name for path in folder.iterdir()))} are in {folder}.", err=True)
-
-
-def _plain(text: Any) -> str:
-    return "".join(filter(str.isprintable, str(text)))
 
 
 def _tables(found: FoundLeaders) -> list[Table]:
@@ -168,7 +164,7 @@ def _make_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str
     for heading in headings:
         table.add_column(heading, overflow="fold")
     for row in rows[:_MOST_ROWS]:
-        table.add_row(*(Text(_plain(cell)) for cell in row))
+        table.add_row(*(Text(printable(cell)) for cell in row))
     if len(rows) > _MOST_ROWS:
         table.caption = f"{len(rows) - _MOST_ROWS} more rows; --out DIR writes all of them."
     return table

@@ -6,6 +6,8 @@ from typing import Any
 
 import click
 
+from usnet_env.config import printable
+
 _PIPE_WIDTH = 400  # columns if standard output is not a terminal: wide enough that nothing is cut or wrapped
 
 
@@ -24,4 +26,4 @@ def show(*renderables: Any) -> None:
 
 def print_message(sentence: str) -> None:
     """Print a message of the program to standard error; what would control a terminal is left out."""
-    click.echo(f"usnet: {''.join(filter(str.isprintable, sentence))}", err=True)
+    click.echo(f"usnet: {printable(sentence)}", err=True)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from usnet_env.cli.output import show
-from usnet_env.config import ArgumentError, quote
+from usnet_env.config import ArgumentError, printable, quote
 
 if TYPE_CHECKING:
     from usnet_env.replay import EpisodeRecord
@@ -82,12 +82,12 @@ def replay(
         raise click.UsageError("PATH must be one episode, two, or a folder to list; --episode chooses one of a folder.")
     records = [EpisodeRecord.load(found[0]) for found in chosen]
     if len(records) == 2:
-        _say("\n".join(f"{record.detector}: {describe_outcome(record)}" for record in records))
+        _say(f"{record.detector}: {describe_outcome(record)}" for record in records)
         written = write_comparison(records[0], records[1], rrd or Path("comparison.rrd"))
     else:
         (record,) = records
         rounds = [f"  {number}: {describe_round(record, number)}" for number in range(1, record.rounds + 1)]
-        _say("\n".join([name_game(record), *rounds, describe_outcome(record)]))
+        _say([name_game(record), *rounds, describe_outcome(record)])
         if _write_files(record, **files) and rrd is None and not open_viewer:
             return
         written = write_recording(record, rrd or chosen[0][0].with_suffix(".rrd"))
@@ -96,9 +96,9 @@ def replay(
         open_replay(written)
 
 
-def _say(text: str) -> None:
-    """Print text of a file without the control characters that it may hold, which a terminal would obey."""
-    click.echo("".join(sign for sign in text if sign.isprintable() or sign == "\n"))
+def _say(lines: Iterable[str]) -> None:
+    """Print lines of a file without the control characters that they may hold, which a terminal would obey."""
+    click.echo("\n".join(map(printable, lines)))
 
 
 def _choose_episodes(place: Path, episode: int | None) -> list[Path]:
@@ -131,7 +131,7 @@ def _list_episodes(files: Sequence[Path]) -> None:
     for record, file in zip(records, files, strict=True):
         known = ("{} {:.3f}".format(*name_score(record)), record.heads_left[-1]) if record.labelled else ("–", "–")
         cells = (file, record.detector, "–" if record.seed is None else record.seed, record.rounds, *known)
-        table.add_row(*(Text("".join(filter(str.isprintable, str(cell)))) for cell in cells))  # no markup, no escapes
+        table.add_row(*(Text(printable(cell)) for cell in cells))  # no markup, no escapes
     show(table)
 
 

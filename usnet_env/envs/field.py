@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ from gymnasium.vector import SyncVectorEnv
 from pydantic import Field
 
 from usnet_env.arrays import Mask
-from usnet_env.config import list_arguments, takes_arguments
+from usnet_env.config import Config, list_arguments, takes_arguments
 from usnet_env.envs import game
 from usnet_env.envs.usnet import INFO_P2, OBSERVATION, OutputArguments, UsnetEnv
 from usnet_env.envs.vector import check_batch
@@ -19,10 +18,16 @@ from usnet_env.swarm import FollowStrategy, Kinematics, Mobility, SwarmConfig
 from usnet_env.swarm.config import Burst, Count, Few, Metres, Rate, Ratio, Share, Steps
 
 Weights = Mapping[str, float]
+_FOLLOW = {
+    **dict.fromkeys(("unequal_delays", "mixed", "switching", "chain", "pigeons", "cucker_smale", "vicsek"), 1.0),
+    **dict.fromkeys(("couzin", "frontness", "part_time", "partial_turns", "predator", "informed"), 1.0),
+    **dict.fromkeys(("shepherd", "reference"), 0.5),  # swarms that no UAV leads
+}
+_MOBILITY = {"gauss_markov": 3.0, "smooth_turn": 2.0, "waypoint": 2.0, "local_waypoint": 2.0, "iid": 1.0}
+_FORMATION = {"around": 3.0, "uniform": 1.0}
 
 
-@dataclass(frozen=True)
-class FieldDistribution:
+class FieldDistribution(Config):
     """The distribution of the swarms of ``USNET/Field-v0``. All draws are independent.
 
     ``follow``, ``mobility``, ``kinematics`` and ``formation`` have a weight for each name. The numbers are equally
@@ -32,24 +37,10 @@ class FieldDistribution:
     """
 
     version: int = 1
-    follow: Weights = field(
-        default_factory=lambda: {
-            **dict.fromkeys(
-                ("unequal_delays", "mixed", "switching", "chain", "pigeons", "cucker_smale", "vicsek", "couzin"), 1.0
-            ),
-            **dict.fromkeys(("frontness", "part_time", "partial_turns", "predator", "informed"), 1.0),
-            **dict.fromkeys(("shepherd", "reference"), 0.5),  # swarms that no UAV leads
-        }
-    )
-    mobility: Weights = field(
-        default_factory=lambda: {
-            "gauss_markov": 3.0, "smooth_turn": 2.0, "waypoint": 2.0, "local_waypoint": 2.0, "iid": 1.0
-        }
-    )  # fmt: skip
-    kinematics: Weights = field(
-        default_factory=lambda: dict.fromkeys(("unit", "varied_speed", "lagged", "limited", "layered"), 1.0)
-    )
-    formation: Weights = field(default_factory=lambda: {"around": 3.0, "uniform": 1.0})
+    follow: Weights = _FOLLOW
+    mobility: Weights = _MOBILITY
+    kinematics: Weights = dict.fromkeys(("unit", "varied_speed", "lagged", "limited", "layered"), 1.0)
+    formation: Weights = _FORMATION
     clusters: tuple[int, int] = (2, 6)
     decoys: tuple[int, int] = (0, 2)
     bystanders: tuple[int, int] = (0, 6)

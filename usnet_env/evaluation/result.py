@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from usnet_env.config import ArgumentError, format_count, quote, unknown_name
+from usnet_env.config import ArgumentError, format_count, printable, quote, unknown_name
 from usnet_env.evaluation import stats, tables
 from usnet_env.evaluation.folder import column_types, read_run
 from usnet_env.evaluation.play import KEYS, LOWER_IS_BETTER, RATES
@@ -126,7 +126,7 @@ class EvaluationResult:
             failed = rows[rows["error"] != ""]
             for cell, episode, error in failed[["cell", "episode", "error"]].head(1).itertuples(index=False):
                 text = f"detector {label!r} failed in {len(failed)} of {len(rows)} episodes, first in {cell}, "
-                text = tables.printable(f"{text}episode {episode}, {error}")
+                text = printable(f"{text}episode {episode}, {error}")
                 found[label] = f"{text if len(text) < LONGEST_REASON else text[:LONGEST_REASON] + '…'}."
         return found
 
@@ -195,7 +195,7 @@ class EvaluationResult:
         for cell, rows in [*parts, ("all cells", self.rows)]:
             found = [_interval(rows[rows["detector"] == label], metrics) for label in self]
             lines.append([cell, *(tables.format_interval(each and each._asdict()) for each in found)])
-        return [tables.heading(self._ranked, metrics), *map(tables.printable, self)], lines
+        return [tables.heading(self._ranked, metrics), *map(printable, self)], lines
 
     def compare(self, a: str, b: str | Sequence[str] | None = None, metric: str = "J") -> Any:
         """Compare a detector with another one (a :class:`Comparison`) or several (a list of them), episode by episode.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from usnet_env.config import printable
 from usnet_env.evaluation.play import LOWER_IS_BETTER, METRICS, TRACK_METRICS
 
 if TYPE_CHECKING:
@@ -20,11 +21,6 @@ _LATEX = str.maketrans(
     | {"↓": r"$\downarrow$", "↑": r"$\uparrow$", "<": r"\textless{}", ">": r"\textgreater{}", "–": "--"}
     | {sign: f"\\{sign}" for sign in "&%$#_{}"}
 )
-
-
-def printable(text: str) -> str:
-    """The text without characters that would control a terminal."""
-    return "".join(sign if sign.isprintable() else "�" for sign in text)
 
 
 def objective(summary: Summary) -> tuple[str, str, int]:

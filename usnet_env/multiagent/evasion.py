@@ -16,19 +16,10 @@ from pydantic import Field, model_validator
 
 from usnet_env.arrays import Floats, Indices, Mask, Singles
 from usnet_env.config import ArgumentError, Config, quote
-from usnet_env.swarm import (
-    FollowInputs,
-    FollowStrategy,
-    Mobility,
-    ObservationBatch,
-    SwarmConfig,
-    SwarmState,
-    advance,
-    kernels,
-)
+from usnet_env.swarm import FollowInputs, FollowStrategy, Mobility, ObservationBatch, SwarmConfig, SwarmState, kernels
 from usnet_env.swarm.config import Price
 from usnet_env.swarm.mobility import MOBILITIES
-from usnet_env.swarm.simulator import JITTER
+from usnet_env.swarm.simulator import JITTER, advance
 from usnet_env.swarm.strategy import TrajectoryBatch
 
 Most = Annotated[int, Field(ge=0, le=1000)]

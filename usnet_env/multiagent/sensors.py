@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from usnet_env.arrays import Floats, Mask, Singles
 from usnet_env.config import ArgumentError, Config, quote
-from usnet_env.parts import Registry
+from usnet_env.parts import Registry, check_factory
 from usnet_env.swarm import ObservationBatch, SwarmConfig
 from usnet_env.swarm.config import Few, Metres, Price, Rate
 from usnet_env.swarm.formation import ARENA
@@ -118,9 +118,7 @@ Placement = Callable[[np.random.Generator, int], Floats]
 _PLACEMENTS: dict[str, Placement] = {"grid": _grid, "uniform": _uniform}
 
 #: All placements by name: functions ``(rng, K) -> (K, 3)``, positions in metres.
-PLACEMENTS = Registry[Placement](
-    "placement", "placement", "usnet.placements", __name__, lambda function, subject="": function, _PLACEMENTS
-)
+PLACEMENTS = Registry[Placement]("placement", "placement", "usnet.placements", __name__, check_factory, _PLACEMENTS)
 
 #: Register a placement, so that ``placement=name`` selects it; see :meth:`usnet_env.parts.Registry.register`.
 register_placement = PLACEMENTS.register

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from usnet_env.arrays import Floats
-from usnet_env.parts import Registry
+from usnet_env.parts import Registry, check_factory
 from usnet_env.swarm.state import Roles
 
 ARENA = (1000.0, 1000.0, 100.0)  # metres, the box of the paper's simulations
@@ -50,9 +50,7 @@ Formation = Callable[[np.random.Generator, Roles], Floats]
 _OWN: dict[str, Formation] = {"uniform": _uniform, "around": _around}
 
 #: All formations by name: functions ``(rng, roles) -> (N, 3)``, positions in metres, at most 1060 m on each axis.
-FORMATIONS = Registry[Formation](
-    "formation", "formation", "usnet.formations", __name__, lambda function, subject="": function, _OWN
-)
+FORMATIONS = Registry[Formation]("formation", "formation", "usnet.formations", __name__, check_factory, _OWN)
 
 #: Register a formation, so that ``formation=name`` selects it; see :meth:`usnet_env.parts.Registry.register`.
 register_formation = FORMATIONS.register
