@@ -171,6 +171,5 @@ class OnePerRound(Detector):
     def detect(self, window: Window) -> Detection:
         """Name the UAV with the highest score of :class:`LaggedRegression`; scores and attention are from there."""
         whole = LaggedRegression().detect(window)
-        candidates = np.zeros(window.uavs, bool)
-        candidates[rank_uavs(whole.scores, window.alive, self.rng)[:1]] = True
+        candidates = np.isin(np.arange(window.uavs), rank_uavs(whole.scores, window.alive, self.rng)[:1])
         return Detection(candidates=candidates, scores=whole.scores, attention=whole.attention)

@@ -24,17 +24,8 @@ try:
 except PackageNotFoundError:  # a source tree on the path without an installation
     __version__ = "0+unknown"
 
-__all__ = [
-    "ArgumentError",
-    "Detection",
-    "Window",
-    "__version__",
-    "evaluate",
-    "make_detector",
-    "register_detector",
-    "register_follow_strategy",
-    "register_mobility",
-]
+__all__ = ["ArgumentError", "Detection", "Window", "__version__", "evaluate", "make_detector"]
+__all__ += ["register_detector", "register_follow_strategy", "register_mobility"]
 
 register_environments()
 

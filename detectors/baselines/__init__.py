@@ -7,15 +7,5 @@ from detectors.baselines.transfer_entropy import TransferEntropy
 from detectors.baselines.warping import Flica, Mflica
 from detectors.lagged import Granger
 
-__all__ = [
-    "DirectionalDelays",
-    "Factions",
-    "Flica",
-    "FrontMost",
-    "Granger",
-    "LaggedNetwork",
-    "Mflica",
-    "NetLagRegression",
-    "NetworkDetector",
-    "TransferEntropy",
-]
+__all__ = ["DirectionalDelays", "Flica", "FrontMost", "LaggedNetwork", "Mflica", "NetLagRegression", "TransferEntropy"]
+__all__ += ["Factions", "Granger", "NetworkDetector"]

@@ -10,13 +10,5 @@ from detectors.checks.run import (
     results_table,
 )
 
-__all__ = [
-    "CHECKS",
-    "CheckError",
-    "CheckResult",
-    "DetectorChecksError",
-    "check_detector",
-    "exit_status",
-    "parametrize_with_checks",
-    "results_table",
-]
+__all__ = ["check_detector", "exit_status", "parametrize_with_checks", "results_table"]
+__all__ += ["CHECKS", "CheckError", "CheckResult", "DetectorChecksError"]

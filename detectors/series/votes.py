@@ -56,9 +56,7 @@ def shows_evidence(window: Window, members: NDArray[np.intp]) -> bool:
 
 def name_at_random(members: NDArray[np.intp], count: int, uavs: int, rng: np.random.Generator) -> Mask:
     """Candidates ``(N,)``: ``count`` of the members, for a window that shows no evidence (decision (x))."""
-    candidates = np.zeros(uavs, bool)
-    candidates[rng.permutation(members)[:count]] = True
-    return candidates
+    return np.isin(np.arange(uavs), rng.permutation(members)[:count])
 
 
 def spread(
@@ -148,14 +146,12 @@ def detection_from_evidence(
     if clusters is not None and first_round:
         heads = order[:clusters]
     heads = np.sort(heads)
-    candidates = np.zeros(uavs, bool)
-    candidates[heads] = True
     if len(heads):
         label[living] = attention[np.ix_(living, heads)].argmax(axis=1)
         label[heads] = np.arange(len(heads))
         leader[living] = heads[label[living]]
     return Detection(
-        candidates=candidates,
+        candidates=np.isin(np.arange(uavs), heads),
         scores=scores,
         clusters=label,
         leader=leader,

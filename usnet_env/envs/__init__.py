@@ -6,16 +6,6 @@ from usnet_env.envs.usnet import MultiClusterEnv, SingleClusterEnv, UsnetEnv
 from usnet_env.envs.vector import MultiClusterVectorEnv, SingleClusterVectorEnv, UsnetVectorEnv
 from usnet_env.envs.wrappers import MultiDiscreteCandidates
 
-__all__ = [
-    "ENVIRONMENTS",
-    "FieldEnv",
-    "FieldVectorEnv",
-    "MultiClusterEnv",
-    "MultiClusterVectorEnv",
-    "MultiDiscreteCandidates",
-    "SingleClusterEnv",
-    "SingleClusterVectorEnv",
-    "UsnetEnv",
-    "UsnetVectorEnv",
-    "register_environments",
-]
+__all__ = ["FieldEnv", "MultiClusterEnv", "SingleClusterEnv", "UsnetEnv"]
+__all__ += ["FieldVectorEnv", "MultiClusterVectorEnv", "SingleClusterVectorEnv", "UsnetVectorEnv"]
+__all__ += ["ENVIRONMENTS", "MultiDiscreteCandidates", "register_environments"]

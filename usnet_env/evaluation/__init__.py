@@ -7,17 +7,5 @@ from usnet_env.evaluation.run import TRIVIAL, evaluate, evaluate_suite
 from usnet_env.evaluation.suites import Cell, Suite, list_suites, load_suite
 from usnet_env.evaluation.tasks import EvaluationError
 
-__all__ = [
-    "METRICS",
-    "TRIVIAL",
-    "Cell",
-    "Comparison",
-    "EvaluationError",
-    "EvaluationResult",
-    "Suite",
-    "evaluate",
-    "evaluate_games",
-    "evaluate_suite",
-    "list_suites",
-    "load_suite",
-]
+__all__ = ["evaluate", "evaluate_games", "evaluate_suite", "list_suites", "load_suite"]
+__all__ += ["METRICS", "TRIVIAL", "Cell", "Comparison", "EvaluationError", "EvaluationResult", "Suite"]

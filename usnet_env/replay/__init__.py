@@ -8,13 +8,5 @@ from usnet_env.replay.figure import draw_episode, write_picture
 from usnet_env.replay.record import RecordReplay, record_episode
 from usnet_env.replay.rerun import write_comparison, write_recording
 
-__all__ = [
-    "EpisodeRecord",
-    "RecordReplay",
-    "animate",
-    "draw_episode",
-    "record_episode",
-    "write_comparison",
-    "write_picture",
-    "write_recording",
-]
+__all__ = ["EpisodeRecord", "RecordReplay", "record_episode"]
+__all__ += ["animate", "draw_episode", "write_comparison", "write_picture", "write_recording"]

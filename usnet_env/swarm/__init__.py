@@ -13,23 +13,7 @@ from usnet_env.swarm.simulator import advance, start
 from usnet_env.swarm.state import SwarmState, destroy
 from usnet_env.swarm.strategy import FollowInputs, FollowStrategy
 
-__all__ = [
-    "FOLLOW_STRATEGIES",
-    "FORMATIONS",
-    "KINEMATICS",
-    "MOBILITIES",
-    "FollowInputs",
-    "FollowStrategy",
-    "Kinematics",
-    "Mobility",
-    "ObservationBatch",
-    "SwarmConfig",
-    "SwarmState",
-    "advance",
-    "destroy",
-    "register_follow_strategy",
-    "register_formation",
-    "register_kinematics",
-    "register_mobility",
-    "start",
-]
+__all__ = ["ObservationBatch", "SwarmConfig", "SwarmState", "advance", "destroy", "start"]
+__all__ += ["FOLLOW_STRATEGIES", "FollowInputs", "FollowStrategy", "register_follow_strategy"]
+__all__ += ["KINEMATICS", "MOBILITIES", "Kinematics", "Mobility", "register_kinematics", "register_mobility"]
+__all__ += ["FORMATIONS", "register_formation"]

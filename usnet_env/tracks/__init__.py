@@ -8,15 +8,5 @@ from usnet_env.tracks.report import TrackReport
 from usnet_env.tracks.samples import Clock
 from usnet_env.tracks.tracks import Tracks, TrackWindow
 
-__all__ = [
-    "Clock",
-    "DetectedWindow",
-    "FoundLeaders",
-    "Leader",
-    "Link",
-    "TrackReport",
-    "TrackWindow",
-    "Tracks",
-    "find_leaders",
-    "read_tracks",
-]
+__all__ = ["Clock", "TrackReport", "TrackWindow", "Tracks", "read_tracks"]
+__all__ += ["DetectedWindow", "FoundLeaders", "Leader", "Link", "find_leaders"]

@@ -135,8 +135,7 @@ class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
             direct[cut.rows] = np.where(cut.leader >= 0, cut.rows[cut.leader], -1)
         roots = find_roots(direct)
         follows = (roots >= 0) & (roots != np.arange(uavs))
-        head = np.zeros(uavs, bool)
-        head[roots[follows]] = True
+        head = np.isin(np.arange(uavs), roots[follows])
         last, none = np.zeros((1, uavs, 3), np.float32), np.zeros((0, uavs, 3), np.float32)
         last[0, cut.rows] = cut.window.position[-1]
         free, root = np.flatnonzero(alive & ~follows), np.where(alive, roots, -1)
