@@ -6,7 +6,7 @@ import argparse
 import gzip
 import io
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -133,13 +133,7 @@ def panels(width: float, height: float, rows: int = 1, columns: int = 1, **how: 
 
 
 def draw_intervals(
-    axes: Any,
-    rows: pd.DataFrame,
-    x: str,
-    places: Sequence[Any],
-    metric: str,
-    looks: Mapping[str, Any],
-    scale: float = 1,
+    axes: Any, rows: pd.DataFrame, x: str, places: Sequence[Any], metric: str, looks: dict[str, Any], scale: float = 1
 ) -> None:
     """Draw the means of a metric with error bars over the places of a column ``x``, the detectors side by side.
 

@@ -67,20 +67,22 @@ class GameState:
         return replace(self, **changed)
 
 
+def window_spaces(steps: int, uavs: int, rounds: int, far: float, fast: float) -> dict[str, spaces.Space[Any]]:
+    """The spaces of a window's arrays, with bounds of the coordinates in metres and in metres per step."""
+    return {
+        "position": spaces.Box(-far, far, (steps + 1, uavs, 3), np.float32),
+        "velocity": spaces.Box(-fast, fast, (steps, uavs, 3), np.float32),
+        "seen": spaces.MultiBinary((steps + 1, uavs)),
+        "alive": spaces.MultiBinary(uavs),
+        "round": spaces.Box(1, rounds, (1,), np.float32),
+    }
+
+
 def observation_space(config: SwarmConfig, rules: Rules) -> spaces.Dict:
     """The observation space of one environment: bounded boxes and masks."""
-    instants, uavs = config.observation_steps + 1, config.uavs
-    # After the last round of a truncated episode another window is observed.
-    far, fast = config.position_bound(rules.max_rounds + 1), config.velocity_bound()
-    return spaces.Dict(
-        {
-            "position": spaces.Box(-far, far, (instants, uavs, 3), np.float32),
-            "velocity": spaces.Box(-fast, fast, (instants - 1, uavs, 3), np.float32),
-            "seen": spaces.MultiBinary((instants, uavs)),
-            "alive": spaces.MultiBinary(uavs),
-            "round": spaces.Box(1, rules.max_rounds + 1, (1,), np.float32),
-        }
-    )
+    rounds = rules.max_rounds + 1  # after the last round of a truncated episode another window is observed
+    far, fast = config.position_bound(rounds), config.velocity_bound()
+    return spaces.Dict(window_spaces(config.observation_steps, config.uavs, rounds, far, fast))
 
 
 def require_game(state: GameState | None) -> GameState:
@@ -197,10 +199,15 @@ def observe_windows(
         swarm = swarm.with_rows(running, part)
         for name in ("position", "velocity", "seen"):
             getattr(window, name)[running] = getattr(observed, name)
-    return replace(state, swarm=swarm), {
+    return replace(state, swarm=swarm), show_window(window, state.rounds[:, None])
+
+
+def show_window(window: ObservationBatch, rounds: Indices) -> Observation:
+    """The observation of a window, or of a batch of them, after so many ``rounds``."""
+    return {
         "position": window.position,
         "velocity": window.velocity,
         "seen": window.seen.view(np.int8),
         "alive": window.alive.astype(np.int8),
-        "round": (state.rounds[:, None] + 1).astype(np.float32),
+        "round": (rounds + 1).astype(np.float32),
     }

@@ -108,6 +108,12 @@ def _expand(confidence: float, samples: Sequence[Floats]) -> float:
     return 1 - max(2 * NormalDist().cdf(-quantile), 2e-12)  # a level of 1 has no quantile
 
 
+def _how_to_resample(values: int) -> dict[str, Any]:
+    """Arguments of scipy's resampling: as many values at once as memory should hold, and the same draws each time."""
+    batch = max(1, _DRAWS_AT_ONCE // values)
+    return {"n_resamples": _RESAMPLES, "batch": batch, "vectorized": True, "random_state": np.random.default_rng(0)}
+
+
 def _bootstrap(samples: Sequence[Floats], statistic: Callable[..., Any], confidence: float) -> Interval:
     """A statistic of the pooled samples with its BCa interval; each sample is resampled on its own."""
     from scipy.stats import bootstrap
@@ -121,12 +127,9 @@ def _bootstrap(samples: Sequence[Floats], statistic: Callable[..., Any], confide
     found = bootstrap(
         [(sample - place) / scale for sample in samples],
         rounded,
-        n_resamples=_RESAMPLES,
-        batch=max(1, _DRAWS_AT_ONCE // len(pooled)),
         confidence_level=_expand(confidence, samples),
         method="BCa" if len(pooled) <= _MOST_RESAMPLED else "percentile",
-        vectorized=True,
-        random_state=np.random.default_rng(0),
+        **_how_to_resample(len(pooled)),
     ).confidence_interval
     return Interval(float(statistic(pooled)), place + scale * float(found.low), place + scale * float(found.high))
 
@@ -144,15 +147,7 @@ def paired_test(differences: Sample) -> float:
         return math.erfc(abs(float(sample.sum())) / math.sqrt(2 * float((sample**2).sum())))
     from scipy.stats import permutation_test
 
-    found = permutation_test(
-        [sample],
-        np.mean,
-        permutation_type="samples",
-        vectorized=True,
-        n_resamples=_RESAMPLES,
-        batch=max(1, _DRAWS_AT_ONCE // len(sample)),
-        random_state=np.random.default_rng(0),
-    )
+    found = permutation_test([sample], np.mean, permutation_type="samples", **_how_to_resample(len(sample)))
     return float(found.pvalue)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -196,14 +197,8 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
 
     def _make_observation(self, sighting: ObservationBatch, legal: Mask) -> Observation:
         """An observation with copies of the arrays of a window and the mask ``legal``."""
-        return {
-            "position": sighting.position.copy(),
-            "velocity": sighting.velocity.copy(),
-            "seen": sighting.seen.astype(np.int8),
-            "alive": sighting.alive.astype(np.int8),
-            "round": (game.require_game(self._game).rounds + 1).astype(np.float32),
-            "legal": legal.astype(np.int8),
-        }
+        shown = game.show_window(sighting, game.require_game(self._game).rounds)
+        return {**copy.deepcopy(shown), "legal": legal.astype(np.int8)}
 
 
 def make_aec_forms(form: type[UsnetParallelEnv]) -> tuple[Callable[..., AECEnv], Callable[..., AECEnv]]:

@@ -22,15 +22,8 @@ from usnet_env.replay.story import describe_outcome, describe_round
 
 #: The game of the demo: five clusters of UAVs that fly smoothly. The detector finds three heads in round 1 and names a
 #: follower, too; it needs two more rounds for the other heads.
-DEMO: dict[str, Any] = {
-    "clusters": 5,
-    "uavs": 60,
-    "follow": "f3",
-    "mobility": "gauss_markov",
-    "head_jitter": True,
-    "formation": "around",
-    "observation_steps": 60,
-}
+DEMO: dict[str, Any] = {"clusters": 5, "uavs": 60, "follow": "f3", "formation": "around", "observation_steps": 60}
+DEMO |= {"mobility": "gauss_markov", "head_jitter": True}
 
 
 def run_demo(

@@ -33,17 +33,11 @@ class Flock(FieldStrategy):
 
     def fly(self, flight: TrajectoryBatch) -> None:
         """Compiled loop."""
-        flock_kernels.fly_flock(
-            np.array([self.repulsion, self.alignment, self.attraction], np.float32),
-            np.array([self.align, self.attract], np.float32),
-            self.chaser,
-            *map(np.float32, (self.flight, self.flee, self.standoff, self.preference)),
-            self.table(flight),
-            flight.root,
-            flight.source,
-            flight.bystander,
-            *flight.flown,
-        )
+        ranges = np.array([self.repulsion, self.alignment, self.attraction], np.float32)
+        weights = np.array([self.align, self.attract], np.float32)
+        others = map(np.float32, (self.flight, self.flee, self.standoff, self.preference))
+        swarm = self.table(flight), flight.root, flight.source, flight.bystander
+        flock_kernels.fly_flock(ranges, weights, self.chaser, *others, *swarm, *flight.flown)
 
 
 @dataclass(frozen=True)

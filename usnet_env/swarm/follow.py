@@ -270,25 +270,12 @@ CONTROLS: dict[str, FieldStrategy] = {
     ),
 }
 
+_TABLE_2 = {"f1": Lags(1), "f2": Lags(2), "f3": Lags(3), "f4": Lags(2, square=True), "f5": Lags(3, square=True)}
+_OWN = {**_TABLE_2, "f6": StayInRange(), "f7": Network(), **FIELD_MODELS, **CONTROLS}
+
 #: All follow strategies by name; ``"none"`` selects the control without followers.
 FOLLOW_STRATEGIES = Registry(
-    "follow strategy",
-    "follow",
-    "usnet.follow_strategies",
-    __name__,
-    accept_strategy,
-    {
-        "f1": Lags(1),
-        "f2": Lags(2),
-        "f3": Lags(3),
-        "f4": Lags(2, square=True),
-        "f5": Lags(3, square=True),
-        "f6": StayInRange(),
-        "f7": Network(),
-        **FIELD_MODELS,
-        **CONTROLS,
-    },
-    reserved=("none",),
+    "follow strategy", "follow", "usnet.follow_strategies", __name__, accept_strategy, _OWN, reserved=("none",)
 )
 
 

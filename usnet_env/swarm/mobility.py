@@ -129,16 +129,10 @@ _OWN: dict[str, Mobility] = {
         "turns about random axes with exponential durations (mean 10 steps) and truncated exponential curvature",
     ),
     "waypoint": CompiledMobility(
-        kernels.WAYPOINT,
-        3,
-        (0.2, 5.0, *ARENA),
-        "random waypoints in the whole arena, turns of at most 0.2 rad per step",
+        kernels.WAYPOINT, 3, (0.2, 5.0, *ARENA), "random waypoints in the whole arena, turns up to 0.2 rad per step"
     ),
     "local_waypoint": CompiledMobility(
-        kernels.LOCAL_WAYPOINT,
-        3,
-        (0.5, 2.0, 10.0),
-        "random waypoints about 10 m away on each axis, turns of at most 0.5 rad per step",
+        kernels.LOCAL_WAYPOINT, 3, (0.5, 2.0, 10.0), "random waypoints about 10 m away, turns up to 0.5 rad per step"
     ),
     "straight": CompiledMobility(kernels.STRAIGHT, 1, description="a straight line in a random direction"),
 }

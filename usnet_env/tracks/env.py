@@ -12,7 +12,7 @@ from pydantic import Field
 
 from usnet_env.arrays import Observation
 from usnet_env.config import ArgumentError, Config, list_arguments, optional_seed, takes_arguments
-from usnet_env.envs.game import Rules, check_options, parse_candidates
+from usnet_env.envs.game import Rules, check_options, parse_candidates, window_spaces
 from usnet_env.objectives import find_roots, group_leader_accuracy, hits_and_redundant
 from usnet_env.swarm import SwarmState
 from usnet_env.tracks.read import read_tracks
@@ -82,18 +82,11 @@ class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
         self.windows = list(self.tracks.windows(arguments.window, arguments.stride))
         if not self.windows:
             raise ArgumentError(f"path must hold 2 ids that are seen together in a window, got {arguments.path!r}.")
-        instants, uavs = arguments.window + 1, len(self.tracks.ids)
+        uavs = len(self.tracks.ids)
         far = float(max(np.abs(cut.window.position).max() for cut in self.windows)) + 1.0
-        self.observation_space = spaces.Dict(  # type: ignore[assignment]  # Dict is invariant
-            {
-                "position": spaces.Box(-far, far, (instants, uavs, 3), np.float32),
-                "velocity": spaces.Box(-2 * far, 2 * far, (instants - 1, uavs, 3), np.float32),
-                "seen": spaces.MultiBinary((instants, uavs)),
-                "alive": spaces.MultiBinary(uavs),
-                "round": spaces.Box(1, 2, (1,), np.float32),
-                "step": spaces.Box(0, 2 * float(self.tracks.step or 1.0), (1,), np.float32),
-            }
-        )
+        step = spaces.Box(0, 2 * float(self.tracks.step or 1.0), (1,), np.float32)
+        shown = {**window_spaces(arguments.window, uavs, 2, far, 2 * far), "step": step}
+        self.observation_space = spaces.Dict(shown)  # type: ignore[assignment]  # Dict is invariant
         self.action_space = spaces.MultiBinary(uavs)
         self._number = -1
         self._over = True
