@@ -94,7 +94,7 @@ def test_a_group_keeps_its_number_when_another_leads_it(folder):
 def test_a_detector_that_fails_is_named_with_the_window(folder):
     with pytest.raises(ArgumentError, match=r"^detector must .*division by zero.*0\.0 to 50\.0"):
         find_leaders(read_tracks(folder / "flock.csv"), Answers(lambda uavs, k: 1 / 0))
-    with pytest.raises(ArgumentError, match=r"^detector must .* 3 of 12"):
+    with pytest.raises(ArgumentError, match=r"^detector must .* for all 12 UAVs"):
         find_leaders(read_tracks(folder / "flock.csv"), Answers(lambda uavs, k: answer_of(3, 0)))
 
 

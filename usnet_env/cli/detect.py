@@ -156,15 +156,9 @@ def _cells(leader: Leader) -> list[str]:
 
 
 def _make_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
-    from rich.box import SIMPLE
-    from rich.table import Table
-    from rich.text import Text
+    from usnet_env.evaluation.tables import make_table
 
-    table = Table(title=Text(title), title_justify="left", title_style="bold", box=SIMPLE, pad_edge=False)
-    for heading in headings:
-        table.add_column(heading, overflow="fold")
-    for row in rows[:_MOST_ROWS]:
-        table.add_row(*(Text(printable(cell)) for cell in row))
+    table = make_table(title, headings, rows[:_MOST_ROWS], words=True)
     if len(rows) > _MOST_ROWS:
         table.caption = f"{len(rows) - _MOST_ROWS} more rows; --out DIR writes all of them."
     return table

@@ -117,22 +117,17 @@ def _choose_episodes(place: Path, episode: int | None) -> list[Path]:
 
 
 def _list_episodes(files: Sequence[Path]) -> None:
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-    from rich.text import Text
-
+    from usnet_env.evaluation.tables import make_table
     from usnet_env.replay import EpisodeRecord
     from usnet_env.replay.story import name_score
 
     records = [EpisodeRecord.load(file) for file in files]
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for name in ("file", "detector", "seed", "rounds", "score", "heads left"):
-        table.add_column(name, overflow="fold")
+    rows = []
     for record, file in zip(records, files, strict=True):
         known = ("{} {:.3f}".format(*name_score(record)), record.heads_left[-1]) if record.labelled else ("–", "–")
-        cells = (file, record.detector, "–" if record.seed is None else record.seed, record.rounds, *known)
-        table.add_row(*(Text(printable(cell)) for cell in cells))  # no markup, no escapes
-    show(table)
+        rows.append((file, record.detector, "–" if record.seed is None else record.seed, record.rounds, *known))
+    header = ("file", "detector", "seed", "rounds", "score", "heads left")
+    show(make_table(f"{len(files)} episodes", header, rows, words=True))
 
 
 def _write_files(record: EpisodeRecord, animation: str | None, page: str | None, figure: str | None) -> bool:

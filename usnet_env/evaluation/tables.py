@@ -118,18 +118,19 @@ def format_latex(header: Sequence[str], lines: Lines) -> str:
     return "\n".join([begin, r"\toprule", first, r"\midrule", *others, r"\bottomrule", r"\end{tabular}", ""])
 
 
-def make_table(title: str, header: Sequence[str], lines: Lines) -> Table:
-    """A table for a terminal."""
+def make_table(title: str, header: Sequence[str], lines: Iterable[Iterable[object]], words: bool = False) -> Table:
+    """A table for a terminal: of numbers, or of ``words``, which are aligned on the left."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
     from rich.text import Text
 
     # Text is not parsed as markup of rich, in which brackets have a meaning.
-    table = Table(title=Text(printable(title)), box=SIMPLE_HEAD, title_justify="left", show_edge=False, padding=0)
+    table = Table(title=Text(printable(title)), box=SIMPLE_HEAD, title_justify="left", show_edge=False)
+    table.padding = (0, int(words))
     for number, name in enumerate(header):
-        table.add_column(Text(name), justify="right" if number else "left", overflow="fold")
+        table.add_column(Text(name), justify="right" if number and not words else "left", overflow="fold")
     for line in lines:
-        table.add_row(*map(Text, line))
+        table.add_row(*(Text(printable(cell)) for cell in line))
     return table
 
 
