@@ -102,7 +102,7 @@ def test_single_cluster_with_decoys():
 def test_refuses_other_answers(says):
     mute = Scripted()
     mute.detect = lambda window: says
-    with pytest.raises(ArgumentError, match="detect must return a .* for all 16 UAVs"):
+    with pytest.raises(ArgumentError, match=r"detect must return a .* for all 16 UAVs"):
         record_episode(multi(), mute, 0, None)
 
 
