@@ -1,23 +1,30 @@
-"""A detector in a child process, which guards a run against accidents: a crash, an endless loop, too much memory."""
+"""A detector in a child process, which guards a run against accidents: a crash, an endless loop, too much memory.
+
+What comes from the child are the bytes of an ``npz`` file; nothing of it is unpickled.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import io
 import os
+import pickle
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from typing import Any
+
+import numpy as np
 
 from usnet_env.evaluation.agents import Answer, as_agent
 from usnet_env.evaluation.tasks import EvaluationError, become_worker, describe_failure, dumps, loads
 
 _MEGABYTE = 1_000_000
+_ARRAYS = ("candidates", "scores", "clusters")
 
 
 class ChildDetector:
@@ -52,17 +59,17 @@ class ChildDetector:
 
     def reset(self, seed: int) -> None:
         """Start an episode."""
-        self._exchange(("reset", seed))
+        self._exchange(pickle.dumps(("reset", seed)))
 
     def answer(self, observation: Any) -> Answer:
         """Return the answer to one observation."""
         begin = time.perf_counter()
-        answer: Answer = self._exchange(("answer", observation))
-        return replace(answer, seconds=time.perf_counter() - begin)
+        found = self._exchange(pickle.dumps(("answer", observation)))
+        return Answer(found["candidates"], found["scores"], found.get("clusters"), time.perf_counter() - begin)
 
     def warm_up(self, observation: Any) -> None:
         """Answer once without being timed."""
-        self._exchange(("warm_up", observation))
+        self._exchange(pickle.dumps(("warm_up", observation)))
 
     def close(self) -> None:
         """End the process."""
@@ -71,23 +78,24 @@ class ChildDetector:
         self._process.wait()
         self._connection.close()
 
-    def _exchange(self, message: Any) -> Any:
-        """Send a message, and return what the call has returned."""
+    def _exchange(self, message: bytes) -> dict[str, Any]:
+        """Send a message, and return the arrays of the reply by name."""
         try:
             with contextlib.suppress(BrokenPipeError):  # it has ended: receiving says so
-                self._connection.send(message)
+                self._connection.send_bytes(message)
             if not self._connection.poll(self._seconds):
                 self.close()
                 raise EvaluationError(f"it took longer than {self._seconds:g} seconds, the time limit")
-            error, answer = self._connection.recv()
+            with np.load(io.BytesIO(self._connection.recv_bytes()), allow_pickle=False) as reply:
+                arrays = dict(reply)
         except (EOFError, ConnectionError):
             status = self._process.wait()
             self.close()
             how = f"was ended by {signal.Signals(-status).name}" if status < 0 else f"ended itself with status {status}"
             raise EvaluationError(f"its process {how}") from None
-        if error:
+        if error := str(arrays.pop("error")):
             raise EvaluationError(error)
-        return answer
+        return arrays
 
 
 def serve() -> None:
@@ -98,18 +106,20 @@ def serve() -> None:
     megabytes: float | None = None
     with contextlib.suppress(EOFError, ConnectionError):
         while True:
-            message, answer, error = connection.recv(), None, ""
+            message, answer, error, reply = connection.recv_bytes(), None, "", io.BytesIO()
             try:
                 if agent is None:
                     detector, megabytes = loads(message)
                     agent = as_agent(detector)
                 else:
-                    name, argument = message
+                    name, argument = pickle.loads(message)
                     with limit_memory(megabytes):
                         answer = getattr(agent, name)(argument)
             except (Exception, SystemExit) as failure:
                 error = describe_failure(failure)
-            connection.send((error, answer))
+            arrays = {} if answer is None else {name: getattr(answer, name) for name in _ARRAYS}
+            np.savez(reply, error=error, **{name: array for name, array in arrays.items() if array is not None})
+            connection.send_bytes(reply.getvalue())
 
 
 @contextlib.contextmanager
