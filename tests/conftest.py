@@ -55,25 +55,3 @@ def run(capsys):
         return status, output.out, output.err
 
     return runner
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config, log):
-    """Give all tests of a file to one process, so that it makes their fixtures once; those of the frameworks too.
-
-    The processes take the files with the most tests first. The pages, which share nothing, come last and one by one,
-    so that no process waits long for the other.
-    """
-    if config.getoption("dist") != "load":
-        return None
-    from xdist.scheduler import LoadFileScheduling
-
-    class ByFile(LoadFileScheduling):
-        def _split_scope(self, nodeid):
-            file = super()._split_scope(nodeid)
-            if file == "tests/test_documentation.py":
-                return nodeid
-            folder = "tests/frameworks"
-            return folder if file.startswith(f"{folder}/") else file
-
-    return ByFile(config, log)

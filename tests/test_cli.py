@@ -18,6 +18,7 @@ from usnet_env import cli, evaluate, parts
 from usnet_env.cli import commands, main
 from usnet_env.cli.options import parse_pairs
 from usnet_env.evaluation import METRICS
+from usnet_env.replay import demo
 
 SMALL = ["--set", "clusters=3", "--set", "uavs=20", "--set", "observation_steps=20", "--set", "max_rounds=5"]
 QUICK = ["evaluate", "--detector", "destroy-all", "--episodes", "2", *SMALL]
@@ -340,12 +341,15 @@ def test_check_detector_has_a_status_for_scripts(run, module):
     assert "failed" in out
 
 
-def test_demo_plays_and_leaves_its_files(run, tmp_path, monkeypatch):
+def test_demo_takes_options_and_opens_its_replay(run, tmp_path, monkeypatch):
+    """Without its picture and page, which take long."""
     opened = []
+    for name in ("write_picture", "write_page"):
+        monkeypatch.setattr(demo, name, lambda record, path: path)
     monkeypatch.setattr(subprocess, "Popen", lambda words, **_: opened.append(words))
     words = ["--follow", "f3", "--clusters", "2", "--uavs", "14", "--detector", "one-per-round", "--open"]
     status, out, err = run("demo", "--out", str(tmp_path / "demo"), *words)
     assert status == 0, err
     assert "14 UAVs in 2 clusters, follow strategy f3" in out
     assert [words[1:] for words in opened] == [[str(tmp_path / "demo" / "replay.rrd")]]
-    assert {path.suffix for path in (tmp_path / "demo").iterdir()} == {".npz", ".rrd", ".png", ".html"}
+    assert {path.suffix for path in (tmp_path / "demo").iterdir()} == {".npz", ".rrd"}
