@@ -121,6 +121,10 @@ def test_the_python_of_a_page_runs(page, tmp_path):
 def test_the_commands_of_a_page_run(page, tmp_path):
     prepare(page, tmp_path)
     printed = run(commands_of(page), tmp_path)
+    if page.name == "README.md":  # the demo
+        sizes = {path.suffix: path.stat().st_size for path in (tmp_path / "runs" / "demo").iterdir()}
+        assert set(sizes) == {".npz", ".rrd", ".png", ".html"}
+        assert min(sizes.values()) > 1000
     if page.name == "tracks.md":  # its tables are shown with fewer spaces and rows
         shown = "".join(text for kind, text, _ in blocks_of(page) if kind == "text")
         lines = {" ".join(line.split()) for line in printed.splitlines()}

@@ -93,7 +93,7 @@ def played_here():
     [
         ({"workers": 2}, 4),
         ({"backend": "serial", "workers": 2}, 4),
-        ({"isolate": True}, 2),
+        ({"isolate": True}, 1),
         pytest.param({"isolate": True, "workers": 2}, 4, marks=pytest.mark.slow),
     ],
 )

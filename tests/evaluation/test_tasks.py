@@ -30,13 +30,17 @@ class Counting:
         return number, self.square(number), self.calls, os.getpid()
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_results_come_in_order_and_the_state_of_a_worker_stays(workers):
+def count_calls(workers):
+    """Results come in order, and the state of a worker stays."""
     found = list(map_tasks(Counting(), range(12), workers=workers))
     assert [each[:2] for each in found] == [(number, number**2) for number in range(12)]
     processes = {each[3] for each in found}
     assert (processes == {os.getpid()}) == (workers == 1)
     assert sum(max(each[2] for each in found if each[3] == process) for process in processes) == 12
+
+
+def test_one_worker_is_this_process():
+    count_calls(workers=1)
 
 
 def fail(number):
@@ -45,9 +49,10 @@ def fail(number):
     return number
 
 
-def test_what_the_function_raises_reaches_the_caller():
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_what_the_function_raises_reaches_the_caller(workers):
     with pytest.raises(LookupError, match="no task 2"):
-        list(map_tasks(fail, range(4)))
+        list(map_tasks(fail, range(4), workers=workers))
 
 
 def end(number):
@@ -59,8 +64,7 @@ def end(number):
 def test_a_worker_that_is_killed_ends_the_call_in_one_sentence_and_the_next_one_works():
     with pytest.raises(EvaluationError, match=r"^a worker process was ended"):
         list(map_tasks(end, range(6), workers=2))
-    with pytest.raises(LookupError, match="no task 2"):
-        list(map_tasks(fail, range(4), workers=2))
+    count_calls(workers=2)
 
 
 def play_with_workers():
