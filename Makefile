@@ -18,10 +18,10 @@ demo: $(BIN)/usnet  ## play one game; replay, page, picture and episode file go 
 test test-all: export PYTHONDONTWRITEBYTECODE =
 
 test: $(INSTALLED)  ## run the quick tests
-	$(BIN)/pytest -n auto -m "not slow"
+	$(BIN)/pytest -n auto --dist worksteal -m "not slow"
 
 test-all: $(INSTALLED)  ## run all tests and show the coverage
-	$(BIN)/pytest -n auto --cov=usnet_env --cov=detectors
+	$(BIN)/pytest -n auto --dist worksteal --cov=usnet_env --cov=detectors
 
 test-extras:  ## test each extra in a separate environment; takes half an hour
 	PYTHON=$(PYTHON) tests/frameworks/extras.sh

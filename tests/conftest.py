@@ -15,7 +15,7 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 import pytest
 from hypothesis import HealthCheck, settings
 
-settings.register_profile("usnet", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("usnet", deadline=None, max_examples=30, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("usnet")
 
 
@@ -55,25 +55,3 @@ def run(capsys):
         return status, output.out, output.err
 
     return runner
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config, log):
-    """Give all tests of a file to one process, so that it makes their fixtures once; those of the frameworks too.
-
-    The processes take the files with the most tests first. The pages, which share nothing, come last and one by one,
-    so that no process waits long for the other.
-    """
-    if config.getoption("dist") != "load":
-        return None
-    from xdist.scheduler import LoadFileScheduling
-
-    class ByFile(LoadFileScheduling):
-        def _split_scope(self, nodeid):
-            file = super()._split_scope(nodeid)
-            if file == "tests/test_documentation.py":
-                return nodeid
-            folder = "tests/frameworks"
-            return folder if file.startswith(f"{folder}/") else file
-
-    return ByFile(config, log)

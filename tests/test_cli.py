@@ -18,6 +18,7 @@ from usnet_env import cli, evaluate, parts
 from usnet_env.cli import commands, main
 from usnet_env.cli.options import parse_pairs
 from usnet_env.evaluation import METRICS
+from usnet_env.replay import demo
 
 SMALL = ["--set", "clusters=3", "--set", "uavs=20", "--set", "observation_steps=20", "--set", "max_rounds=5"]
 QUICK = ["evaluate", "--detector", "destroy-all", "--episodes", "2", *SMALL]
@@ -69,9 +70,10 @@ def test_one_ranked_table_and_a_sentence(run):
     assert "J_m" in out
 
 
-def test_two_workers_give_the_rows_of_the_function(run):
+@pytest.mark.parametrize("workers", ["1", pytest.param("2", marks=pytest.mark.slow)])
+def test_the_rows_are_those_of_the_function(run, workers):
     name = "lagged-correlation(clusters=3)"
-    status, out, err = run("evaluate", "--detector", name, "--episodes", "3", *SMALL, "--json", "--workers", "2")
+    status, out, err = run("evaluate", "--detector", name, "--episodes", "3", *SMALL, "--json", "--workers", workers)
     assert (status, err) == (0, "")
     (theirs,) = json.loads(out)
     (ours,) = evaluate("USNET/MultiCluster-v0", name, episodes=3, env_kwargs=parse_pairs(SMALL[1::2])).summary
@@ -266,21 +268,22 @@ def test_a_current_folder_that_was_removed_is_one_sentence(run, tmp_path, monkey
     refused(run, ["list", "envs"], "the current folder must exist")
 
 
-@pytest.mark.parametrize("program", ["-m usnet_env list follow", "-m usnet_env evaluate --detector none --episodes 1"])
-def test_a_reader_that_goes_away_ends_a_command_silently(program):
-    words = [sys.executable, *program.split()]
+@pytest.mark.parametrize("command", ["list follow", pytest.param(" ".join(QUICK), marks=pytest.mark.slow)])
+def test_a_reader_that_goes_away_ends_a_command_silently(command):
+    words = [sys.executable, "-m", "usnet_env", *command.split()]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         process.stdout.close()
         assert process.stderr.read() == b""
-        assert process.wait(300) in (0, 1)
+        assert process.wait(600) in (0, 1)
 
 
-def test_a_terminal_of_few_characters_loses_no_result():
-    variables = os.environ | {"PYTHONIOENCODING": "ascii"}
-    words = [sys.executable, "-m", "usnet_env", *QUICK]
-    done = subprocess.run(words, capture_output=True, encoding="ascii", env=variables, timeout=300)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "destroy-all" in done.stdout
+def test_a_terminal_of_few_characters_loses_no_result(monkeypatch):
+    shown, said = io.BytesIO(), io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(shown, "ascii"))
+    monkeypatch.setattr(sys, "stderr", io.TextIOWrapper(said, "ascii"))
+    assert main(QUICK) == 0
+    assert b"destroy-all" in shown.getvalue()
+    assert said.getvalue() == b""
 
 
 # Commands of packages
@@ -338,12 +341,15 @@ def test_check_detector_has_a_status_for_scripts(run, module):
     assert "failed" in out
 
 
-def test_demo_plays_and_leaves_its_files(run, tmp_path, monkeypatch):
+def test_demo_takes_options_and_opens_its_replay(run, tmp_path, monkeypatch):
+    """Without its picture and page, which take long."""
     opened = []
+    for name in ("write_picture", "write_page"):
+        monkeypatch.setattr(demo, name, lambda record, path: path)
     monkeypatch.setattr(subprocess, "Popen", lambda words, **_: opened.append(words))
     words = ["--follow", "f3", "--clusters", "2", "--uavs", "14", "--detector", "one-per-round", "--open"]
     status, out, err = run("demo", "--out", str(tmp_path / "demo"), *words)
     assert status == 0, err
     assert "14 UAVs in 2 clusters, follow strategy f3" in out
     assert [words[1:] for words in opened] == [[str(tmp_path / "demo" / "replay.rrd")]]
-    assert {path.suffix for path in (tmp_path / "demo").iterdir()} == {".npz", ".rrd", ".png", ".html"}
+    assert {path.suffix for path in (tmp_path / "demo").iterdir()} == {".npz", ".rrd"}

@@ -17,6 +17,7 @@ def recorded(tmp_path_factory):
     """The folder of a run with two episodes of each of two detectors."""
     folder = tmp_path_factory.mktemp("recorded") / "run"
     env = gym.make("USNET/MultiCluster-v0", clusters=2, uavs=12, observation_steps=20, max_rounds=3)
+    record_episode(gym.make(env.spec, max_rounds=1), make_detector("none"), 0, 1).save(folder.with_name("short.npz"))
     for name in ("one-per-round", "random(count=2)"):
         for number in (0, 12):
             record = record_episode(env, make_detector(name), number, 1)
@@ -57,7 +58,7 @@ def test_other_files_are_written_in_place_of_the_replay(run, recorded, tmp_path)
     pytest.importorskip("matplotlib")
     files = ["--animation", tmp_path / "game.gif", "--page", tmp_path / "game.html", "--figure", tmp_path / "game.pdf"]
     path = tmp_path / "e.npz"
-    EpisodeRecord.load(recorded / "episodes" / "random_count=2-0.npz").save(path)
+    EpisodeRecord.load(recorded.with_name("short.npz")).save(path)
     status, out, err = run("replay", path, *files)
     assert (status, err) == (0, "")
     assert sorted(file.name for file in tmp_path.iterdir()) == ["e.npz", "game.gif", "game.html", "game.pdf"]

@@ -1,4 +1,7 @@
-"""What the pages show is run, and what they say about environments and detectors is compared with the code."""
+"""What the pages show is run, and what they say about environments and detectors is compared with the code.
+
+The quick tests run the first page and one example.
+"""
 
 import importlib
 import inspect
@@ -28,6 +31,12 @@ MARK = "--- end of a block ---"
 FENCE = re.compile(r"^```(?P<kind>[^`\n]*)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL)
 CLASSES = sorted({f"{kind}Env" for kind, _ in ENVIRONMENTS.values()})
 SECTIONS = "Description|Action Space|Observation Space|Rewards|Starting State|Episode End|Arguments|Version History"
+
+
+def cases_of(paths: list[Path], quick: str) -> list:
+    """A case for each path; all but one are slow."""
+    marks = {path: [] if path.name == quick else [pytest.mark.slow] for path in paths}
+    return [pytest.param(path, marks=marks[path], id=name_of(path)) for path in paths]
 
 
 def name_of(path: Path) -> str:
@@ -84,7 +93,7 @@ def play(program: Path | list[list[str]], folder: Path) -> None:
 
 def run(program: Path | list[list[str]], folder: Path) -> str:
     """Run a script or commands in a process and a folder of their own; return what they print."""
-    forkserver.set_forkserver_preload(["torch", "matplotlib.figure", "usnet_env.evaluation", "usnet_env.cli"])
+    forkserver.set_forkserver_preload(["usnet_env.evaluation", "usnet_env.cli"])
     process = multiprocessing.get_context("forkserver").Process(target=play, args=(program, folder))
     process.start()
     process.join()
@@ -98,7 +107,7 @@ def prepare(page: Path, folder: Path) -> None:
         run(ROOT / "examples" / "make_tracks.py", folder)
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if python_of(page).strip()], ids=name_of)
+@pytest.mark.parametrize("page", cases_of([page for page in PAGES if python_of(page).strip()], "README.md"))
 def test_the_python_of_a_page_runs(page, tmp_path):
     prepare(page, tmp_path)
     script = tmp_path / f"page_{page.stem}.py"
@@ -108,17 +117,21 @@ def test_the_python_of_a_page_runs(page, tmp_path):
         assert printed[number].rstrip() == shown.rstrip()
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if commands_of(page)], ids=name_of)
+@pytest.mark.parametrize("page", cases_of([page for page in PAGES if commands_of(page)], "README.md"))
 def test_the_commands_of_a_page_run(page, tmp_path):
     prepare(page, tmp_path)
     printed = run(commands_of(page), tmp_path)
+    if page.name == "README.md":  # the demo
+        sizes = {path.suffix: path.stat().st_size for path in (tmp_path / "runs" / "demo").iterdir()}
+        assert set(sizes) == {".npz", ".rrd", ".png", ".html"}
+        assert min(sizes.values()) > 1000
     if page.name == "tracks.md":  # its tables are shown with fewer spaces and rows
         shown = "".join(text for kind, text, _ in blocks_of(page) if kind == "text")
         lines = {" ".join(line.split()) for line in printed.splitlines()}
         assert [line for line in shown.splitlines() if " ".join(line.split()) not in lines] == []
 
 
-@pytest.mark.parametrize("script", EXAMPLES, ids=name_of)
+@pytest.mark.parametrize("script", cases_of(EXAMPLES, "custom_mobility.py"))
 def test_an_example_runs(script, tmp_path):
     if script.stem == "stone_soup_tracks":
         pytest.importorskip("stonesoup")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import random
 import sys
-from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -147,19 +147,16 @@ def test_the_title_of_a_frame_has_the_result_of_the_round(monkeypatch):
     ]
 
 
-def test_nothing_global_is_touched(fresh_process):
-    """In a fresh process: no pyplot, no change of rcParams or of the backend, no global random numbers drawn."""
-    code = """
-import random, sys
-import matplotlib, numpy as np
-before = dict(matplotlib.rcParams.copy()), random.getstate(), str(np.random.get_state())
-from test_drawing import named, scene
-from usnet_env import drawing
-drawing.pixels_of(drawing.draw_round(**scene(), candidates=named(0)))
-assert before == (dict(matplotlib.rcParams.copy()), random.getstate(), str(np.random.get_state()))
-assert "matplotlib.pyplot" not in sys.modules
-"""
-    fresh_process.run(code, Path(__file__).parent)
+def test_nothing_global_is_touched(monkeypatch):
+    """No pyplot, no change of rcParams or of the backend, no global random numbers drawn."""
+
+    def world():
+        return dict(matplotlib.rcParams.copy()), random.getstate(), str(np.random.get_state())
+
+    monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
+    before = world()
+    drawing.pixels_of(drawing.draw_round(**scene(), candidates=named(0)))
+    assert world() == before
 
 
 def test_without_matplotlib_one_sentence_says_what_to_install(monkeypatch):

@@ -21,6 +21,12 @@ def test_a_registered_detector_passes_all_checks(name):
     assert {result.status for result in check_detector(detector)} == {"passed"}
 
 
+def test_the_example_passes_the_checks(monkeypatch):
+    monkeypatch.syspath_prepend(EXAMPLE)
+    assert {result.status for result in check_detector("most_copied:MostCopied(clusters=1)")} == {"passed"}
+
+
+@pytest.mark.slow
 def test_the_example_installs_passes_the_checks_and_is_found(tmp_path):
     for path in EXAMPLE.iterdir():  # a copy: building leaves files behind
         if path.is_file():

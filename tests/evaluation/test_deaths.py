@@ -60,8 +60,8 @@ def members(session):
 
 def finish(running):
     """Wait for the end; returns the status and what was said, once no process of the session is left."""
-    err = running.communicate(timeout=300)[1]
-    end = time.monotonic() + 60
+    err = running.communicate(timeout=600)[1]
+    end = time.monotonic() + 300
     while (left := members(running.pid)) and time.monotonic() < end:
         time.sleep(0.05)
     assert left == {}, err
@@ -128,7 +128,7 @@ def test_a_full_disk_is_one_sentence_and_the_run_resumes(tmp_path, undisturbed):
 @pytest.mark.slow
 @pytest.mark.parametrize("death", ["hang", "memory"])
 def test_a_detector_that_fails_is_a_row_and_plays_again(tmp_path, undisturbed, death):
-    limits = ("--time-limit", "2", "--memory-limit", "1000")
+    limits = ("--time-limit", "5", "--memory-limit", "1000")
     status, err = finish(start(tmp_path, *limits, death=death))
     assert status == 0, err
     assert "usnet: detector 'sample_detectors:Mortal' failed in " in err

@@ -82,11 +82,25 @@ def test_swarm_and_detector_seeds_come_from_two_branches(seed):
     assert recorder.seeds == list(rows["detector_seed"])
 
 
-@pytest.mark.parametrize("how", [{"workers": 2}, {"isolate": True}, {"backend": "serial"}])
-def test_where_episodes_are_played_changes_no_row(how):
-    detectors = [RandomThird(), Followed(2), Policy(), "lagged-correlation(clusters=3)"]
-    here, there = (evaluate(MULTI, detectors, episodes=4, seed=1, env_kwargs=SMALL, **place) for place in ({}, how))
-    assert_frame_equal(untimed(here), untimed(there))
+@pytest.fixture(scope="module")
+def played_here():
+    detectors = [RandomThird(), "lagged-correlation(clusters=3)", Policy(), Followed(2)]
+    return detectors, evaluate(MULTI, detectors, episodes=4, seed=1, env_kwargs=SMALL)
+
+
+@pytest.mark.parametrize(
+    ("how", "count"),
+    [
+        ({"workers": 2}, 4),
+        ({"backend": "serial", "workers": 2}, 4),
+        ({"isolate": True}, 1),
+        pytest.param({"isolate": True, "workers": 2}, 4, marks=pytest.mark.slow),
+    ],
+)
+def test_where_episodes_are_played_changes_no_row(how, count, played_here):
+    detectors, here = played_here
+    there = evaluate(MULTI, detectors[:count], episodes=4, seed=1, env_kwargs=SMALL, **how)
+    assert_frame_equal(untimed(there), untimed(here)[: 4 * count])
 
 
 def test_policies_in_stable_baselines_form_are_evaluated():
@@ -110,6 +124,7 @@ def test_an_environment_object_is_used_and_stays_open(tmp_path):
         evaluate(gym.make("CartPole-v1"), NoUav())
 
 
+@pytest.mark.slow
 def test_a_module_in_front_of_the_id_is_imported_in_other_processes(tmp_path, monkeypatch):
     (tmp_path / "mirrored_swarm.py").write_text(
         "from usnet_env import register_follow_strategy\n"

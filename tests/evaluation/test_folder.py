@@ -62,7 +62,7 @@ def test_a_run_leaves_its_arguments_and_rows_and_is_not_repeated(tmp_path, whole
     assert (tmp_path / "rows.csv").read_text() == text
 
 
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_an_interrupted_run_resumes_to_the_rows_of_an_undisturbed_one(tmp_path, whole, workers):
     with pytest.raises(KeyboardInterrupt):
         play(tmp_path, DETECTORS | {"third": Stopped()})

@@ -48,10 +48,11 @@ def test_rows_are_those_of_single_games(tmp_path):
     assert EvaluationResult.load(tmp_path).summary == result.summary
 
 
-def test_games_resume_and_play_in_other_processes(tmp_path):
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_games_resume_and_play_in_other_processes(tmp_path, workers):
     asked = {"seed": 2, "game_kwargs": SMALL}
     evaluate_games("usnet_evasion_v0", {"random": PLAYERS["random"]}, episodes=2, out=tmp_path, **asked)
-    joined = evaluate_games("usnet_evasion_v0", PLAYERS, episodes=3, out=tmp_path, workers=2, **asked)
+    joined = evaluate_games("usnet_evasion_v0", PLAYERS, episodes=3, out=tmp_path, workers=workers, **asked)
     alone = evaluate_games("usnet_evasion_v0", PLAYERS, episodes=3, **asked)
     one, other = (untimed(each).sort_values(["detector", "episode"], ignore_index=True) for each in (joined, alone))
     assert_frame_equal(one, other)

@@ -66,7 +66,7 @@ def test_the_interval_of_a_large_sample_is_the_limit_of_the_bootstrap(monkeypatc
     assert computed.high == pytest.approx(drawn.high, abs=0.1 * width)
 
 
-@pytest.mark.parametrize("n", [5, 10, 40])
+@pytest.mark.parametrize("n", [5, *(pytest.param(n, marks=pytest.mark.slow) for n in (10, 40))])
 def test_the_interval_covers_the_mean_as_often_as_it_says(n, monkeypatch):
     """Also of few values, of which the plain bootstrap interval covers 82 % (n = 5) and 90 % (n = 10)."""
     monkeypatch.setattr(stats, "_RESAMPLES", 1_000)

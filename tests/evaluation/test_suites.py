@@ -55,7 +55,7 @@ def test_every_cell_can_be_made_and_seeds_of_suites_differ():
     assert len(set(seeds)) == len(seeds)
 
 
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_suite_of_ones_own_is_played_kept_and_read(path, tmp_path, workers):
     detectors = ["lagged-regression", "none"]
     played = evaluate_suite(path, detectors, out=tmp_path / "run", workers=workers)

@@ -13,7 +13,7 @@ torch=${TORCH:-torch==2.13.0}
 
 # extra | modules that it has to bring | its tests
 extras="
-core||tests/frameworks/test_core_alone.py tests/envs/test_vector.py tests/detectors/test_lagged.py
+core||tests/envs/test_vector.py tests/detectors/test_lagged.py
     tests/test_packaging.py::test_the_core_works_without_any_extra
 render|matplotlib moviepy|tests/replay
 replay|matplotlib rerun|tests/replay
@@ -56,7 +56,7 @@ sys.exit(f"an extra is installed: {here}" if here else 0)
 END
     fi
     for path in $(field "$name" 3); do tests+=("$root/$path"); done
-    (cd "$2" && "$bin/python" -m pytest -c "$root/pyproject.toml" -p no:cacheprovider -m "not slow" "${tests[@]}")
+    (cd "$2" && "$bin/python" -m pytest -c "$root/pyproject.toml" -p no:cacheprovider "${tests[@]}")
 }
 
 failed=0

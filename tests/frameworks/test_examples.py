@@ -33,6 +33,7 @@ def load(name, monkeypatch):
     return example
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_an_example_trains_and_compares_its_agent_with_detectors(name, capsys, monkeypatch):
     example = load(name, monkeypatch)

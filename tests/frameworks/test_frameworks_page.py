@@ -14,11 +14,12 @@ NEEDED = {
     "Minari": ["minari", "torch"],
     "SuperSuit": ["supersuit", "stable_baselines3"],
 }
+QUICK, SLOW = "Stable-Baselines3", ([], [pytest.mark.slow])  # each framework takes seconds to import
 
 
 @pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL is tested using version:UserWarning")
 @pytest.mark.filterwarnings("ignore:Creating .* which inherits from WeightUpdaterBase:DeprecationWarning")
-@pytest.mark.parametrize("heading", NEEDED)
+@pytest.mark.parametrize("heading", [pytest.param(name, marks=SLOW[name != QUICK]) for name in NEEDED])
 def test_a_snippet_runs(heading, monkeypatch):
     for module in NEEDED[heading]:
         pytest.importorskip(module)

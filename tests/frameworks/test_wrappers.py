@@ -34,6 +34,7 @@ def test_a_wrapped_game_is_the_same_game(game, wrapper):
         assert all(wrapped.observation_space(agent).contains(seen) for agent, seen in step[0].items())
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL is tested using version:UserWarning")
 @pytest.mark.parametrize("game", GAMES)
 def test_torchrl_reads_the_games(game):

@@ -15,7 +15,8 @@ def recorded(name, detectors):
 
 @pytest.mark.parametrize("name", ["controls/bystanders", "sensing/tracker", "field/chain-limited", "field/couzin"])
 def test_rows_are_those_of_the_recorded_build(name):
-    assert differing_rows(recorded(name, QUICK), play_cell(name, QUICK, 2)) == []
+    rows = recorded(name, QUICK)
+    assert differing_rows(rows[rows.episode == 0], play_cell(name, QUICK, 1)) == []
 
 
 def test_detect_says_what_the_recorded_build_said(tmp_path):

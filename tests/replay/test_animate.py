@@ -68,6 +68,7 @@ def test_where_the_truth_is_unknown_no_verdict_is_given():
         assert painted(pixels_of(painter.figure), "#332288") == (False, scene.phase == NAME)  # of the first leader
 
 
+@pytest.mark.slow
 def test_a_gif_has_each_scene_with_its_duration(tmp_path, scenes):
     path = animate(small_episode(), tmp_path / "game.gif", frames=3)
     with Image.open(path) as image:

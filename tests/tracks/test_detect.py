@@ -138,6 +138,8 @@ def test_out_and_record_write_all_files(run, folder, tmp_path):
     assert {ids[i] for i in np.flatnonzero(behind)} == {"bird-0", *(f"bird-{k}" for k in range(2, 14, 2))}
     tracks = read_tracks(folder / "merging.csv")
     np.testing.assert_allclose(record.position[1, 0, 0], tracks.position[100], atol=1e-3)
+    assert run("detect", folder / "leaderless.csv", *QUICK, "--out", out)[0] == 0
+    assert {path.name for path in out.iterdir()} == (names | {"links.csv"}) - {"episode.npz", "replay.rrd"}
 
 
 def test_missing_extras_leave_out_a_file_and_say_so(run, folder, tmp_path, monkeypatch):

@@ -17,41 +17,21 @@ def flock(path, rename=str, shift=0.0, move=0.0, scale=1.0):
     return write_csv(path, rows)
 
 
-def leaderless(path):
-    return write_csv(path, [row[:4] for row in example().leaderless()])
-
-
-def test_files_of_an_earlier_run_do_not_stay(run, tmp_path):
-    out = tmp_path / "out"
-    assert run("detect", flock(tmp_path / "flock.csv"), *QUICK, "--out", out, "--record")[0] == 0
-    assert (out / "episode.npz").exists()
-    assert run("detect", leaderless(tmp_path / "other.csv"), *QUICK, "--out", out)[0] == 0
-    assert not [name for name in ("episode.npz", "replay.rrd") if (out / name).exists()]
-    assert not [path.name for path in out.iterdir() if path.name.endswith(".lock")]
-
-
 def test_odd_ids_are_drawn_and_written_as_plain_text(run, tmp_path):
-    """Formulas of Matplotlib and of spreadsheets, tags of Rich, and characters that control a terminal."""
+    """Formulas of Matplotlib and of spreadsheets, tags of Rich, characters that control a terminal or lack a glyph."""
     pytest.importorskip("matplotlib")
-    names = {"bird-0": "=1+1", "bird-1": "$\\foo$", "bird-2": "[/red]", "bird-3": "\x1b[31mred"}
+    names = {"bird-0": "=1+\u9e1f", "bird-1": "$\\foo$", "bird-2": "[/red]", "bird-3": "\x1b[31mred"}
     tracks = flock(tmp_path / "$x_{1$.csv", rename=lambda name: names.get(name, name))
     status, out, err = run("detect", tracks, *QUICK, "--out", tmp_path / "out")
     assert status == 0, err
     assert (tmp_path / "out" / "picture.png").exists()
     assert "\x1b" not in out + err
-    for name in ("=1+1", "$\\foo$", "[/red]", "[31mred"):
-        assert name in out
-    with open(tmp_path / "out" / "leaders.csv", newline="", encoding="utf-8") as file:
-        assert [row["id"] for row in csv.DictReader(file)] == ["'=1+1"]
-
-
-def test_characters_without_a_glyph_are_one_sentence(run, tmp_path):
-    pytest.importorskip("matplotlib")
-    tracks = flock(tmp_path / "flock.csv", rename=lambda each: each.replace("bird-", "\u9e1f"))
-    status, _, err = run("detect", tracks, *QUICK, "--out", tmp_path / "out")
-    assert status == 0
     assert err.count("The fonts of this machine lack some characters of the figure") == 1
     assert "Glyph" not in err
+    for name in ("=1+\u9e1f", "$\\foo$", "[/red]", "[31mred"):
+        assert name in out
+    with open(tmp_path / "out" / "leaders.csv", newline="", encoding="utf-8") as file:
+        assert [row["id"] for row in csv.DictReader(file)] == ["'=1+\u9e1f"]
 
 
 def test_the_picture_has_the_coordinates_and_times_of_the_file(tmp_path):

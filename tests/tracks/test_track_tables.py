@@ -2,6 +2,7 @@
 
 import csv
 import json
+import sys
 from itertools import pairwise
 
 import numpy as np
@@ -11,6 +12,12 @@ from track_files import Sure, rows_of, straight, write_csv
 from usnet_env.tracks import Tracks, find_leaders, read_tracks
 
 QUICK = ("--detector", "lagged-regression")
+
+
+@pytest.fixture
+def no_picture(monkeypatch):
+    """Without matplotlib no picture is drawn, which takes long."""
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
 
 
 def flying(lag, steps=600, seed=3):
@@ -92,7 +99,7 @@ def test_microseconds_and_nanoseconds_since_1970_are_read_from_every_format(tmp_
     assert [read.file_time(k / 10) for k in (0, 3)] == [begin, begin + 3 * unit // 10]
 
 
-def test_a_delay_of_less_than_a_step_is_left_empty(run, tmp_path):
+def test_a_delay_of_less_than_a_step_is_left_empty(run, tmp_path, no_picture):
     places = flying(lag=0)
     who, time = ["a", "b", "c"] * 600, np.repeat(np.arange(600) * 0.5, 3)
     tracks = Tracks.from_samples(who, time, places.reshape(-1, 2)).resample(0.5)
@@ -121,7 +128,7 @@ def test_delays_are_measured_up_to_12_steps_and_a_quarter_of_the_window(lag, ste
     assert (window.links[0].delay == lag) == measured
 
 
-def test_tables_and_json_have_the_same_fields(run, tmp_path):
+def test_tables_and_json_have_the_same_fields(run, tmp_path, no_picture):
     names, places = ["a", "b;c", "d\\"], flying(lag=2)
     rows = [[names[k], t * 0.5, *map(float, places[t, k])] for t in range(600) for k in range(3)]
     path = write_csv(tmp_path / "tracks.csv", rows)
