@@ -10,7 +10,7 @@ from scipy.stats import binomtest, norm
 
 from usnet_env.config import ArgumentError
 from usnet_env.evaluation import stats
-from usnet_env.evaluation.stats import holm, interquartile_mean, mean_interval, paired_test, rate_interval
+from usnet_env.evaluation.stats import holm, mean_interval, paired_test, rate_interval
 
 TASKS = [np.random.default_rng(task).gamma(2, size=n) + task for task, n in enumerate((30, 45, 60))]
 
@@ -108,48 +108,6 @@ def test_groups_of_one_and_independent_values_change_nothing():
 def test_equal_values_in_groups_of_several_sizes_have_no_interval(value, sizes):
     groups = np.repeat(np.arange(len(sizes)), sizes)
     assert mean_interval([value] * len(groups), groups=groups) == (value, value, value)
-
-
-def slow_middle_mean(values):
-    ranked = sorted(values)
-    cut = int(0.25 * len(ranked))
-    middle = ranked[cut : len(ranked) - cut]
-    return sum(middle) / len(middle)
-
-
-def slow_profile(tasks, thresholds):
-    """rliable's definition, in loops."""
-    return [
-        sum(sum(1 for value in task if value > threshold) / len(task) for task in tasks) / len(tasks)
-        for threshold in thresholds
-    ]
-
-
-def slow_bootstrap(tasks, statistic, resamples):
-    """Draws each task's values on their own, as rliable's StratifiedBootstrap does."""
-    rng = np.random.default_rng(11)
-    found = [statistic([rng.choice(task, len(task)) for task in tasks]) for _ in range(resamples)]
-    return np.quantile(found, [0.025, 0.975], axis=0)
-
-
-def test_the_interval_of_the_interquartile_mean_is_near_that_of_the_slow_stratified_bootstrap():
-    ours = interquartile_mean(TASKS)
-    low, high = slow_bootstrap(TASKS, lambda tasks: slow_middle_mean(np.concatenate(tasks)), 2_000)
-    assert ours.low == pytest.approx(low, abs=0.15 * (high - low))
-    assert ours.high == pytest.approx(high, abs=0.15 * (high - low))
-    assert interquartile_mean([[1.0, 2.0, 3.0], [5.0]]).mean == 2.5
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-def test_a_profile_is_that_of_the_slow_reference(sign):
-    thresholds = [3.0, 0.5, 1.0, TASKS[1][7], 100.0, -1.0]  # in any order, and one that is a value
-    tasks = [sign * task for task in TASKS]
-    ours = stats.performance_profile(tasks, [sign * each for each in thresholds], lower_is_better=sign == -1)
-    assert ours.share == pytest.approx(slow_profile(TASKS, thresholds))
-    low, high = slow_bootstrap(TASKS, lambda parts: slow_profile(parts, thresholds), 1_000)
-    assert ours.low == pytest.approx(low, abs=0.015)
-    assert ours.high == pytest.approx(high, abs=0.015)
-    assert ours.thresholds.tolist() == [sign * each for each in thresholds]
 
 
 @given(st.lists(st.integers(-3, 3), min_size=1, max_size=10))

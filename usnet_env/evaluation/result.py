@@ -13,8 +13,8 @@ import numpy as np
 from usnet_env.config import ArgumentError, format_count, printable, quote, unknown_name
 from usnet_env.evaluation import stats, tables
 from usnet_env.evaluation.folder import column_types, read_run
-from usnet_env.evaluation.play import KEYS, LOWER_IS_BETTER, RATES
-from usnet_env.evaluation.stats import CONFIDENCE, Interval, Profile, mean_interval
+from usnet_env.evaluation.play import KEYS, RATES
+from usnet_env.evaluation.stats import CONFIDENCE, Interval, mean_interval
 from usnet_env.evaluation.tasks import LONGEST_REASON
 from usnet_env.files import as_path
 
@@ -229,32 +229,6 @@ class EvaluationResult:
             interval = mean_interval(pair, confidence=level, groups=pair.index.get_level_values("swarm_seed"))
             found.append(Comparison(a, other, metric, len(pair), *interval, p, len(others)))
         return found[0] if isinstance(b, str) else found
-
-    def interquartile_means(self, metric: str = "J") -> dict[str, Interval]:
-        """The mean of the middle half of all episodes of each detector, with its 95 % interval; each cell is a stratum.
-
-        Values are not normalised: the metric should have the same scale in all cells.
-        """
-        return {label: stats.interquartile_mean(strata) for label, strata in self._strata(metric).items()}
-
-    def performance_profiles(self, metric: str = "J", thresholds: Sequence[float] | None = None) -> dict[str, Profile]:
-        """The share of episodes in which each detector is better than each threshold, averaged over the cells.
-
-        Thresholds are ``(t,)``, by default 101 from the lowest to the highest value.
-        """
-        strata, values = self._strata(metric), self.rows[metric].dropna()
-        at = np.linspace(values.min(), values.max(), 101) if thresholds is None else thresholds
-        lower = metric in LOWER_IS_BETTER or metric.startswith("price")
-        lower |= metric == "J" and tables.objective(self._ranked)[2] == 1
-        return {label: stats.performance_profile(parts, at, lower) for label, parts in strata.items()}
-
-    def _strata(self, metric: str) -> dict[str, list[pd.Series[float]]]:
-        """The values of each detector that has some, cell by cell."""
-        self._check_metric(metric)
-        found: dict[str, list[pd.Series[float]]] = {}
-        for (_, label), values in self.rows.dropna(subset=[metric]).groupby(["cell", "detector"])[metric]:
-            found.setdefault(label, []).append(values)
-        return found
 
     def merge(self, other: EvaluationResult) -> EvaluationResult:
         """Join the result of other detectors, such as one of another folder, with the same suite, cells and seed."""

@@ -1,9 +1,9 @@
-"""Statistics of episodes: means, rates, interquartile means and profiles with their intervals, and paired tests."""
+"""Statistics of episodes: means and rates with their intervals, and paired tests."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from statistics import NormalDist
 from typing import Any, NamedTuple, TypeAlias
 
@@ -15,7 +15,6 @@ from usnet_env.config import ArgumentError
 
 CONFIDENCE = 0.95
 _RESAMPLES = 9_999
-_PROFILE_RESAMPLES = 2_000
 _MOST_RESAMPLED = 5_000  # values; of more, the normal limit is used
 _DRAWS_AT_ONCE = 2_000_000  # limits the memory of a resampling to 16 MB an array
 
@@ -28,15 +27,6 @@ class Interval(NamedTuple):
     mean: float
     low: float
     high: float
-
-
-class Profile(NamedTuple):
-    """The share ``(t,)`` of the episodes that are better than each threshold, with the ends of its 95 % interval."""
-
-    thresholds: Floats
-    share: Floats
-    low: Floats
-    high: Floats
 
 
 def _check_sample(values: Sample) -> Floats:
@@ -95,16 +85,15 @@ def mean_interval(values: Sample, confidence: float = CONFIDENCE, groups: Sample
     if len(sample) > _MOST_RESAMPLED:
         half = NormalDist().inv_cdf((1 + confidence) / 2) * float(sample.std()) / math.sqrt(len(sample))
         return Interval(mean, mean - half, mean + half)
-    return _bootstrap([sample], np.mean, confidence)
+    return _bootstrap(sample, confidence)
 
 
-def _expand(confidence: float, samples: Sequence[Floats]) -> float:
+def _expand(confidence: float, values: int) -> float:
     """The level at which a bootstrap interval of few values covers as often as asked (Hesterberg, 2015)."""
     from scipy.special import stdtrit  # scipy is imported when it is needed: it takes most of a second
 
-    n = sum(map(len, samples))
-    free = max(n - len(samples), 1)
-    quantile = math.sqrt(n / free) * stdtrit(free, (1 + confidence) / 2)
+    free = max(values - 1, 1)
+    quantile = math.sqrt(values / free) * stdtrit(free, (1 + confidence) / 2)
     return 1 - max(2 * NormalDist().cdf(-quantile), 2e-12)  # a level of 1 has no quantile
 
 
@@ -114,24 +103,20 @@ def _how_to_resample(values: int) -> dict[str, Any]:
     return {"n_resamples": _RESAMPLES, "batch": batch, "vectorized": True, "random_state": np.random.default_rng(0)}
 
 
-def _bootstrap(samples: Sequence[Floats], statistic: Callable[..., Any], confidence: float) -> Interval:
-    """A statistic of the pooled samples with its BCa interval; each sample is resampled on its own."""
+def _bootstrap(sample: Floats, confidence: float) -> Interval:
+    """The mean of a sample with its BCa interval."""
     from scipy.stats import bootstrap
 
-    pooled = np.concatenate(samples)
-    place, scale = float(pooled.mean()), float(np.ptp(pooled))
+    mean, scale = float(sample.mean()), float(np.ptp(sample))
 
-    def rounded(*parts: Floats, axis: int = -1) -> Any:  # resampled values that differ by rounding are made equal
-        return np.round(statistic(np.concatenate(parts, axis=axis), axis=axis), 9)
+    def rounded_mean(values: Floats, axis: int = -1) -> Any:  # resampled means that differ by rounding are made equal
+        return np.round(values.mean(axis=axis), 9)
 
-    found = bootstrap(
-        [(sample - place) / scale for sample in samples],
-        rounded,
-        confidence_level=_expand(confidence, samples),
-        method="BCa" if len(pooled) <= _MOST_RESAMPLED else "percentile",
-        **_how_to_resample(len(pooled)),
-    ).confidence_interval
-    return Interval(float(statistic(pooled)), place + scale * float(found.low), place + scale * float(found.high))
+    level = _expand(confidence, len(sample))
+    scaled = [(sample - mean) / scale]
+    found = bootstrap(scaled, rounded_mean, confidence_level=level, method="BCa", **_how_to_resample(len(sample)))
+    low, high = found.confidence_interval
+    return Interval(mean, mean + scale * float(low), mean + scale * float(high))
 
 
 def paired_test(differences: Sample) -> float:
@@ -157,37 +142,3 @@ def holm(values: Sequence[float]) -> list[float]:
     factors = len(values) - np.arange(len(values))
     adjusted = np.minimum(np.maximum.accumulate(np.asarray(values, np.float64)[order] * factors), 1.0)
     return [float(value) for value in adjusted[np.argsort(order)]]
-
-
-def interquartile_mean(strata: Sequence[Sample]) -> Interval:
-    """The mean of the middle half of all pooled values, with its BCa interval; each task is resampled on its own.
-
-    Agarwal et al., Deep Reinforcement Learning at the Edge of the Statistical Precipice, NeurIPS 2021, section 4.3. The
-    values of task s are ``strata[s]``, ``(n_s,)``. Of more than 5,000 values the interval is the percentile interval.
-    """
-    from scipy.stats import trim_mean
-
-    samples = [_check_sample(values) for values in strata]
-    pooled = np.sort(np.concatenate(samples))
-    n = len(pooled)
-    if pooled[n // 4] == pooled[n - n // 4 - 1] or any(len(sample) == 1 for sample in samples):
-        return Interval(*[float(trim_mean(pooled, 0.25))] * 3)
-    return _bootstrap(samples, lambda values, axis=-1: trim_mean(values, 0.25, axis), CONFIDENCE)
-
-
-def performance_profile(strata: Sequence[Sample], thresholds: Sample, lower_is_better: bool = False) -> Profile:
-    """The share of episodes that are better than each threshold, averaged over the tasks, with percentile intervals.
-
-    The run-score distribution of Agarwal et al. (2021, section 4.2), with 2,000 resamples of the stratified bootstrap.
-    The values of task s are ``strata[s]``, ``(n_s,)``; thresholds are ``(t,)``.
-    """
-    rng, at = np.random.default_rng(0), _check_sample(thresholds)
-    samples = [_check_sample(values) for values in strata]
-    shares, resampled = np.zeros(len(at)), np.zeros((_PROFILE_RESAMPLES, len(at)))
-    for sample in samples:
-        n, ranked = len(sample), np.sort(sample)
-        better = np.searchsorted(ranked, at) if lower_is_better else n - np.searchsorted(ranked, at, side="right")
-        shares += better / n / len(samples)
-        resampled += rng.binomial(n, better / n, size=resampled.shape) / n / len(samples)
-    tail = (1 - _expand(CONFIDENCE, samples)) / 2
-    return Profile(at, shares, *np.quantile(resampled, [tail, 1 - tail], axis=0))
