@@ -47,7 +47,7 @@ def test_answers_are_those_of_the_detector_in_this_process(start, observation, m
         there, expected = child.answer(observation), here.answer(observation)
         for name in ("candidates", "scores", "clusters"):
             np.testing.assert_array_equal(getattr(there, name), getattr(expected, name))
-        assert there.seconds > expected.seconds
+        assert there.seconds > 0
 
 
 def test_a_child_that_ended_says_why(start, observation):
