@@ -151,7 +151,7 @@ def test_nothing_global_is_touched(monkeypatch):
     """No pyplot, no change of rcParams or of the backend, no global random numbers drawn."""
 
     def world():
-        return dict(matplotlib.rcParams.copy()), random.getstate(), str(np.random.get_state())
+        return dict(matplotlib.rcParams.copy()), random.getstate(), str(np.random.get_state())  # noqa: NPY002
 
     monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
     before = world()

@@ -54,7 +54,7 @@ def test_a_child_that_ended_says_why(start, observation):
     child = start(Ending("os._exit", first=True))
     child.reset(0)
     assert child.running
-    with pytest.raises(EvaluationError, match="^its process ended itself with status 0$"):
+    with pytest.raises(EvaluationError, match=r"^its process ended itself with status 0$"):
         child.answer(observation)
     assert not child.running
 
