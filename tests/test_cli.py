@@ -141,7 +141,7 @@ def test_help_imports_nothing_heavy():
     program = (
         "import sys; from usnet_env.cli import main; main(['--help']); print([m for m in {!r} if m in sys.modules])"
     )
-    done = subprocess.run([sys.executable, "-c", program.format(heavy)], capture_output=True, text=True, timeout=300)
+    done = subprocess.run([sys.executable, "-c", program.format(heavy)], capture_output=True, text=True, timeout=600)
     assert done.stdout.splitlines()[-1] == "[]", done.stderr
 
 

@@ -61,7 +61,6 @@ def copy(tmp_path, monkeypatch):
     for name in names:
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, tmp_path / name)
-    tables.main([], tmp_path)
     return tmp_path
 
 
