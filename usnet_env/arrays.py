@@ -28,5 +28,5 @@ class AxisLength:
     def __get__(self, owner: Any, kind: type) -> int:
         """The length; of the class, which has no array, the attribute itself."""
         if owner is None:
-            return self  # type: ignore[return-value]
+            return self  # type: ignore[return-value]  # of the class, by the rule of descriptors
         return int(getattr(owner, self.array).shape[self.axis])

@@ -13,7 +13,7 @@ from numba.core.compiler_lock import global_compiler_lock
 try:
     import fcntl
 except ImportError:  # Windows has no such locks
-    fcntl = None  # type: ignore[assignment]
+    fcntl = None  # type: ignore[assignment]  # a missing module
 
 _held: set[str] = set()  # the lock files that this process holds
 

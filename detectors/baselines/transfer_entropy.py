@@ -58,7 +58,7 @@ def estimate_transfer_entropy(
 
 
 @compiled(error_model="numpy")
-def _estimate(series, seen, delay, rows, neighbours, table, needed, entropy):  # type: ignore[no-untyped-def]  # Numba
+def _estimate(series, seen, delay, rows, neighbours, table, needed, entropy):
     uavs, many = len(series), len(rows)
     present, own = np.empty((many, many), np.float32), np.empty((many, many), np.float32)
     past = np.empty((many, many), np.float32)
@@ -110,7 +110,7 @@ def _estimate(series, seen, delay, rows, neighbours, table, needed, entropy):  #
 
 
 @compiled()
-def _measure_distances(series, times, squared):  # type: ignore[no-untyped-def]  # Numba infers the types
+def _measure_distances(series, times, squared):
     """Squared distances between the rows of ``series`` ``(T, 3)`` at these times."""
     x, y, z = series[times, 0], series[times, 1], series[times, 2]
     for r in range(len(times)):

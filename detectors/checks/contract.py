@@ -122,7 +122,7 @@ def check_leaves_all_else_alone(detector: Any) -> None:
     player, window = copy.deepcopy(detector), draw_window(detector, miss_rate=0.1, destroyed=2, round=2)
     _play(player, [window])  # it may import a library
     random.random()  # so that a detector that seeds a generator is noticed
-    np.random.rand()  # noqa: NPY002
+    np.random.rand()  # noqa: NPY002  # the global generator is what is checked
     if torch := sys.modules.get("torch"):
         torch.rand(1)
     before = _read_generators()
@@ -134,7 +134,7 @@ def check_leaves_all_else_alone(detector: Any) -> None:
 
 def _read_generators() -> dict[str, Any]:
     """The states of the global generators of all imported libraries."""
-    states: dict[str, Any] = {"numpy.random": repr(np.random.get_state()), "random": random.getstate()}  # noqa: NPY002
+    states: dict[str, Any] = {"numpy.random": repr(np.random.get_state()), "random": random.getstate()}  # noqa: NPY002  # only read
     if torch := sys.modules.get("torch"):
         states["torch"] = torch.get_rng_state().tolist()
     return states
@@ -190,7 +190,7 @@ def check_later_rounds(detector: Any) -> None:
 def check_label_and_pickle(detector: Any) -> None:
     """Its label makes an equal detector; a pickled copy gives the same detections, also within an episode."""
     player, windows = copy.deepcopy(detector), draw_two_rounds(detector)
-    there = pickle.loads(pickle.dumps(player))
+    there = pickle.loads(pickle.dumps(player))  # its own bytes, of no file
     first = _play(player, windows[:1])
     _require_same(first, _play(there, windows[:1]), "an unpickled detector must answer as before, got other")
     there = pickle.loads(pickle.dumps(player))

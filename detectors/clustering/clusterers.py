@@ -228,7 +228,7 @@ class Hdbscan(Clusterer):
     most similar to; if all are noise, they are one cluster. Other arguments are those of :class:`Clusterer`.
     """
 
-    count: Literal["own"] = "own"  # type: ignore[assignment]
+    count: Literal["own"] = "own"  # type: ignore[assignment]  # one value of the base's
     least: Annotated[int, Field(ge=2, le=100_000)] = 3
 
     def partition(self, living: Living, count: int, rng: np.random.Generator) -> Indices:

@@ -87,7 +87,7 @@ def draw_agat(sizes: AgatSizes, uavs: int, rng: np.random.Generator) -> Singles:
 
 
 @compiled()
-def _layers(from_query, from_key, second, bias, value, begin, end, points, hidden, deep):  # type: ignore[no-untyped-def]
+def _layers(from_query, from_key, second, bias, value, begin, end, points, hidden, deep):
     """Both hidden layers of s_l for the UAVs begin to end, columns (UAV, time); ``points`` gets their values.
 
     Columns past the last UAV hold what they held before, and nothing reads them.
@@ -115,7 +115,7 @@ def _layers(from_query, from_key, second, bias, value, begin, end, points, hidde
 
 
 @compiled()
-def _make_buffers(times, width, narrow):  # type: ignore[no-untyped-def]
+def _make_buffers(times, width, narrow):
     """Number of UAVs whose pairs are computed at once, and arrays for them."""
     step = max(1, _PAIRS // times)
     points = np.zeros((3, step * times), np.float32)
@@ -124,7 +124,7 @@ def _make_buffers(times, width, narrow):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _weigh(from_query, from_key, second, bias, last, value, alpha, pooled):  # type: ignore[no-untyped-def]
+def _weigh(from_query, from_key, second, bias, last, value, alpha, pooled):
     """One attention head: alpha ``(n, R)`` by equations (10), (11), and the pooled values ``(3, R)`` by (13), (14)."""
     _, uavs, times = value.shape
     width, narrow = second.shape
@@ -161,7 +161,7 @@ def _weigh(from_query, from_key, second, bias, last, value, alpha, pooled):  # t
 
 
 @compiled(error_model="numpy")
-def _weigh_backward(  # type: ignore[no-untyped-def]
+def _weigh_backward(
     from_query, from_key, second, bias, last, value, alpha, pooled, d_pooled,
     d_query, d_key, d_second, d_bias, d_last,
 ):  # fmt: skip
@@ -221,7 +221,7 @@ def _weigh_backward(  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _query_arrays(phi, numbers):  # type: ignore[no-untyped-def]
+def _query_arrays(phi, numbers):
     """L's arrays, views of the flat vector."""
     _, inputs, width, outputs, _, _, _ = numbers
     a, b = inputs * width, inputs * width + width
@@ -230,7 +230,7 @@ def _query_arrays(phi, numbers):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _attn_head_arrays(phi, numbers, head):  # type: ignore[no-untyped-def]
+def _attn_head_arrays(phi, numbers, head):
     """The arrays of attention head l, views of the flat vector."""
     _, inputs, width, outputs, key, first, second = numbers
     size = key * 3 + (outputs + key + 1) * first + (first + 2) * second
@@ -249,7 +249,7 @@ def _attn_head_arrays(phi, numbers, head):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def attend(phi, numbers, history, value):  # type: ignore[no-untyped-def]
+def attend(phi, numbers, history, value):
     """Forward pass of one UAV's AGAT with Φ_i, ``phi`` ``(parameters,)``, over all R times.
 
     ``numbers`` are those of :meth:`AgatSizes.numbers`, ``history`` ``(R, 3 (T_0 + 1))`` is V_{i,t}, newest first, and
@@ -276,9 +276,7 @@ def attend(phi, numbers, history, value):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def attend_backward(  # type: ignore[no-untyped-def]
-    phi, numbers, history, value, alpha, pooled, hidden, query, d_pooled, d_phi
-):
+def attend_backward(phi, numbers, history, value, alpha, pooled, hidden, query, d_pooled, d_phi):
     """The gradient with respect to Φ_i, written to ``d_phi``, from that with respect to the pooled values."""
     times = history.shape[0]
     _, _, query_out, _ = _query_arrays(phi, numbers)

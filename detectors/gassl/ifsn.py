@@ -42,7 +42,7 @@ def draw_ifsn(inputs: int, width: int, rng: np.random.Generator) -> Singles:
 
 
 @compiled()
-def _arrays(gamma, inputs):  # type: ignore[no-untyped-def]
+def _arrays(gamma, inputs):
     """Γ's arrays, views of the flat vector; the width follows from its length."""
     width = 1
     while width * (inputs + 2 * width + 6) + 3 < gamma.shape[0]:
@@ -63,7 +63,7 @@ def _arrays(gamma, inputs):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def standardise(values):  # type: ignore[no-untyped-def]
+def standardise(values):
     """``values`` ``(R, d)`` become zero-mean with unit variance over the times; returns the factors ``(d,)``."""
     times, entries = values.shape
     scale = np.empty(entries, np.float32)
@@ -83,7 +83,7 @@ def standardise(values):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _finish(one, second, second_bias, third, third_bias, output, output_bias, two, three, predicted):  # type: ignore[no-untyped-def]
+def _finish(one, second, second_bias, third, third_bias, output, output_bias, two, three, predicted):
     """All layers after the first affine one, in place."""
     tanh_in_place(one)
     affine(one, second, second_bias, two)
@@ -94,7 +94,7 @@ def _finish(one, second, second_bias, third, third_bias, output, output_bias, tw
 
 
 @compiled()
-def predict(gamma, inputs):  # type: ignore[no-untyped-def]
+def predict(gamma, inputs):
     """v̂_{i,t+1} ``(R, 3)`` of standardised inputs ``(R, d)``, and the three hidden layers."""
     first, first_bias, second, second_bias, third, third_bias, output, output_bias = _arrays(gamma, inputs.shape[1])
     times, width = inputs.shape[0], second.shape[0]
@@ -106,7 +106,7 @@ def predict(gamma, inputs):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def predict_backward(gamma, inputs, scale, one, two, three, d_output, d_gamma):  # type: ignore[no-untyped-def]
+def predict_backward(gamma, inputs, scale, one, two, three, d_output, d_gamma):
     """The gradient with respect to Γ, written to ``d_gamma``; returns that of the inputs before standardisation."""
     times, entries = inputs.shape
     first, _, second, _, third, _, output, _ = _arrays(gamma, entries)
@@ -132,7 +132,7 @@ def predict_backward(gamma, inputs, scale, one, two, three, d_output, d_gamma): 
 
 
 @compiled()
-def pair_losses(gamma, own, source, target, weight):  # type: ignore[no-untyped-def]
+def pair_losses(gamma, own, source, target, weight):
     """The squared error of Γ for every pair of UAVs, summed over the times: the sum of equation (37).
 
     The input for UAV i and source i' is the concatenation of P_i, V_{i'} and p_{i'}; each entry is standardised over

@@ -26,7 +26,7 @@ _LOWEST = np.float32(-120.0)  # 2**-120 is 0 beside any other term of a softmax,
 
 
 @compiled()
-def exp_in_place(x, bits):  # type: ignore[no-untyped-def]
+def exp_in_place(x, bits):
     """``x`` ``(n,)`` becomes e**x, for x <= 0: a power of two by its exponent bits times a polynomial of degree 6.
 
     ``bits`` ``(>= n,)`` int32 is a buffer.
@@ -49,7 +49,7 @@ def exp_in_place(x, bits):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def tanh_in_place(x):  # type: ignore[no-untyped-def]
+def tanh_in_place(x):
     """``x`` ``(R, d)``, contiguous float32, becomes tanh(x), by e**(-2 |x|)."""
     flat = x.reshape(x.size)
     small, bits = np.empty(x.size, np.float32), np.empty(x.size, np.int32)
@@ -62,13 +62,13 @@ def tanh_in_place(x):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def tanh_backward(y, d_y):  # type: ignore[no-untyped-def]
+def tanh_backward(y, d_y):
     """The gradient with respect to y = tanh(x), ``(R, d)``, becomes that with respect to x."""
     d_y *= _ONE - y * y
 
 
 @compiled()
-def affine(x, weight, bias, out):  # type: ignore[no-untyped-def]
+def affine(x, weight, bias, out):
     """``out`` ``(R, outputs)`` = ``x`` ``(R, inputs)`` times ``weight`` plus ``bias``."""
     np.dot(x, weight, out)
     for t in range(out.shape[0]):
@@ -77,7 +77,7 @@ def affine(x, weight, bias, out):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def products(x, d_out, d_weight, d_bias):  # type: ignore[no-untyped-def]
+def products(x, d_out, d_weight, d_bias):
     """Gradients of :func:`affine` with respect to weight and bias, written to ``d_weight`` and ``d_bias``."""
     np.dot(x.T, d_out, d_weight)
     d_bias[:] = _ZERO
@@ -87,7 +87,7 @@ def products(x, d_out, d_weight, d_bias):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def affine_backward(x, weight, d_out, d_weight, d_bias, d_x):  # type: ignore[no-untyped-def]
+def affine_backward(x, weight, d_out, d_weight, d_bias, d_x):
     """As :func:`products`, and the gradient with respect to ``x``, written to ``d_x``."""
     products(x, d_out, d_weight, d_bias)
     np.dot(d_out, weight.T, d_x)

@@ -32,7 +32,7 @@ class Fit:
 
 
 @compiled()
-def _forward(phi, gamma, numbers, history, value, own, target, weight):  # type: ignore[no-untyped-def]
+def _forward(phi, gamma, numbers, history, value, own, target, weight):
     """L_B(Θ_i) of equation (23), alpha_{i,i',l} ``(T_0 + 1, n, R)``, and what else the gradient needs."""
     alpha, pooled, hidden, query = attend(phi, numbers, history, value)
     times, owns = own.shape
@@ -55,7 +55,7 @@ def _forward(phi, gamma, numbers, history, value, own, target, weight):  # type:
 
 
 @compiled()
-def gradient(phi, gamma, numbers, history, value, own, target, weight):  # type: ignore[no-untyped-def]
+def gradient(phi, gamma, numbers, history, value, own, target, weight):
     """L_B(Θ_i) of equation (23) and its gradients with respect to Φ_i and Γ, as flat vectors; see :meth:`Inputs.of`."""
     loss, alpha, pooled, hidden, query, inputs, scale, one, two, three, d_output = _forward(
         phi, gamma, numbers, history, value, own, target, weight
@@ -72,9 +72,7 @@ def gradient(phi, gamma, numbers, history, value, own, target, weight):  # type:
 
 
 @compiled()
-def _train_uav(  # type: ignore[no-untyped-def]
-    phi, gamma, numbers, history, value, own, target, weight, rate, loss, attn_heads
-):
+def _train_uav(phi, gamma, numbers, history, value, own, target, weight, rate, loss, attn_heads):
     """Lines 3 to 6 of Algorithm 1 for one UAV: Φ_i and Γ move, equations (24), (25); returns the last L_B(Θ_i)."""
     heads, _, uavs, times = value.shape
     for step in range(loss.shape[0]):

@@ -159,7 +159,7 @@ def _run_step(
     for example in examples:
         answer = network(example.features, example.context)
         loss = compute_loss(answer, example, training.leader_weight) / training.swarms
-        loss.backward()  # type: ignore[no-untyped-call]
+        loss.backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
         total += float(loss.detach())
     torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
     optimiser.step()

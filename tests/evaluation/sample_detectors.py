@@ -82,7 +82,7 @@ class Recorder(Base):
 
 
 class Answering(Base):
-    """Returns or raises what it is told to."""
+    """A detector that returns what its arguments say, or raises it."""
 
     def __init__(self, answer):
         self.answer = answer

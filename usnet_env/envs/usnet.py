@@ -79,7 +79,7 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         rules: the problem, its limits and its prices.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 1}  # type: ignore[misc]
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 1}  # type: ignore[misc]  # Gymnasium's is no ClassVar
 
     def __init__(self, config: SwarmConfig, rules: game.Rules, output: OutputArguments) -> None:
         self.config = config

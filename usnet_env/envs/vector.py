@@ -35,7 +35,7 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
         ArgumentError: an argument has the wrong type or is out of range.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # type: ignore[misc]
+    metadata: ClassVar[dict[str, Any]] = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # type: ignore[misc]  # Gymnasium's is no ClassVar
     single_env: ClassVar[type[UsnetEnv]]
 
     def __init__(self, num_envs: int = 1, **arguments: Any) -> None:

@@ -50,7 +50,7 @@ def _space(writer: EpisodeWriter, name: str, truth: bool) -> rrb.Spatial3DView:
         eye_controls=eye,
         background=_BACKGROUND,
         line_grid=False,
-        overrides=overrides,  # type: ignore[arg-type]
+        overrides=overrides,  # type: ignore[arg-type]  # Dict is invariant
     )
 
 

@@ -78,7 +78,7 @@ class Links(FieldStrategy):
     block: int = 10  # length of a block of steps in which a follower answers or doesn't
     share: float = 1.0  # probability of an answer in a block
     idle_noise: float = 0.1  # of a follower that doesn't answer and flies on
-    answers: int = ALWAYS  # who draws in each block whether to answer: nobody, each cluster, or each follower
+    answers: int = ALWAYS  # or EACH_CLUSTER, EACH_FOLLOWER: it draws for each block whether followers answer
 
     @property
     def lags(self) -> int:  # type: ignore[override]  # follows from the other fields

@@ -71,7 +71,7 @@ class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
     * v0: first version
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]  # Gymnasium's is no ClassVar
     problem = "P2"
     rules = Rules(max_rounds=1)
 
@@ -157,7 +157,7 @@ class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
 
     def _observe(self, round: int) -> Observation:
         cut = self.windows[self._number]
-        spaces = self.observation_space.items()  # type: ignore[attr-defined]
+        spaces = self.observation_space.items()  # type: ignore[attr-defined]  # a Dict
         whole: Observation = {name: np.zeros(space.shape, space.dtype) for name, space in spaces}
         for name in ("position", "velocity", "seen"):
             whole[name][:, cut.rows] = getattr(cut.window, name)
