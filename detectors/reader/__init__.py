@@ -1,0 +1,1 @@
+"""The reader: one network that reads who leads a swarm, trained on everything that the prior draws."""
