@@ -16,7 +16,7 @@ from usnet_env.progress import progress_bar
 
 @click.group(short_help="Retrain the models that are part of the package.")
 def train() -> None:
-    """Retrain the models that are part of the package: weights and calibration."""
+    """Retrain the models that are part of the package."""
 
 
 def _number(option: str, least: int, most: int, default: int, text: str) -> click.Option:
@@ -61,23 +61,6 @@ _add_training(
     ),
     _number("--strategies", 1, 10**7, 100, "F, number of random follow strategies."),
     _number("--episodes", 1, 10**7, 10_000, "Number of episodes."),
-)
-_add_training(
-    "learned",
-    "the network of the learned detector",
-    "detectors.learned.train",
-    "HeadTraining",
-    "train_heads",
-    _number("--steps", 1, 10**7, 4000, "Number of optimiser steps."),
-    _number("--swarms", 1, 10**5, 8, "Swarms in each step."),
-)
-_add_training(
-    "follow-mixture",
-    "the calibration of follow-mixture",
-    "detectors.follow_mixture.train",
-    "CalibrationTraining",
-    "train_calibration",
-    _number("--swarms", 1, 10**6, 600, "Number of simulated swarms."),
 )
 
 

@@ -7,7 +7,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.arrays import Floats, Indices, Mask
+from usnet_env.arrays import Mask
 from usnet_env.config import ArgumentError
 from usnet_env.window import Window
 
@@ -60,13 +60,6 @@ def stack_past(values: NDArray[AnyT], lags: int) -> NDArray[AnyT]:
     """
     at = np.arange(max(0, len(values) - lags))[:, None] + lags - 1 - np.arange(lags)
     return values[at].transpose(2, 0, 1, 3)
-
-
-def sum_groups(values: Floats, label: Indices) -> Floats:
-    """Sums ``(C, ...)`` of ``values`` ``(k, ...)`` by label, 0 to C - 1, each used."""
-    order = np.argsort(label, kind="stable")
-    first = np.searchsorted(label[order], np.arange(label.max(initial=-1) + 1))
-    return np.add.reduceat(values[order], first, axis=0) if len(first) else values[:0]
 
 
 def centre_columns(values: NDArray[RealT], seen: Mask) -> NDArray[RealT]:

@@ -1,22 +1,11 @@
-"""Null models: what a UAV's own past says about its next velocity. The head of a follower must predict it better."""
+"""The null model: what a UAV's own past says about its next velocity. The head of a follower must predict it better."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from detectors.series.designs import RealT, stack_past
-from detectors.series.regressions import RIDGE, subtract_projection, whiten
-
-
-def compute_innovations(values: NDArray[RealT], lags: int, ridge: float = RIDGE) -> NDArray[RealT]:
-    """Residuals ``(T - lags, n, d)`` of a ridge regression of each UAV's ``values`` ``(T, n, d)`` on its own past.
-
-    The values are centred, and 0 where unseen; for ``ridge`` see :func:`detectors.series.regressions.whiten`.
-    """
-    past = stack_past(values, lags)
-    white, _ = whiten(past.reshape(*past.shape[:2], lags * values.shape[2]), ridge)
-    return subtract_projection(white, values[lags:].transpose(1, 0, 2)).transpose(1, 0, 2)
+from detectors.series.designs import RealT
 
 
 def predict_from_own_past(

@@ -73,7 +73,7 @@ def test_a_detector_answers_tracks_that_come_and_go(name, window):
     answers_or_refuses(name, window)
 
 
-@pytest.mark.parametrize("name", ["lagged-regression", "flica", "gassl", "learned"])
+@pytest.mark.parametrize("name", ["lagged-regression", "flica", "gassl"])
 def test_a_swarm_with_too_many_pairs_is_refused(name):
     ones = np.ones((7, 10_001))
     window = Window(np.zeros((7, 10_001, 3)), np.zeros((6, 10_001, 3)), ones, ones[0])

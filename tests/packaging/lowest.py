@@ -12,7 +12,7 @@ PROGRAM = """
 import usnet_env
 
 if __name__ == "__main__":
-    detectors = ["follow-mixture", "lagged-regression(clusters=2)", "lagged-correlation", "granger", "random"]
+    detectors = ["reader", "lagged-regression(clusters=2)", "lagged-correlation", "granger", "random"]
     swarm = {"clusters": 2, "uavs": 12, "observation_steps": 40}
     result = usnet_env.evaluate("USNET/MultiCluster-v0", detectors, episodes=2, workers=2, env_kwargs=swarm, out="runs")
     assert [entry["episodes"] for entry in result.summary] == [2] * len(detectors)

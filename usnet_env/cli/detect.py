@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     Kept = tuple[TrackWindow, Detection, DetectedWindow]
 
-_DETECTOR = "follow-mixture(policy='map')"
+_DETECTOR = "reader(policy='map')"
 _MOST_ROWS, _MOST_NAMES = 40, 6  # of a table that is printed; ids in a row
 _COLUMN = "Name of a column; without NAME, the role is left out. May be repeated."
 _EXAMPLES = """

@@ -21,7 +21,7 @@ _DEMO_EXAMPLES = """
 \b
 Examples:
   usnet demo --open
-  usnet demo --detector learned --clusters 8 --uavs 185 --follow f1
+  usnet demo --detector reader --clusters 8 --uavs 185 --follow f1
 """  # click reads the control characters: they keep the lines
 _REPLAY_EXAMPLES = """
 \b

@@ -23,7 +23,7 @@ from usnet_env.plugins import DetectorLike, detector_label, make_detector
 from usnet_env.tracks.confirm import LEVEL, confirm_leaders
 from usnet_env.tracks.tracks import Tracks, TrackWindow
 
-DEFAULT_DETECTOR = "follow-mixture(policy='map')"
+DEFAULT_DETECTOR = "reader(policy='map')"
 _SAME_GROUP = 0.25  # two groups are one if they share this part of all their members
 _SAME_LEADER = 0.25
 _UNLIKELY = 0.01  # a leader in as many windows is called chance if that is more probable than this
