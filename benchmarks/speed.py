@@ -34,7 +34,7 @@ GAME = "USNET/MultiCluster-v0"
 EPISODES, UAVS = 256, 82
 SIZES = [100, 300, 1000, 3000, 10_000]
 REFERENCE = "lagged-correlation"
-DETECTORS = ("lagged-regression", "granger", "factions", "net-lag-regression", "follow-mixture", "learned")
+DETECTORS = ("lagged-regression", "granger", "factions", "net-lag-regression", "reader")
 # Not getrusage: a child begins with the peak of the process that started it.
 MEMORY = """
 import numpy as np, gymnasium as gym, usnet_env

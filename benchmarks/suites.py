@@ -22,7 +22,7 @@ from usnet_env.evaluation import EvaluationResult, Suite, evaluate_suite, list_s
 COLUMNS = ("cell", "detector", "episode", "swarm_seed", "J", "exact", "f1_first", "seconds_per_round", "error")
 DETECTORS = (
     "none", "random", "destroy-all", "one-per-round", "front-most", "lagged-correlation", "lagged-regression",
-    "factions", "granger", "learned", "learned(policy='map')", "follow-mixture", "follow-mixture(policy='map')",
+    "factions", "granger", "reader", "reader(policy='map')",
     "directional-delays", "lagged-network", "net-lag-regression", "flica", "mflica", "transfer-entropy",
     "mc-gassl", "neural-granger", "gassl",
 )  # fmt: skip

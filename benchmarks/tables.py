@@ -20,7 +20,7 @@ import numpy as np
 import pandas as pd
 from paper.shared import RESULTS, ROOT, parse, read_rows
 from paper_tables import losses_block, paper_algorithms, purity_block, rounds_block, table2_block
-from pivot import Say, across, markdown, mean, median, pivot, rate, size
+from pivot import Say, across, markdown, mean, median, name_detector, pivot, rate, size
 
 from usnet_env.evaluation import list_suites
 from usnet_env.files import write_text
@@ -35,8 +35,8 @@ SUITES = {
     "field": "leaders are late, weak, indirect or hard to see",
 }
 #: The lines of README.md's table; the page of the suites has every detector.
-SHORT_LIST = ["follow-mixture", "follow-mixture(policy='map')", "learned(policy='map')", "lagged-network"]
-SHORT_LIST += ["lagged-regression", "destroy-all", "random", "none"]
+SHORT_LIST = ["reader(policy='map')", "reader", "follow-mixture(policy='map')", "learned(policy='map')"]
+SHORT_LIST += ["lagged-network", "lagged-regression", "destroy-all", "random", "none"]
 
 
 @cache
@@ -57,7 +57,7 @@ def suite_block(name: str) -> str:
     columns: dict[str, Say] = {"n": size, "exact": rate("exact"), "F1 in round 1": mean("f1_first"), "J": mean("J")}
     parts = [pivot(rows, DETECTOR, {**columns, "seconds": median("seconds_per_round")})]
     counts = rows.groupby("detector", sort=False).episode.max() + 1
-    few = [f"`{label}` {count}" for label, count in counts.items() if count < suite.episodes]
+    few = [f"{name_detector(label)} {count}" for label, count in counts.items() if count < suite.episodes]
     if few:
         parts.append(f"Slow detectors played only the first of the {suite.episodes} episodes: {', '.join(few)}.")
     failed = rows[rows.error.notna()]
@@ -71,7 +71,8 @@ def suite_block(name: str) -> str:
             [*parts, "Median F1 in round 1; median seconds of an answer:", pivot(rows, DETECTOR, by_cell)]
         )
     rows = rows.sort_values("cell", key=lambda cells: cells.map(order.index), kind="stable")
-    percent = across("detector", counts.index, lambda part: f"{100 * part.exact.mean():.0f}", "`{}`")
+    percent = across("detector", counts.index, lambda part: f"{100 * part.exact.mean():.0f}")
+    percent = {name_detector(label): say for label, say in percent.items()}
     return "\n\n".join([*parts, "Exact in percent, cell by cell:", pivot(rows, {"cell": "cell"}, percent)])
 
 
@@ -86,7 +87,7 @@ def readme_block() -> str:
         rows, suite = suites[name], list_suites()[name]
         chosen = rows[rows.detector == rows.groupby("detector").exact.sum().idxmax()]
         played = f"{len(suite.cells)} × {suite.episodes}"
-        best.append([f"`{name}`", about, played, f"`{chosen.detector.iloc[0]}`", rate("exact")(chosen)])
+        best.append([f"`{name}`", about, played, name_detector(chosen.detector.iloc[0]), rate("exact")(chosen)])
     rows = pd.concat([part.assign(suite=name) for name, part in suites.items()])
     detectors = set(rows.detector)
     names = len({label.partition("(")[0] for label in detectors})
@@ -157,7 +158,9 @@ def speed_block() -> str:
     ]
     parts.append(markdown(("ns of a UAV step", *(f"N = {uavs:,}" for uavs in sizes)), grown))
     for part, title in (("detectors", "detector"), ("peers", "environment")):
-        lines = [[f"`{name}`", row["what"], _spread(row["ratios"])] for name, row in found.get(part, {}).items()]
+        lines = [
+            [name_detector(name), row["what"], _spread(row["ratios"])] for name, row in found.get(part, {}).items()
+        ]
         parts += [markdown((title, "ratio", "median (range of the turns)"), lines)] if lines else []
     return "\n\n".join([*parts, f"1,000 swarms of 82 UAVs take {found['memory']['bytes'] / 2**30:.2f} GiB."])
 
@@ -178,9 +181,15 @@ BLOCKS: dict[str, Callable[[], str]] = {
 }
 
 
+def make_block(name: str) -> str:
+    """The tables of a block, with a note if they name a detector that was removed."""
+    tables = BLOCKS[name]()
+    return tables + "\n\n† Removed; commit a199fba has its code." * ("†" in tables)
+
+
 def fill(text: str) -> str:
     """A page with its blocks replaced; a KeyError names a block that is unknown."""
-    return BLOCK.sub(lambda block: f"{block[1]}\n\n{BLOCKS[block[2]]()}\n\n<!-- results:end -->", text)
+    return BLOCK.sub(lambda block: f"{block[1]}\n\n{make_block(block[2])}\n\n<!-- results:end -->", text)
 
 
 def main(argv: list[str] | None = None, root: Path = ROOT) -> int:

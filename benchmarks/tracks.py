@@ -27,8 +27,8 @@ from usnet_env.tracks.confirm import confirm_leaders
 LENGTH, MOST, STEP = 100, 12, 0.5
 DETECTORS = (
     "random", "front-most", "directional-delays", "lagged-network", "net-lag-regression", "transfer-entropy", "mflica",
-    "flica", "lagged-correlation", "lagged-regression", "granger", "factions", "follow-mixture",
-    "follow-mixture(policy='map')", "learned", "learned(policy='map')",
+    "flica", "lagged-correlation", "lagged-regression", "granger", "factions", "reader",
+    "reader(policy='map')",
 )  # fmt: skip
 
 

@@ -47,7 +47,7 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, Tensor]:
 
 
 def packaged_arrays(package: str, name: str) -> dict[str, Tensor]:
-    """Read the arrays of ``data/<name>.safetensors`` in a package such as ``"detectors.learned"``."""
+    """Read the arrays of ``data/<name>.safetensors`` in a package such as ``"detectors.mc_gassl"``."""
     return load((files(package) / "data" / f"{name}.safetensors").read_bytes())
 
 

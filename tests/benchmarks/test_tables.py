@@ -35,6 +35,15 @@ def test_a_cell_without_rows_or_values_is_a_dash():
     assert pivot.mean("J")(rows[2:]) == pivot.median("J")(rows[2:]) == "–"
 
 
+def test_rows_of_a_removed_detector_are_marked_and_explained():
+    assert [pivot.name_detector(label) for label in ("learned(policy='map')", "granger")] == [
+        "`learned(policy='map')` †",
+        "`granger`",
+    ]
+    note = "† Removed; commit a199fba has its code."
+    assert [tables.make_block(name).count(note) for name in ("tracks", "losses")] == [1, 0]
+
+
 def test_rows_of_an_episode_are_one_group():
     rows = pd.DataFrame({"episode": np.repeat(np.arange(10), 30), "exact": np.repeat([1, 0] * 5, 30)})
     alone = rows.assign(episode=np.arange(300))
@@ -119,7 +128,7 @@ def test_the_speed_page_leaves_out_parts_that_were_not_measured(tmp_path, monkey
     (tmp_path / "speed.json").write_text(json.dumps(found), encoding="utf-8")
     monkeypatch.setattr(tables, "RESULTS", tmp_path)
     assert "simple_tag" not in tables.speed_block()
-    assert "| `follow-mixture` | seconds of a window" in tables.speed_block()
+    assert "| `follow-mixture` † | seconds of a window" in tables.speed_block()
 
 
 def test_equal_rows_give_equal_bytes(tmp_path):

@@ -65,7 +65,7 @@ def test_decimal_commas_are_read(run, tmp_path, delimiter):
     read = read_tracks(path, decimal=",")
     np.testing.assert_array_equal(read.position, expected.position)
     np.testing.assert_array_equal(read.time, expected.time)
-    assert "--decimal ," in run("detect", path)[2]
+    assert "--decimal ," in run("detect", path, *QUICK)[2]
     assert run("detect", path, "--decimal", ",", "--window", "10", *QUICK)[0] == 0
 
 
