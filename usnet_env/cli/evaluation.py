@@ -26,8 +26,8 @@ _EVERY = re.compile(r"every=([1-9][0-9]{0,8})\Z")
 _EXAMPLES = """
 \b
 Examples:
-  usnet evaluate --detector lagged-regression --trivial --episodes 20 --set follow=f3 clusters=3
-  usnet evaluate --suite controls --detector factions --out runs/controls
+  usnet evaluate --detector reader --trivial --episodes 20 --set follow=f3 clusters=3
+  usnet evaluate --suite controls --detector reader --out runs/controls
 """  # click reads the control characters: they keep the lines
 
 
