@@ -79,4 +79,5 @@ def _read(path: Path) -> dict[str, Any]:
     if "extends" not in content:
         return content
     base = _read(Path(content.pop("extends")))
-    return base | content | {name: (base.get(name) or {}) | (content.get(name) or {}) for name in ("arguments", "cells")}
+    joined = {name: (base.get(name) or {}) | (content.get(name) or {}) for name in ("arguments", "cells")}
+    return base | content | joined
