@@ -1,5 +1,6 @@
 """Baselines: the trivial policies, factions with their leaders, Granger causality, and networks of pairs."""
 
+from detectors.baselines.blind import CentralMost, TrackOutlier
 from detectors.baselines.correlations import DirectionalDelays, FrontMost, LaggedNetwork, NetLagRegression
 from detectors.baselines.factions import Factions
 from detectors.baselines.networks import NetworkDetector
@@ -7,5 +8,5 @@ from detectors.baselines.transfer_entropy import TransferEntropy
 from detectors.baselines.warping import Flica, Mflica
 from detectors.lagged import Granger
 
-__all__ = ["DirectionalDelays", "Flica", "FrontMost", "LaggedNetwork", "Mflica", "NetLagRegression", "TransferEntropy"]
-__all__ += ["Factions", "Granger", "NetworkDetector"]
+__all__ = ["CentralMost", "DirectionalDelays", "Flica", "FrontMost", "LaggedNetwork", "Mflica", "NetLagRegression", "TransferEntropy"]
+__all__ += ["Factions", "Granger", "NetworkDetector", "TrackOutlier"]

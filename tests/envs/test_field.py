@@ -6,12 +6,12 @@ import pytest
 
 from usnet_env import ArgumentError
 from usnet_env.envs import FieldEnv
-from usnet_env.envs.field import DISTRIBUTION
+from usnet_env.envs.field import DISTRIBUTIONS
 from usnet_env.swarm import SwarmConfig
 from usnet_env.swarm.follow import FIELD_MODELS
 from usnet_env.swarm.kinematics import KINEMATICS
 
-FIELD = "USNET/Field-v0"
+FIELD = "USNET/Field-v1"
 
 
 def drawn(count=300, **arguments):
@@ -21,17 +21,25 @@ def drawn(count=300, **arguments):
         yield env.config
 
 
-def test_every_model_is_in_the_distribution_and_is_drawn():
-    assert set(DISTRIBUTION.follow) == set(FIELD_MODELS)
-    assert set(DISTRIBUTION.kinematics) <= set(KINEMATICS)
-    configs = list(drawn())
+@pytest.mark.parametrize("distribution", list(DISTRIBUTIONS.values()), ids=lambda each: each.version)
+def test_every_model_is_in_the_distribution_and_is_drawn(distribution):
+    assert set(distribution.follow) == set(FIELD_MODELS)
+    assert set(distribution.kinematics) <= set(KINEMATICS)
+    configs = list(drawn(distribution=distribution.version))
     for name in ("follow", "mobility", "kinematics", "formation"):
-        assert {getattr(config, name) for config in configs} == set(getattr(DISTRIBUTION, name)), name
+        assert {getattr(config, name) for config in configs} == set(getattr(distribution, name)), name
     for name in ("clusters", "decoys", "bystanders", "traffic"):
-        low, high = getattr(DISTRIBUTION, name)
+        low, high = getattr(distribution, name)
         assert {getattr(config, name) for config in configs} == set(range(low, high + 1)), name
     assert {config.uavs for config in configs} == {82}
     assert np.mean([config.position_noise == 0 for config in configs]) == pytest.approx(0.5, abs=0.1)
+
+
+def test_the_versions_differ_in_the_formation_alone():
+    assert gym.make(FIELD).unwrapped.spec.kwargs == {"distribution": 2}
+    for before, after in zip(drawn(20, distribution=1), drawn(20, distribution=2), strict=True):
+        assert after.formation == {"around": "gathered", "uniform": "uniform"}[before.formation]
+        assert SwarmConfig(**{**after.model_dump(), "formation": before.formation}) == before
 
 
 def test_an_argument_fixes_its_part_and_no_other():

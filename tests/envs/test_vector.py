@@ -23,7 +23,7 @@ def same(one, other):
         *((name, {}) for name in sorted(ENVIRONMENTS)),
         ("USNET/SingleCluster-v0", {"follow": "f7", "reveal_truth": True}),
         (MULTI, {"follow": "f7", "reveal_truth": True, "max_rounds": 2}),
-        ("USNET/Field-v0", {"follow": "f7", "reveal_truth": True, "max_rounds": 2}),
+        ("USNET/Field-v1", {"follow": "f7", "reveal_truth": True, "max_rounds": 2}),
     ],
 )
 def test_equal_to_single_envs_over_many_episodes(name, arguments):

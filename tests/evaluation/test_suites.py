@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from hashlib import sha256
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -39,10 +38,10 @@ def path(tmp_path):
 
 
 def test_no_file_changed_without_a_new_version():
-    """A changed file needs a new version, and a line of its own in tests/evaluation/data/suite_hashes.json."""
+    """A change, but of the purpose, needs a new version, and a line in tests/evaluation/data/suite_hashes.json."""
     for name, suite in list_suites().items():
-        data = (files("usnet_env.evaluation") / "suites" / f"{name}.yaml").read_bytes()
-        assert HASHES[name][str(suite.version)] == sha256(data).hexdigest()
+        played = json.dumps(suite.model_dump(exclude={"purpose"}), sort_keys=True)
+        assert HASHES[name][str(suite.version)] == sha256(played.encode()).hexdigest()
         assert suite.version == max(map(int, HASHES[name]))
 
 
@@ -53,6 +52,23 @@ def test_every_cell_can_be_made_and_seeds_of_suites_differ():
             make_environment(cell.env, cell.arguments).close()
     seeds = [seed for suite in suites for seed in (suite.seed, suite.tuning_seed)]
     assert len(set(seeds)) == len(seeds)
+
+
+def test_a_suite_extends_another_one(path, tmp_path):
+    """What a file lacks is that of the other; arguments and cells are joined, and a cell's argument stays its own."""
+    further = tmp_path / "further.yaml"
+    more = "{purpose: More., seed: 5000, arguments: {clusters: 3, follow: f2}, cells: {last: {follow: f5}}}"
+    further.write_text(f"{more[:-1]}, extends: {path}}}")
+    base, suite = load_suite(path), load_suite(further)
+    assert (suite.name, suite.purpose, suite.seed) == ("further", "More.", 5000)
+    assert (suite.version, suite.episodes, suite.tuning_seed) == (base.version, base.episodes, base.tuning_seed)
+    follow = {name: cell.arguments["follow"] for name, cell in suite.cells.items()}
+    assert follow == {"plain": "f2", "run.json": "f4", "last": "f5"}
+    assert {(cell.arguments["clusters"], cell.arguments["uavs"]) for cell in suite.cells.values()} == {(3, 12)}
+    for name in ("field", "controls", "sensing"):
+        old, new = load_suite(name), load_suite(f"{name}-v2")
+        changed = {cell: given.arguments | {"formation": "gathered"} for cell, given in old.cells.items()}
+        assert changed == {cell: given.arguments for cell, given in new.cells.items()}
 
 
 @pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
@@ -130,6 +146,7 @@ def test_detectors_are_compared_over_cells_by_groups_of_a_swarm(path):
         (SUITE + "  last: {follow: {f1: f2}}\n", "follow must be a name, .*, in the cell 'last' of the suite own."),
         (SUITE.replace("seed: 4711", "seed: 4"), "seed must be greater than or equal to 1000, got 4."),
         (SUITE.replace("purpose: A test.", ""), "purpose must be given"),
+        (SUITE + "extends: feld\n", "suite must be one of .*, got 'feld'"),
         (SUITE + "extra: 3\n", "extra is not an argument of Suite"),
         (SUITE.replace("plain:", "plain: 3"), "suite must be a YAML file with a mapping of cells"),
     ],

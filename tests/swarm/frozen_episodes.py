@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from usnet_env.envs.field import DISTRIBUTION
+from usnet_env.envs.field import DISTRIBUTIONS
 from usnet_env.swarm import SwarmConfig, advance, destroy, start
 from usnet_env.swarm.follow import CONTROLS, FIELD_MODELS
 from usnet_env.swarm.kinematics import KINEMATICS
@@ -57,9 +57,13 @@ def make_entries() -> dict[str, Callable[[], Any]]:
             for name in ("unit", "varied_speed", "lagged", "limited", "layered")
         },
         "bystanders 1": lambda: fly(follow="f2", bystanders=6, traffic=7),
+        "gathered 1": lambda: fly(follow="f2", formation="gathered", decoys=2, bystanders=4, traffic=3, clutter=3),
         "clutter 1": lambda: fly(follow="f2", traffic=3, clutter=8),
         "course_noise 1": lambda: fly(follow="f2", position_noise=1.0, course_noise=3.0),
-        f"distribution {DISTRIBUTION.version}": lambda: [DISTRIBUTION.draw(np.random.default_rng(s)) for s in range(4)],
+        **{
+            f"distribution {version}": lambda each=each: [each.draw(np.random.default_rng(s)) for s in range(4)]
+            for version, each in DISTRIBUTIONS.items()
+        },
     }
     return entries
 

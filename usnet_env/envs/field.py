@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from gymnasium.vector import SyncVectorEnv
@@ -28,7 +28,7 @@ _FORMATION = {"around": 3.0, "uniform": 1.0}
 
 
 class FieldDistribution(Config):
-    """The distribution of the swarms of ``USNET/Field-v0``. All draws are independent.
+    """The distribution of the swarms of ``USNET/Field-v0`` and ``USNET/Field-v1``. All draws are independent.
 
     ``follow``, ``mobility``, ``kinematics`` and ``formation`` have a weight for each name. The numbers are equally
     likely from the smallest to the largest. ``jitter`` is the probability of the head jitter. With the probability
@@ -84,7 +84,8 @@ class FieldDistribution(Config):
         }
 
 
-DISTRIBUTION = FieldDistribution()
+#: The distributions by version.
+DISTRIBUTIONS = {1: FieldDistribution(), 2: FieldDistribution(version=2, formation={"gathered": 3.0, "uniform": 1.0})}
 
 
 def _drawn(text: str) -> Any:
@@ -94,6 +95,7 @@ def _drawn(text: str) -> Any:
 class FieldArguments(OutputArguments, game.RoundArguments):
     """The arguments of :class:`FieldEnv`; what is ``None`` is drawn for each episode."""
 
+    distribution: Literal[1, 2] = Field(1, description="version of the distribution")
     uavs: Count = Field(82, description="N, number of UAVs")
     observation_steps: Count = Field(100, description="T_ob, number of velocity samples in a window")
     sample_every: Steps = Field(1, description="the observer samples every k-th step")
@@ -132,7 +134,7 @@ class FieldEnv(UsnetEnv):
     N and T_ob are fixed. The agent doesn't know what was drawn. In some episodes no UAV leads: H_0 is empty, the right
     answer is the empty set, and the game ends after one round.
 
-    `usnet_env.envs.field.DISTRIBUTION` is the distribution; any part of it can be fixed by an argument.
+    `usnet_env.envs.field.DISTRIBUTIONS` has the distributions by version; any part of it can be fixed by an argument.
 
     ## Action Space
     That of `USNET/MultiCluster-v0`.
@@ -158,6 +160,7 @@ class FieldEnv(UsnetEnv):
     {arguments}
 
     ## Version History
+    * v1: distribution 2, in which the formation `gathered` takes the place of `around`
     * v0: first version, distribution 1
     """
 
@@ -168,14 +171,15 @@ class FieldEnv(UsnetEnv):
     @takes_arguments(FieldArguments)
     def __init__(self, arguments: FieldArguments) -> None:
         self._arguments = arguments
-        drawn = DISTRIBUTION.draw(np.random.default_rng(0))
-        self.widest_config = arguments.make_config({**drawn, **DISTRIBUTION.largest})
+        self._distribution = DISTRIBUTIONS[arguments.distribution]
+        drawn = self._distribution.draw(np.random.default_rng(0))
+        self.widest_config = arguments.make_config({**drawn, **self._distribution.largest})
         self.drawn_arguments = {name: getattr(arguments, name) for name in drawn}
         super().__init__(self.widest_config, arguments.part(game.Rules, problem="P2"), arguments)
 
     def _draw_config(self) -> SwarmConfig:
         """Draw the swarm of the next episode. All parts are drawn, so a fixed one doesn't change the others."""
-        self.config = self._arguments.make_config(DISTRIBUTION.draw(self.np_random))
+        self.config = self._arguments.make_config(self._distribution.draw(self.np_random))
         return self.config
 
     def _settings(self) -> dict[str, Any]:
@@ -183,7 +187,7 @@ class FieldEnv(UsnetEnv):
 
 
 class FieldVectorEnv(SyncVectorEnv):
-    """B games of :class:`FieldEnv`, one after another; see ``gym.make_vec("usnet_env:USNET/Field-v0", num_envs=B)``."""
+    """B games of :class:`FieldEnv`, one after another; see ``gym.make_vec("usnet_env:USNET/Field-v1", num_envs=B)``."""
 
     def __init__(self, num_envs: int = 1, **arguments: Any) -> None:
         super().__init__([lambda: FieldEnv(**arguments)] * check_batch(num_envs, arguments))

@@ -1,4 +1,4 @@
-"""The registered ids: two environments, and presets of their arguments."""
+"""The registered ids: environments, and presets of their arguments."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ ENVIRONMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "USNET/MultiCluster-Smooth-v0": ("MultiCluster", {"mobility": "gauss_markov", "head_jitter": True}),
     "USNET/MultiCluster-NoFollowers-v0": ("MultiCluster", {"follow": "none"}),
     "USNET/Field-v0": ("Field", {}),
+    "USNET/Field-v1": ("Field", {"distribution": 2}),
     "USNET/Field-Delays-v0": ("Field", {"follow": "unequal_delays"}),
     "USNET/Field-Chain-v0": ("Field", {"follow": "chain"}),
     "USNET/Field-Pigeons-v0": ("Field", {"follow": "pigeons"}),

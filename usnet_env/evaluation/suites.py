@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from importlib.resources import files
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import yaml
@@ -46,7 +47,7 @@ def list_suites() -> dict[str, Suite]:
 
 
 def load_suite(suite: str | PathLike[str]) -> Suite:
-    """Read a suite.
+    """Read a suite. What a file with ``extends`` lacks is that of the named suite; arguments and cells are joined.
 
     Args:
         suite: the name of a suite of this package, or the path of a YAML file.
@@ -55,16 +56,28 @@ def load_suite(suite: str | PathLike[str]) -> Suite:
         ArgumentError: there is no such suite, or the file does not describe one; the message names its first fault.
     """
     path = as_path("suite", suite)
-    source: Any = path if path.suffix in (".yaml", ".yml") else _FOLDER / f"{suite}.yaml"
-    if source is not path and not source.is_file():
-        raise unknown_name("suite", str(suite), _NAMES)
     try:
-        content = dict(yaml.safe_load(source.read_bytes()))
+        content = _read(path)
         shared, env = content.pop("arguments", None) or {}, content.pop("env", "USNET/MultiCluster-v0")
         cells = {str(name): {"env": env} | shared | (given or {}) for name, given in content.pop("cells").items()}
-    except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError) as error:
+    except ArgumentError:
+        raise
+    except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
         reason = " ".join(str(getattr(error, "strerror", None) or error).split())
         sentence = f"suite must be a YAML file with a mapping of cells, got {path.name!r}: {reason}."
         raise ArgumentError(sentence) from None
     made = {name: Cell(env=arguments.pop("env"), arguments=arguments) for name, arguments in cells.items()}
     return Suite(name=path.stem, cells=made, **content)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """Read a file of a suite, together with those that it extends; ``path`` may also be a name."""
+    source: Any = path if path.suffix in (".yaml", ".yml") else _FOLDER / f"{path}.yaml"
+    if source is not path and not source.is_file():
+        raise unknown_name("suite", str(path), _NAMES)
+    content: dict[str, Any] = dict(yaml.safe_load(source.read_bytes()))
+    if "extends" not in content:
+        return content
+    base = _read(Path(content.pop("extends")))
+    joined = {name: (base.get(name) or {}) | (content.get(name) or {}) for name in ("arguments", "cells")}
+    return base | content | joined

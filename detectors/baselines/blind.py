@@ -1,0 +1,108 @@
+"""Detectors that are blind to who copies whom: one sees a single instant, the other each track alone.
+
+Where such a detector is better than chance, a score doesn't show that anybody found who follows whom.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from detectors.base import Detector
+from detectors.series.gaps import fill_gaps
+from usnet_env.arrays import Floats, Indices
+from usnet_env.detection import Detection, Tags
+from usnet_env.window import Window
+
+
+class CentralMost(Detector):
+    """Names the UAV in the middle of each group; it sees where the UAVs are at the end of the window, and no motion.
+
+    Groups are single-linkage clusters of at least 3 UAVs. Scores fall with the distance from the middle of the group.
+
+    Args:
+        reach: the longest link, in units of the median distance from a UAV to the nearest other one.
+    """
+
+    tags = Tags(most_uavs=10_000)
+
+    reach: Annotated[float, Field(gt=0, le=100)] = 3.0
+
+    def detect(self, window: Window) -> Detection:
+        """Name a UAV in each group. Clusters are the groups; -1: in none."""
+        reach = self.check_arguments().reach
+        scores, clusters = np.zeros(window.uavs), np.full(window.uavs, -1, np.int64)
+        living = np.flatnonzero(window.alive & window.seen.any(axis=0))
+        candidates = np.zeros(window.uavs, bool)
+        if len(living) > 1:
+            place = fill_gaps(window).position[-1, living].astype(np.float64)
+            clusters[living] = group_by_distance(place, reach)
+        for group in range(clusters.max() + 1):
+            members = np.flatnonzero(clusters == group)
+            points = place[np.searchsorted(living, members)]
+            far = np.linalg.norm(points - points.mean(axis=0), axis=1)
+            scores[members] = 1.0 / (1.0 + far / max(float(far.mean()), 1e-9))
+            candidates[members[far.argmin()]] = True
+        return Detection(candidates=candidates, scores=scores, clusters=clusters)
+
+
+def group_by_distance(place: Floats, reach: float) -> Indices:
+    """Groups ``(n,)`` of at least 3 points ``(n, 3)`` by single linkage; -1: in no group.
+
+    ``reach`` is the longest link, in units of the median distance to the nearest other point.
+    """
+    tree = KDTree(place)
+    nearest = np.median(tree.query(place, 2)[0][:, 1])
+    pairs = tree.query_pairs(reach * float(nearest), output_type="ndarray")
+    links = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(place),) * 2)
+    group = connected_components(links, directed=False)[1]
+    large = np.bincount(group) >= 3
+    return np.where(large[group], np.cumsum(large)[group] - 1, -1).astype(np.int64)
+
+
+class TrackOutlier(Detector):
+    """Names the UAVs whose track, seen alone, is unlike the others: by its speed, turns and memory.
+
+    The distance of a track is the root mean square of its features' distances from their medians, in units of the
+    median distance. Scores are these distances.
+
+    Args:
+        threshold: the distance from which a UAV is named; the farthest one is named if there is none.
+    """
+
+    tags = Tags(least_steps=2, uses_positions=False)
+
+    threshold: Annotated[float, Field(ge=0, le=1000)] = 4.0
+
+    def detect(self, window: Window) -> Detection:
+        """Name the outliers among the living UAVs."""
+        threshold = self.check_arguments().threshold
+        scores, alive = np.zeros(window.uavs), window.alive
+        if alive.any():
+            features = describe_tracks(fill_gaps(window).velocity[:, alive].astype(np.float64))
+            away = np.abs(features - np.median(features, axis=0))
+            spread = np.median(away, axis=0)
+            scores[alive] = np.sqrt((np.where(spread > 1e-9, away / np.maximum(spread, 1e-9), 0.0) ** 2).mean(axis=1))
+        least = min(threshold, scores.max(initial=0.0))
+        return Detection(candidates=alive & (scores >= least) & (scores > 0), scores=scores)
+
+
+def describe_tracks(velocity: Floats) -> Floats:
+    """Features ``(n, at most 8)`` of the velocities ``(T, n, 3)`` of each track alone.
+
+    They are the mean and the spread of the speed and of the turns (1 - cosine), and correlations with its own past at
+    4 lags up to a quarter of the window.
+    """
+    speed = np.linalg.norm(velocity, axis=2)
+    course = velocity / np.maximum(speed, 1e-12)[..., None]
+    turn = 1.0 - (course[1:] * course[:-1]).sum(axis=2)
+    centred = course - course.mean(axis=0)
+    power = np.maximum((centred**2).sum(axis=2).mean(axis=0), 1e-12)
+    lags = np.unique(np.geomspace(1, max(1, len(velocity) // 4), 4).astype(int))
+    memory = [(centred[lag:] * centred[:-lag]).sum(axis=2).mean(axis=0) / power for lag in lags]
+    return np.stack([speed.mean(axis=0), speed.std(axis=0), turn.mean(axis=0), turn.std(axis=0), *memory], axis=1)
