@@ -79,7 +79,7 @@ def read(weights: Weights, features: Features) -> Answer:
     pair = np.zeros((n * n, width), np.float32)
     normed = np.empty_like(pair)
     change = _apply(weights, "rows", entered.reshape(n * n, 2 * width))
-    for block in range(sum(name.endswith(".attention.bias") for name in weights)):
+    for block in range(sum(name.endswith(".attention.weight") for name in weights)):
         _add_and_normalise(pair, change, normed)
         change, state = _update(weights, f"blocks.{block}", normed, state)
     _add_and_normalise(pair, change, normed)
@@ -93,7 +93,7 @@ def read(weights: Weights, features: Features) -> Answer:
 def _update(weights: Weights, block: str, normed: Singles, state: Singles) -> tuple[Singles, Singles]:
     """The change of pairs ``(n * n, w)``, and the new vectors of UAVs ``(n, w)``."""
     n, width = state.shape
-    given = _apply(weights, f"{block}.attention", normed).reshape(n, n, -1)
+    given = (normed @ weights[f"{block}.attention.weight"].T).reshape(n, n, -1)
     known, heads = _normalise(state), given.shape[2]
     chosen, received = np.zeros((2, n, heads, width), np.float32)
     looked_at = np.zeros_like(state)
@@ -127,7 +127,7 @@ def _apply(weights: Weights, name: str, values: Singles) -> Singles:
 
 def _apply_layers(weights: Weights, name: str, values: Singles) -> Singles:
     hidden = _apply(weights, f"{name}.first", values)
-    hidden *= _HALF * (_ONE + np.tanh(_SLOPE * (hidden + _CUBE * hidden**3)))
+    hidden *= _HALF * (_ONE + np.tanh(_SLOPE * (hidden + _CUBE * hidden * hidden * hidden)))
     return _apply(weights, f"{name}.second", hidden)
 
 

@@ -61,7 +61,7 @@ class _Block(nn.Module):
     def __init__(self, sizes: NetworkSizes) -> None:
         super().__init__()
         width = sizes.width
-        self.attention = nn.Linear(width, sizes.attn_heads)
+        self.attention = nn.Linear(width, sizes.attn_heads, bias=False)
         self.chosen = nn.Linear(width, width)  # of rows (heads of attention, their values)
         self.received = nn.Linear(width, width)
         self.uav = _TwoLayers(5 * width, 2 * width, width)
@@ -81,7 +81,7 @@ class _Block(nn.Module):
         batch, n, width = uav.shape
         normed = layer_norm(pair, (width,))
         turned = normed.transpose(1, 2).contiguous()
-        logits = torch.matmul(self.attention.weight, normed.transpose(2, 3)) + self.attention.bias[:, None]
+        logits = torch.matmul(self.attention.weight, normed.transpose(2, 3))
         given = torch.softmax(logits, dim=3)  # (B, i, heads, j)
         taken = given.permute(0, 3, 2, 1).contiguous()  # (B, j, heads, i)
         state = layer_norm(uav, (width,))
