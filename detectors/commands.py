@@ -62,6 +62,21 @@ _add_training(
     _number("--strategies", 1, 10**7, 100, "F, number of random follow strategies."),
     _number("--episodes", 1, 10**7, 10_000, "Number of episodes."),
 )
+_add_training(
+    "reader",
+    "the network of the reader",
+    "detectors.reader.train",
+    "ReaderTraining",
+    "train_reader",
+    click.Option(
+        ["--preset"], type=click.Choice(["minutes", "hours"]), default="minutes", show_default=True, help="How long."
+    ),
+    click.Option(["--start"], metavar="WEIGHTS", help="Weights to begin with, instead of random ones."),
+    click.Option(["--without"], multiple=True, metavar="FAMILY", help="A family of the prior that is left out."),
+    click.Option(
+        ["--device"], type=click.Choice(["cpu", "cuda"]), default="cpu", show_default=True, help="Where it learns."
+    ),
+)
 
 
 @click.command(name="check-detector", short_help="Test that a detector keeps the contract.")
