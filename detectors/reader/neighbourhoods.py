@@ -120,7 +120,8 @@ def link_alike(velocity: Singles, seen: Mask) -> tuple[Indices, Floats]:
     near = csr_array((ones, (np.append(row, np.arange(uavs)), np.append(column, np.arange(uavs)))), (uavs, uavs))
     shared = np.asarray((near @ near.T)[row, column]).ravel()
     chance = np.sqrt(2.0 * np.log(uavs * (2 * len(shifts) + 1)) / width)
-    return np.stack([row, column], axis=1), likeness.ravel() / chance * np.sqrt(shared)
+    fade = np.minimum(likeness.ravel() / np.maximum(likeness.min(axis=1)[column], 1e-9), 1.0)
+    return np.stack([row, column], axis=1), likeness.ravel() / chance * np.sqrt(shared) * np.sign(fade) * fade**2
 
 
 def _merge_links(links: Indices, weight: Floats, uavs: int) -> Indices:
@@ -151,16 +152,24 @@ def _explain_groups(velocity: Singles, seen: Mask, community: Indices, groups: I
     past = np.concatenate([turns[possible], find_turns(products, seen[:, possible])], axis=2)  # (p, T, 9)
     gram = past.transpose(0, 2, 1) @ past
     gram += (1e-2 * np.trace(gram, axis1=1, axis2=2) / 9 + 1e-9)[:, None, None] * np.eye(9, dtype=np.float32)
-    white = np.linalg.solve(np.linalg.cholesky(gram), past.transpose(0, 2, 1))  # (p, 9, T)
-    share = np.zeros((len(possible), len(groups)))
+    white = np.linalg.solve(np.linalg.cholesky(gram), past.transpose(0, 2, 1)).astype(np.float32)  # (p, 9, T)
+    share, reverse = np.zeros((2, len(possible), len(groups)))
     for lag in range(1, min(_LAST_LAG, steps // 3) + 1):
         later = target[:, lag:].transpose(1, 0, 2).reshape(steps - lag, -1)
+        sooner = target[:, :-lag].transpose(1, 0, 2).reshape(steps - lag, -1)
         for first in range(0, len(possible), _CHUNK):
-            part = white[first : first + _CHUNK, :, : steps - lag].astype(np.float32).reshape(-1, steps - lag) @ later
-            found = (part.reshape(-1, 9, len(groups), 3) ** 2).sum(axis=(1, 3))
-            np.maximum(share[first : first + _CHUNK], found, out=share[first : first + _CHUNK])
+            at = slice(first, first + _CHUNK)
+            np.maximum(share[at], _squares(white[at, :, :-lag], later), out=share[at])
+            np.maximum(reverse[at], _squares(white[at, :3, lag:], sooner), out=reverse[at])
+    share -= reverse
     share[community[possible][:, None] == groups] = -1.0
     return share
+
+
+def _squares(white: Singles, target: Singles) -> Singles:
+    """Sums of squared products ``(p, g)`` of series ``(p, d, t)`` and ``(t, 3 g)``."""
+    product = white.reshape(-1, white.shape[2]) @ target
+    return np.asarray((product**2).reshape(len(white), white.shape[1], -1, 3).sum(axis=(1, 3)))
 
 
 def _pack_pieces(piece: Indices, guests: dict[int, list[int]]) -> list[Neighbourhood]:
