@@ -18,8 +18,9 @@ from usnet_env.arrays import Floats, Indices, Mask, Singles
 SIZE = 82  # UAVs of a neighbourhood; the network has learned from swarms of this size
 _MERGED = 60  # of them that are merged; the others join
 _LINKS = 12  # of each UAV
-_STRONG = 2.0  # weight of a link that isn't due to chance
-_JOINING = 3  # UAVs for each community
+_STRONG = 2.3  # weight of a link that isn't due to chance
+_JOINING = 4  # UAVs for each community
+_RIVALS = 200  # UAVs that may come first, of each community
 _LAST_LAG = 12  # steps
 _WORK = 3e10  # products in a comparison of all pairs; in a larger swarm, steps are averaged before
 _CHUNK = 512  # UAVs whose pairs are compared at once
@@ -48,10 +49,11 @@ def cut_swarm(velocity: Singles, seen: Mask) -> list[Neighbourhood]:
     possible = np.flatnonzero((size[community] < 3) | np.isin(community, torn))
     guests: dict[int, list[int]] = {}
     if len(groups) and len(possible) and steps > 3:
-        share = _explain_groups(velocity, seen, community, groups, possible)
-        best = np.argsort(-share, axis=0, kind="stable")[:_JOINING]
+        turns = find_turns(velocity, seen)
+        share = _explain_groups(velocity, seen, turns, community, groups, possible)
         joins = np.zeros(share.shape, bool)
-        np.put_along_axis(joins, best, True, axis=0)
+        for group, column in enumerate(share.T):
+            joins[_choose_first(column, turns[possible]), group] = True
         for place in np.flatnonzero(joins.any(axis=1)):
             uav, into = possible[place], np.flatnonzero(joins[place])
             if size[community[uav]] < 3:
@@ -141,10 +143,11 @@ def _merge_links(links: Indices, weight: Floats, uavs: int) -> Indices:
     return np.array([find(uav) for uav in range(uavs)])
 
 
-def _explain_groups(velocity: Singles, seen: Mask, community: Indices, groups: Indices, possible: Indices) -> Floats:
+def _explain_groups(
+    velocity: Singles, seen: Mask, turns: Singles, community: Indices, groups: Indices, possible: Indices
+) -> Floats:
     """Share of each group's mean turns that each possible head's past explains best at one lag, ``(p, g)``; -1: own."""
     steps = len(seen)
-    turns = find_turns(velocity, seen)
     target = np.stack([turns[community == group].mean(axis=0) for group in groups])  # (g, T, 3)
     target /= np.maximum(np.sqrt((target**2).sum(axis=(1, 2))), 1e-9)[:, None, None]
     flown = velocity[:, possible]
@@ -170,6 +173,18 @@ def _squares(white: Singles, target: Singles) -> Singles:
     """Sums of squared products ``(p, g)`` of series ``(p, d, t)`` and ``(t, 3 g)``."""
     product = white.reshape(-1, white.shape[2]) @ target
     return np.asarray((product**2).reshape(len(white), white.shape[1], -1, 3).sum(axis=(1, 3)))
+
+
+def _choose_first(share: Floats, turns: Singles) -> Indices:
+    """The UAV with the largest share, and of those with half of it the ones whose turns ``(p, T, 3)`` come first."""
+    good = np.argsort(-share, kind="stable")[:_RIVALS]
+    good = good[share[good] > 0.5 * share[good[0]]]
+    some = turns[good].reshape(len(good), -1)
+    ahead = np.zeros((len(good), len(good)), np.float32)
+    for shift in range(3, 3 * min(_LAST_LAG, turns.shape[1] // 3) + 1, 3):
+        np.maximum(ahead, some[:, :-shift] @ some[:, shift:].T, out=ahead)  # of i before j
+    first = np.argsort((ahead.T - ahead).sum(axis=1), kind="stable")
+    return np.union1d(good[:1], good[first[: _JOINING - 1]])
 
 
 def _pack_pieces(piece: Indices, guests: dict[int, list[int]]) -> list[Neighbourhood]:
