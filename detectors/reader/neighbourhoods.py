@@ -19,7 +19,8 @@ SIZE = 82  # UAVs of a neighbourhood; the network has learned from swarms of thi
 _MERGED = 60  # of them that are merged; the others join
 _LINKS = 12  # of each UAV
 _STRONG = 2.3  # weight of a link that isn't due to chance
-_JOINING = 4  # UAVs for each community
+_JOINING = 2  # UAVs that join a community because they explain most, and because they turn first
+_FEW = 2000  # UAVs of which each may join; of more, those without a community and those of divided ones
 _RIVALS = 200  # UAVs that may come first, of each community
 _LAST_LAG = 12  # steps
 _WORK = 3e10  # products in a comparison of all pairs; in a larger swarm, steps are averaged before
@@ -46,7 +47,7 @@ def cut_swarm(velocity: Singles, seen: Mask) -> list[Neighbourhood]:
     size = np.bincount(community, minlength=uavs)
     groups = np.flatnonzero(size > 2)
     torn = np.unique(community[links[strong][(community[links[strong, 0]] != community[links[strong, 1]])]])
-    possible = np.flatnonzero((size[community] < 3) | np.isin(community, torn))
+    possible = np.flatnonzero((uavs <= _FEW) | (size[community] < 3) | np.isin(community, torn))
     guests: dict[int, list[int]] = {}
     if len(groups) and len(possible) and steps > 3:
         turns = find_turns(velocity, seen)
@@ -176,15 +177,15 @@ def _squares(white: Singles, target: Singles) -> Singles:
 
 
 def _choose_first(share: Floats, turns: Singles) -> Indices:
-    """The UAV with the largest share, and of those with half of it the ones whose turns ``(p, T, 3)`` come first."""
-    good = np.argsort(-share, kind="stable")[:_RIVALS]
-    good = good[share[good] > 0.5 * share[good[0]]]
-    some = turns[good].reshape(len(good), -1)
+    """The UAVs with the largest shares, and of those with half of it the ones whose turns ``(p, T, 3)`` come first."""
+    best = np.argsort(-share, kind="stable")[:_RIVALS]
+    good = best[share[best] >= 0.5 * abs(share[best[0]])]
+    some = turns[good].reshape(len(good), 3 * turns.shape[1])
     ahead = np.zeros((len(good), len(good)), np.float32)
     for shift in range(3, 3 * min(_LAST_LAG, turns.shape[1] // 3) + 1, 3):
         np.maximum(ahead, some[:, :-shift] @ some[:, shift:].T, out=ahead)  # of i before j
     first = np.argsort((ahead.T - ahead).sum(axis=1), kind="stable")
-    return np.union1d(good[:1], good[first[: _JOINING - 1]])
+    return np.union1d(best[:_JOINING], good[first[:_JOINING]])
 
 
 def _pack_pieces(piece: Indices, guests: dict[int, list[int]]) -> list[Neighbourhood]:
