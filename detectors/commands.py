@@ -72,6 +72,21 @@ _add_training(
     _number("--swarms", 1, 10**5, 8, "Swarms in each step."),
 )
 _add_training(
+    "reader",
+    "the network of the reader",
+    "detectors.reader.train",
+    "ReaderTraining",
+    "train_reader",
+    click.Option(
+        ["--preset"], type=click.Choice(["minutes", "hours"]), default="minutes", show_default=True, help="How long."
+    ),
+    click.Option(["--start"], metavar="WEIGHTS", help="Weights to begin with, instead of random ones."),
+    click.Option(["--without"], multiple=True, metavar="FAMILY", help="A family of the prior that is left out."),
+    click.Option(
+        ["--device"], type=click.Choice(["cpu", "cuda"]), default="cpu", show_default=True, help="Where it learns."
+    ),
+)
+_add_training(
     "follow-mixture",
     "the calibration of follow-mixture",
     "detectors.follow_mixture.train",

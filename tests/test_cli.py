@@ -100,7 +100,7 @@ def test_values_of_set_are_json_or_yaml():
         ("follow", [*(f"f{number}" for number in range(1, 8)), "none"]),
         ("mobility", ["iid", "gauss_markov", "smooth_turn", "waypoint", "straight"]),
         ("kinematics", ["unit", "limited"]),
-        ("formation", ["uniform", "around"]),
+        ("formation", ["uniform", "around", "gathered"]),
         ("placement", ["grid", "uniform"]),
         ("fusion", ["union", "majority", "scores"]),
         ("clusterer", ["kmeans", "spectral"]),

@@ -28,7 +28,7 @@ _SHORT_REPR.maxlist = _SHORT_REPR.maxtuple = 30
 _SHORT_REPR.maxlevel = 3
 
 #: The module of each optional package, and the extra that brings it.
-EXTRAS = {"torch": "torch", "safetensors": "torch", "matplotlib": "render", "rerun": "replay", "ray": "ray"}
+EXTRAS = {"torch": "torch", "matplotlib": "render", "rerun": "replay", "ray": "ray"}
 EXTRAS |= {"pettingzoo": "multiagent", "pyarrow": "tracks", "pyproj": "tracks", "pyulog": "tracks"}
 
 _EXPECTED = {  # texts for pydantic's error types

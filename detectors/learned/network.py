@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import torch
 from pydantic import Field
@@ -111,13 +111,13 @@ def draw_network(sizes: NetworkSizes, seed: int) -> HeadNetwork:
         return HeadNetwork(sizes)
 
 
-def build_network(path: str, arrays: Mapping[str, Tensor]) -> HeadNetwork:
+def build_network(path: str, arrays: Mapping[str, Any]) -> HeadNetwork:
     """Build the network with these weights, if they are those of one; its sizes follow from their shapes."""
     try:
         width, attn_heads = len(arrays["itself"]), len(arrays["blocks.0.attention.weight"])
         blocks = sum(name.endswith(".attention.weight") for name in arrays)
         network = draw_network(NetworkSizes(width=width, attn_heads=attn_heads, blocks=blocks), 0)
-        network.load_state_dict(dict(arrays))
+        network.load_state_dict({name: torch.as_tensor(array) for name, array in arrays.items()})
     except (KeyError, TypeError, RuntimeError, ArgumentError) as error:
         raise ArgumentError(f"path must hold the arrays of a head network, got {quote(path)}: {error}.") from None
     return network.eval()

@@ -191,7 +191,8 @@ def _evaluate_network(training: HeadTraining, network: HeadNetwork, losses: list
 
 def _read_checkpoint(checkpoint: Checkpoint, network: HeadNetwork, optimiser: torch.optim.Optimizer) -> list[float]:
     """Set the network and the optimiser to the checkpoint's, if there is one, and return the losses so far."""
-    arrays, losses = checkpoint.read()
+    read, losses = checkpoint.read()
+    arrays = {name: torch.as_tensor(array) for name, array in read.items()}
     if losses:
         network.load_state_dict({name: arrays[f"network.{name}"] for name in network.state_dict()})
         names, count = ("step", "exp_avg", "exp_avg_sq"), len(list(network.parameters()))

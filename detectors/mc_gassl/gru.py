@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 import torch
+from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor
 
@@ -97,6 +98,6 @@ def load_meta_weights() -> GruParameters:
     return read_parameters(packaged_arrays("detectors.mc_gassl", "meta"))
 
 
-def read_parameters(arrays: Mapping[str, Tensor]) -> GruParameters:
+def read_parameters(arrays: Mapping[str, NDArray[Any]]) -> GruParameters:
     """W among the arrays of a weights file or a checkpoint."""
-    return GruParameters(arrays["reset"], arrays["update"], arrays["candidate"])
+    return GruParameters(*(torch.from_numpy(arrays[name]) for name in ("reset", "update", "candidate")))

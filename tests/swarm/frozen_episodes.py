@@ -57,6 +57,7 @@ def make_entries() -> dict[str, Callable[[], Any]]:
             for name in ("unit", "varied_speed", "lagged", "limited", "layered")
         },
         "bystanders 1": lambda: fly(follow="f2", bystanders=6, traffic=7),
+        "gathered 1": lambda: fly(follow="f2", formation="gathered", decoys=2, bystanders=4, traffic=3, clutter=3),
         "clutter 1": lambda: fly(follow="f2", traffic=3, clutter=8),
         "course_noise 1": lambda: fly(follow="f2", position_noise=1.0, course_noise=3.0),
         f"distribution {DISTRIBUTION.version}": lambda: [DISTRIBUTION.draw(np.random.default_rng(s)) for s in range(4)],

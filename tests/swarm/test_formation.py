@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from usnet_env.swarm import SwarmConfig, start
-from usnet_env.swarm.formation import ARENA, register_formation
+from usnet_env.swarm.formation import ARENA, FORMATIONS, register_formation
 from usnet_env.swarm.kernels import remerge
 from usnet_env.swarm.simulator import draw_roles, random_cluster_sizes
 
@@ -66,6 +66,25 @@ def test_around_keeps_followers_within_60_metres():
         distance = np.linalg.norm(p - p[state.root], axis=1)
         assert distance.max() <= 60.0 + 1e-3
         assert np.median(distance[~state.head]) == pytest.approx(60 * 0.5 ** (1 / 3), rel=0.15)
+
+
+def test_gathered_tells_no_head_from_its_followers_by_place():
+    """Heads, followers and lone UAVs are equally far from the middle of their ball; traffic is anywhere."""
+    config = SwarmConfig(formation="gathered", clusters=1, uavs=400, decoys=99, bystanders=100, traffic=100)
+    middles, far, spread = [], [], []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        roles = draw_roles(rng, config)
+        position = FORMATIONS.find("gathered")(rng, roles)
+        middle = position[~roles.traffic].mean(axis=0)
+        middles.append(middle / ARENA)
+        spread.append(position[roles.traffic].std(axis=0) / ARENA)
+        distance = np.linalg.norm(position - middle, axis=1)
+        far.append([distance[roles.head][0], distance[roles.decoy].mean(), distance[~roles.traffic].mean()])
+        assert distance[~roles.traffic].max() < 60 + 10  # the middle is estimated
+    np.testing.assert_allclose(np.mean(far, axis=0), 45.0, atol=4.0)  # 3 / 4 of the radius
+    np.testing.assert_allclose(np.mean(middles, axis=0), 0.5, atol=0.15)
+    np.testing.assert_allclose(np.mean(spread, axis=0), 12**-0.5, rtol=0.05)
 
 
 @given(seed=st.integers(0, 2**32), uavs=st.integers(3, 40), share=st.floats(0, 1))

@@ -36,7 +36,9 @@ class SwarmArguments(Config):
     follow: str | FollowStrategy = Field(
         "f1", description='follow strategy: ``"f1"`` to ``"f7"``, a registered name, or ``"none"`` (no UAV follows)'
     )
-    formation: str = Field("uniform", description="initial positions: ``uniform`` in the arena, or ``around`` heads")
+    formation: str = Field(
+        "uniform", description="initial positions: ``uniform`` in the arena, ``around`` heads, or ``gathered``"
+    )
     memory: Steps = Field(
         4, description="T_0, past steps that a follow strategy may use, and unobserved ones in a round"
     )

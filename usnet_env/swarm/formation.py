@@ -35,19 +35,38 @@ def _uniform(rng: np.random.Generator, roles: Roles) -> Floats:
     return rng.uniform(0.0, ARENA, (len(roles.root), 3))
 
 
+def _draw_offsets(rng: np.random.Generator, uavs: int) -> Floats:
+    """Draw points ``(uavs, 3)`` uniform in a ball of 60 m around the origin."""
+    direction = rng.standard_normal((uavs, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    return np.asarray(AROUND_RADIUS * np.cbrt(rng.uniform(size=(uavs, 1))) * direction)
+
+
 def _around(rng: np.random.Generator, roles: Roles) -> Floats:
     """Heads and decoys uniform in the arena, followers uniform in a ball of 60 m around their head."""
     uavs = len(roles.root)
     position = rng.uniform(0.0, ARENA, (uavs, 3))
-    direction = rng.standard_normal((uavs, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    offset = AROUND_RADIUS * np.cbrt(rng.uniform(size=(uavs, 1))) * direction
+    offset = _draw_offsets(rng, uavs)
     followers = ~(roles.head | roles.decoy | roles.bystander)
     return np.where(followers[:, None], position[roles.root] + offset, position)
 
 
+def _gathered(rng: np.random.Generator, roles: Roles) -> Floats:
+    """All UAVs of a cluster, the head too, uniform in one ball of 60 m, decoys and bystanders in that of any cluster.
+
+    The middles of the balls are uniform in the arena, and so are traffic and false tracks. Unlike in ``around``, no
+    place tells a head from its followers.
+    """
+    uavs = len(roles.root)
+    place = rng.uniform(0.0, ARENA, (uavs, 3))
+    gathered = _draw_offsets(rng, uavs)
+    ball = np.where(roles.decoy | roles.bystander, rng.choice(roles.drawn, uavs), roles.root)
+    gathered += place[ball]
+    return np.where((roles.traffic | roles.clutter)[:, None], place, gathered)
+
+
 Formation = Callable[[np.random.Generator, Roles], Floats]
-_OWN: dict[str, Formation] = {"uniform": _uniform, "around": _around}
+_OWN: dict[str, Formation] = {"uniform": _uniform, "around": _around, "gathered": _gathered}
 
 #: All formations by name: functions ``(rng, roles) -> (N, 3)``, positions in metres, at most 1060 m on each axis.
 FORMATIONS = Registry[Formation]("formation", "formation", "usnet.formations", __name__, check_factory, _OWN)

@@ -1,0 +1,230 @@
+"""The network of the reader without torch: the same answers from the same file, by NumPy and compiled loops.
+
+Vectors of pairs ``(n, n, w)`` are read from memory as rarely as can be: each loop does all that happens between two
+products of matrices.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from detectors.reader.features import CONTEXT_FEATURES, PAIR_FEATURES, UAV_FEATURES, Features
+from detectors.weights import packaged_arrays, read_arrays
+from usnet_env.arrays import Singles
+from usnet_env.compiling import compiled
+from usnet_env.config import ArgumentError, quote
+
+Weights = dict[str, Singles]  #: the arrays of :class:`detectors.reader.network.ReaderNetwork`, by their names
+
+_FAST = {"error_model": "numpy", "fastmath": {"contract", "reassoc"}}
+_LARGEST, _ROW_NOISE, _NORM_NOISE = np.float32(6.0), np.float32(1e-3), np.float32(1e-5)  # as in the network
+_ONE, _HALF, _TANH_LIMIT = np.float32(1.0), np.float32(0.5), np.float32(7.905)
+_SLOPE, _CUBE = np.float32(math.sqrt(2.0 / math.pi)), np.float32(0.044715)
+# tanh(x) = x P(x²) / Q(x²) to a few units in the last place of single precision (the fit of the library Eigen)
+_P = np.array(
+    [
+        -2.76076847742355e-16,
+        2.00018790482477e-13,
+        -8.60467152213735e-11,
+        5.12229709037114e-08,
+        1.48572235717979e-05,
+        6.37261928875436e-04,
+        4.89352455891786e-03,
+    ],
+    np.float32,
+)
+_Q = np.array([1.19825839466702e-06, 1.18534705686654e-04, 2.26843463243900e-03, 4.89352518554385e-03], np.float32)
+
+
+class Answer(NamedTuple):
+    """What :class:`detectors.reader.network.Answer` has, for one window of n UAVs."""
+
+    head: Singles  #: ``(n,)``
+    leader: Singles  #: ``(n, n)``
+    root: Singles  #: ``(n, n)``
+    silent: Singles  #: ``()``
+    delay: Singles  #: ``(n,)``
+
+
+def load_reader(weights: str = "shipped") -> Weights:
+    """Read the shipped weights, or those of a file; a file with other arrays is an ``ArgumentError``."""
+    if weights == "shipped":
+        return packaged_arrays("detectors.reader", "reader")
+    arrays = read_arrays(weights)
+    counts = tuple(len(arrays.get(f"{name}_mean", ())) for name in ("pair", "uav", "context"))
+    if counts != (PAIR_FEATURES, UAV_FEATURES, CONTEXT_FEATURES) or "silent.second.bias" not in arrays:
+        raise ArgumentError(f"weights must be a file of a reader with this version's features, got {quote(weights)}.")
+    return arrays
+
+
+def read(weights: Weights, features: Features) -> Answer:
+    """Answer for a window of n UAVs."""
+    n, width = len(features.uav), len(weights["itself"])
+    context, state = (
+        np.clip((values - weights[f"{name}_mean"]) * weights[f"{name}_scale"], -_LARGEST, _LARGEST)
+        for name, values in (("context", features.context), ("uav", features.uav))
+    )
+    state = _apply_layers(weights, "enter_uav", np.hstack([state, np.broadcast_to(context, (n, len(context)))]))
+    scaled = np.empty((n * n, features.pair.shape[2]), np.float32)
+    _standardise(features.pair.reshape(scaled.shape), weights["pair_mean"], weights["pair_scale"], scaled)
+    row, column = np.split(state @ weights["ends.weight"].T, 2, axis=1)
+    row = row + _apply(weights, "context", context)
+    both = (scaled @ weights["enter.weight"].T).reshape(n, n, 2 * width)
+    entered = np.empty((n, n, 2 * width), np.float32)
+    _meet(both, row, column, weights["itself"], entered)
+    _append_relative(entered)
+    pair = np.zeros((n * n, width), np.float32)
+    normed = np.empty_like(pair)
+    change = _apply(weights, "rows", entered.reshape(n * n, 2 * width))
+    for block in range(sum(name.endswith(".attention.weight") for name in weights)):
+        _add_and_normalise(pair, change, normed)
+        change, state = _update(weights, f"blocks.{block}", normed, state)
+    _add_and_normalise(pair, change, normed)
+    leader, root = np.ascontiguousarray(_apply(weights, "links", normed).T).reshape(2, n, n)
+    state = _normalise(state)
+    head, delay = _apply_layers(weights, "head", state).T
+    silent = _apply_layers(weights, "silent", np.concatenate([state.mean(axis=0), state.max(axis=0)]))
+    return Answer(head, leader, root, silent[0], delay)
+
+
+def _update(weights: Weights, block: str, normed: Singles, state: Singles) -> tuple[Singles, Singles]:
+    """The change of pairs ``(n * n, w)``, and the new vectors of UAVs ``(n, w)``."""
+    n, width = state.shape
+    given = (normed @ weights[f"{block}.attention.weight"].T).reshape(n, n, -1)
+    known, heads = _normalise(state), given.shape[2]
+    chosen, received = np.zeros((2, n, heads, width), np.float32)
+    looked_at = np.zeros_like(state)
+    _gather(given, normed.reshape(n, n, width), known, chosen, received, looked_at)
+    gathered = [
+        (
+            np.einsum(
+                "ihc,hdc->ihd", vectors, weights[f"{block}.{name}.weight"].reshape(heads, -1, width), optimize=True
+            )
+            + total[..., None] * weights[f"{block}.{name}.bias"].reshape(heads, -1)
+        ).reshape(n, width)
+        for name, vectors, total in (
+            ("chosen", chosen, np.ones((n, heads), np.float32)),
+            ("received", received, given.sum(axis=0)),
+        )
+    ]
+    gathered[1] = np.sign(gathered[1]) * np.log1p(np.abs(gathered[1]))
+    whole = np.broadcast_to(state.mean(axis=0), state.shape)
+    state = state + _apply_layers(weights, f"{block}.uav", np.hstack([known, *gathered, looked_at, whole]))
+    row, column = np.split(_normalise(state) @ weights[f"{block}.ends.weight"].T, 2, axis=1)
+    forth, back = np.split(weights[f"{block}.mix.weight"], 2, axis=1)
+    both = (normed @ np.vstack([forth, back]).T).reshape(n, n, 2 * width)
+    mixed = np.empty((n, n, width), np.float32)
+    _meet(both, row + weights[f"{block}.mix.bias"], column, np.zeros(width, np.float32), mixed)
+    return mixed.reshape(n * n, width) @ weights[f"{block}.out.weight"].T, state
+
+
+def _apply(weights: Weights, name: str, values: Singles) -> Singles:
+    return values @ weights[f"{name}.weight"].T + weights[f"{name}.bias"]
+
+
+def _apply_layers(weights: Weights, name: str, values: Singles) -> Singles:
+    hidden = _apply(weights, f"{name}.first", values)
+    hidden *= _HALF * (_ONE + np.tanh(_SLOPE * (hidden + _CUBE * hidden * hidden * hidden)))
+    return _apply(weights, f"{name}.second", hidden)
+
+
+def _normalise(state: Singles) -> Singles:
+    centred = state - state.mean(axis=1, keepdims=True)
+    return centred / np.sqrt((centred**2).mean(axis=1, keepdims=True) + _NORM_NOISE)
+
+
+@compiled(**_FAST)
+def _gelu(value):
+    inner = _SLOPE * (value + _CUBE * value * value * value)
+    inner = min(max(inner, -_TANH_LIMIT), _TANH_LIMIT)
+    square = inner * inner
+    over, under = _P[0], _Q[0]
+    for k in range(1, 7):
+        over = over * square + _P[k]
+    for k in range(1, 4):
+        under = under * square + _Q[k]
+    return _HALF * value * (_ONE + inner * over / under)
+
+
+@compiled(**_FAST)
+def _standardise(values, mean, scale, out):
+    for pair in range(len(values)):
+        for k in range(len(mean)):
+            out[pair, k] = min(max((values[pair, k] - mean[k]) * scale[k], -_LARGEST), _LARGEST)
+
+
+@compiled(**_FAST)
+def _meet(both, row, column, itself, out):
+    """GELU of a pair's own share, the share that its reverse gives, and those of both UAVs."""
+    n, width = row.shape
+    for i in range(n):
+        for j in range(n):
+            for c in range(width):
+                out[i, j, c] = both[i, j, c] + both[j, i, width + c] + row[i, c] + column[j, c]
+            if i == j:
+                for c in range(width):
+                    out[i, j, c] += itself[c]
+            for c in range(width):
+                out[i, j, c] = _gelu(out[i, j, c])
+
+
+@compiled(**_FAST)
+def _append_relative(pair):
+    """Write behind the first half of each pair's vector the same, standardised over the pairs of its row."""
+    n, width = len(pair), pair.shape[2] // 2
+    for i in range(n):
+        mean, square = np.zeros((2, width), np.float32)
+        for j in range(n):
+            for c in range(width):
+                mean[c] += pair[i, j, c] / np.float32(n)
+        for j in range(n):
+            for c in range(width):
+                pair[i, j, width + c] = pair[i, j, c] - mean[c]
+                square[c] += pair[i, j, width + c] ** 2 / np.float32(n)
+        for c in range(width):
+            square[c] = _ONE / math.sqrt(square[c] + _ROW_NOISE)
+        for j in range(n):
+            for c in range(width):
+                pair[i, j, width + c] *= square[c]
+
+
+@compiled(**_FAST)
+def _add_and_normalise(pair, change, normed):
+    """Add a change to the vectors of pairs, and write them with mean 0 and variance 1."""
+    width = np.float32(pair.shape[1])
+    for k in range(len(pair)):
+        mean = square = np.float32(0.0)
+        for c in range(pair.shape[1]):
+            pair[k, c] += change[k, c]
+            mean += pair[k, c]
+        mean /= width
+        for c in range(pair.shape[1]):
+            normed[k, c] = pair[k, c] - mean
+            square += normed[k, c] * normed[k, c]
+        scale = _ONE / np.float32(math.sqrt(square / width + _NORM_NOISE))
+        for c in range(pair.shape[1]):
+            normed[k, c] *= scale
+
+
+@compiled(**_FAST)
+def _gather(given, pair, state, chosen, received, looked_at):
+    """Turn logits ``given`` ``(n, n, heads)`` into attention over j, and add up what each head gathers by it."""
+    n, _, heads = given.shape
+    part = state.shape[1] // heads
+    for i in range(n):
+        for h in range(heads):
+            largest, total = given[i, :, h].max(), np.float32(0.0)
+            for j in range(n):
+                given[i, j, h] = math.exp(given[i, j, h] - largest)
+                total += given[i, j, h]
+            for j in range(n):
+                given[i, j, h] /= total
+                weight = given[i, j, h]
+                for c in range(pair.shape[2]):
+                    chosen[i, h, c] += weight * pair[i, j, c]
+                    received[j, h, c] += weight * pair[i, j, c]
+                for c in range(h * part, (h + 1) * part):
+                    looked_at[i, c] += weight * state[j, c]

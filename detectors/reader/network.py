@@ -1,0 +1,172 @@
+"""The network of the reader: attention over pairs of UAVs, for training on any device; equivariant under permutation.
+
+Each UAV and each ordered pair (i, j) has a vector. In a block, UAV i attends to UAVs j by the vectors of its pairs, and
+gathers what it looks at, what looks at it, and the states of those it looks at; then each pair is updated from itself,
+from its reverse and from both of its UAVs. :mod:`detectors.reader.forward` computes the same without torch.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, NamedTuple
+
+import torch
+from pydantic import Field
+from torch import Tensor, nn
+from torch.nn.functional import gelu, layer_norm
+
+from detectors.reader.features import CONTEXT_FEATURES, PAIR_FEATURES, UAV_FEATURES
+from usnet_env.config import ArgumentError, Config
+
+LARGEST = 6.0  #: a standardised input is clamped to +-LARGEST
+ROW_NOISE = 1e-3  #: added to the variance of a row of pairs
+
+
+class NetworkSizes(Config):
+    """Sizes of a :class:`ReaderNetwork`."""
+
+    width: Annotated[int, Field(ge=4, le=512)] = 32  #: length of the vector of a pair and of a UAV
+    attn_heads: Annotated[int, Field(ge=1, le=32)] = 4  #: must divide ``width``
+    blocks: Annotated[int, Field(ge=1, le=16)] = 3
+
+
+class Answer(NamedTuple):
+    """Outputs for B windows of n UAVs: logits, but for ``delay``."""
+
+    head: Tensor  #: ``(B, n)``: the UAV leads another
+    leader: Tensor  #: ``(B, n, n)`` over j: i follows j directly; (i, i): nobody
+    root: Tensor  #: ``(B, n, n)`` over j: the chain of i's leaders ends at j; (i, i): i follows nobody
+    silent: Tensor  #: ``(B,)``: nobody leads
+    delay: Tensor  #: ``(B, n)``: log(1 + steps after which i repeats its leader)
+
+
+def apply_gelu(values: Tensor) -> Tensor:
+    """GELU in its form with the hyperbolic tangent."""
+    return gelu(values, approximate="tanh")
+
+
+class _TwoLayers(nn.Module):
+    def __init__(self, given: int, hidden: int, made: int) -> None:
+        super().__init__()
+        self.first = nn.Linear(given, hidden)
+        self.second = nn.Linear(hidden, made)
+
+    def forward(self, values: Tensor) -> Tensor:
+        made: Tensor = self.second(apply_gelu(self.first(values)))
+        return made
+
+
+class _Block(nn.Module):
+    """One update of the vectors of UAVs and of pairs."""
+
+    def __init__(self, sizes: NetworkSizes) -> None:
+        super().__init__()
+        width = sizes.width
+        self.attention = nn.Linear(width, sizes.attn_heads, bias=False)
+        self.chosen = nn.Linear(width, width)  # of rows (heads of attention, their values)
+        self.received = nn.Linear(width, width)
+        self.uav = _TwoLayers(5 * width, 2 * width, width)
+        self.mix = nn.Linear(2 * width, width)  # of a pair and its reverse
+        self.ends = nn.Linear(width, 2 * width, bias=False)
+        self.out = nn.Linear(width, width, bias=False)
+
+    def _project(self, linear: nn.Linear, gathered: Tensor, weight: Tensor) -> Tensor:
+        """Values ``(B, n, w)`` of the vectors ``(B, n, heads, w)`` that heads gathered with a sum of weights."""
+        batch, n, heads, width = gathered.shape
+        matrix = linear.weight.view(heads, width // heads, width)
+        made = torch.einsum("bihc,hdc->bihd", gathered, matrix)
+        return (made + weight[..., None] * linear.bias.view(heads, -1)).reshape(batch, n, width)
+
+    def forward(self, pair: Tensor, uav: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the updated ``pair`` ``(B, n, n, w)`` and ``uav`` ``(B, n, w)``."""
+        batch, n, width = uav.shape
+        normed = layer_norm(pair, (width,))
+        turned = normed.transpose(1, 2).contiguous()
+        logits = torch.matmul(self.attention.weight, normed.transpose(2, 3))
+        given = torch.softmax(logits, dim=3)  # (B, i, heads, j)
+        taken = given.permute(0, 3, 2, 1).contiguous()  # (B, j, heads, i)
+        state = layer_norm(uav, (width,))
+        chosen = self._project(self.chosen, torch.matmul(given, normed), torch.ones_like(given[..., 0]))
+        received = self._project(self.received, torch.matmul(taken, turned), taken.sum(dim=3))
+        received = torch.sign(received) * torch.log1p(received.abs())  # it grows with the number of followers
+        parts = state.view(batch, n, given.shape[2], -1)
+        looked_at = torch.einsum("bihj,bjhd->bihd", given, parts).reshape(batch, n, width)
+        whole = uav.mean(dim=1, keepdim=True).expand(batch, n, width)
+        uav = uav + self.uav(torch.cat([state, chosen, received, looked_at, whole], dim=2))
+        row, column = self.ends(layer_norm(uav, (width,))).chunk(2, dim=2)
+        ends = (row + self.mix.bias)[:, :, None] + column[:, None]
+        forth, back = self.mix.weight.chunk(2, dim=1)
+        mixed = torch.addmm(ends.view(-1, width), normed.view(-1, width), forth.t())
+        mixed = apply_gelu(torch.addmm(mixed, turned.view(-1, width), back.t()))
+        return torch.addmm(pair.view(-1, width), mixed, self.out.weight.t()).view_as(pair), uav
+
+
+class ReaderNetwork(nn.Module):
+    """Answers for windows from their features, for any number of UAVs.
+
+    Args:
+        sizes: width, heads of attention and blocks.
+        features: numbers of features of a pair, a UAV and a window.
+
+    Raises:
+        ArgumentError: ``attn_heads`` doesn't divide ``width``.
+    """
+
+    def __init__(
+        self, sizes: NetworkSizes, features: tuple[int, int, int] = (PAIR_FEATURES, UAV_FEATURES, CONTEXT_FEATURES)
+    ) -> None:
+        super().__init__()
+        if sizes.width % sizes.attn_heads:
+            raise ArgumentError(f"attn_heads must divide width ({sizes.width}), got {sizes.attn_heads}.")
+        width, (pairs, uavs, contexts) = sizes.width, features
+        for name, count in zip(("pair", "uav", "context"), features, strict=True):
+            self.register_buffer(f"{name}_mean", torch.zeros(count))
+            self.register_buffer(f"{name}_scale", torch.ones(count))
+        self.enter = nn.Linear(pairs, 2 * width, bias=False)  # of a pair, and of its reverse
+        self.enter_uav = _TwoLayers(uavs + contexts, 2 * width, width)
+        self.ends = nn.Linear(width, 2 * width, bias=False)
+        self.context = nn.Linear(contexts, width)
+        self.itself = nn.Parameter(torch.zeros(width))
+        self.rows = nn.Linear(2 * width, width)  # of a pair, and of the pair relative to its row
+        self.blocks = nn.ModuleList(_Block(sizes) for _ in range(sizes.blocks))
+        self.links = nn.Linear(width, 2)  # leader and root
+        self.head = _TwoLayers(width, width, 2)  # head and delay
+        self.silent = _TwoLayers(2 * width, width, 1)
+
+    def _standardise(self, name: str, values: Tensor) -> Tensor:
+        mean, scale = self.get_buffer(f"{name}_mean"), self.get_buffer(f"{name}_scale")
+        return torch.addcmul(-mean * scale, values, scale).clamp_(-LARGEST, LARGEST)
+
+    def forward(self, pair: Tensor, uav: Tensor, context: Tensor) -> Answer:
+        """Answer for features ``pair`` ``(B, n, n, F)``, ``uav`` ``(B, n, G)`` and ``context`` ``(B, K)``."""
+        n, width = uav.shape[1], len(self.itself)
+        context = self._standardise("context", context)
+        state = torch.cat([self._standardise("uav", uav), context[:, None].expand(-1, n, -1)], dim=2)
+        state = self.enter_uav(state)
+        pair = self._enter_pairs(self._standardise("pair", pair), state, self.context(context))
+        for block in self.blocks:
+            pair, state = block(pair, state)
+        links = self.links(layer_norm(pair, (width,)))
+        state = layer_norm(state, (width,))
+        head, delay = self.head(state).unbind(dim=2)
+        silent = self.silent(torch.cat([state.mean(dim=1), state.amax(dim=1)], dim=1))
+        return Answer(head, links[..., 0], links[..., 1], silent[:, 0], delay)
+
+    def _enter_pairs(self, pair: Tensor, state: Tensor, context: Tensor) -> Tensor:
+        """The first vectors of pairs ``(B, n, n, w)``: also relative to the other pairs of their row."""
+        batch, n, width = state.shape
+        forth, back = self.enter(pair).chunk(2, dim=3)
+        row, column = self.ends(state).chunk(2, dim=2)
+        both = forth + back.transpose(1, 2) + (row + context[:, None])[:, :, None] + column[:, None]
+        entered = apply_gelu(both + torch.eye(n, device=pair.device)[..., None] * self.itself)
+        relative = entered - entered.mean(dim=2, keepdim=True)
+        relative = relative * torch.rsqrt(relative.square().mean(dim=2, keepdim=True) + ROW_NOISE)
+        plain, ranked = self.rows.weight.chunk(2, dim=1)
+        made = torch.addmm(self.rows.bias, entered.view(-1, width), plain.t())
+        return torch.addmm(made, relative.view(-1, width), ranked.t()).view(batch, n, n, width)
+
+
+def draw_network(sizes: NetworkSizes, seed: int) -> ReaderNetwork:
+    """Make a network with random weights; the global generator stays unchanged."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        return ReaderNetwork(sizes)

@@ -1,0 +1,267 @@
+"""Trains the reader on windows that the prior draws.
+
+A training is a list of shards. Shard k follows from the seed and k alone, and every shard is used for a few passes and
+forgotten. So a training that is resumed from its checkpoint, written after each shard, gives exactly the result of an
+uninterrupted one on a CPU.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Callable, Iterator
+from copy import deepcopy
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import torch
+from pydantic import Field
+from torch import Tensor, nn
+from torch.nn.functional import binary_cross_entropy_with_logits, cross_entropy, huber_loss
+
+from detectors.reader.draws import Batch, Shards, draw_ahead
+from detectors.reader.features import CONTEXT_GROUPS, PAIR_GROUPS, UAV_GROUPS
+from detectors.reader.network import Answer, NetworkSizes, ReaderNetwork, draw_network
+from detectors.reader.prior import FAMILIES, PRIOR_VERSION
+from detectors.weights import Checkpoint, read_arrays, write_weights
+from usnet_env.config import ArgumentError, quote, unknown_name
+from usnet_env.evaluation.run import map_tasks
+from usnet_env.evaluation.tasks import become_worker
+from usnet_env.files import reserve_folder, write_text
+
+_START, _SHARD, _ORDER = range(3)  # purpose of a seed
+_PRESETS = {"minutes": 25, "hours": 300}
+_INPUTS = ("pair", "uav", "context")
+_GROUPS = [
+    (name, part)
+    for name, groups in zip(_INPUTS, (PAIR_GROUPS, UAV_GROUPS, CONTEXT_GROUPS), strict=True)
+    for part in groups.values()
+]
+_PASSES, _TOGETHER = 2, 3  # how often a shard is used, and the batches in a step
+_WARM = 100  # steps until the largest rate
+_DROPPED = 0.15  # share of batches in which one group of features is hidden
+_MOST_DECAY = 0.996  # of the average of the weights
+_STATE = ("step", "exp_avg", "exp_avg_sq")  # of the optimiser, for each parameter
+
+Count = Annotated[int, Field(ge=1, le=10_000_000)]
+
+
+class ReaderTraining(NetworkSizes):
+    """Settings of the training; together they determine the weights.
+
+    Args:
+        preset: ``"minutes"`` or ``"hours"``, which have 25 and 300 shards.
+        seed: seed of all random draws.
+        without: names of the families of the prior that are left out.
+        start: a weights file to begin with; ``None``: random weights.
+        device: where the network learns.
+        width, attn_heads, blocks: see :class:`detectors.reader.network.NetworkSizes`.
+        shards: their number; ``None``: the preset's.
+        batches, windows, most_uavs: see :class:`detectors.reader.draws.Shards`.
+    """
+
+    preset: Literal["minutes", "hours"] = "minutes"
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    without: tuple[str, ...] = ()
+    start: str | None = None
+    device: Literal["cpu", "cuda"] = "cpu"
+    shards: Count | None = None
+    batches: Count = 120
+    windows: Count = 4
+    most_uavs: Annotated[int, Field(ge=6, le=300)] = 82
+
+    @property
+    def count(self) -> int:
+        """The number of shards."""
+        return self.shards or _PRESETS[self.preset]
+
+    @property
+    def shard_steps(self) -> int:
+        """Steps of the optimiser for a shard."""
+        return _PASSES * -(-self.batches // _TOGETHER)
+
+    def find_rate(self, step: int) -> float:
+        """The learning rate of a step: it rises at first, and falls along a cosine."""
+        done = step / (self.count * self.shard_steps)
+        rise = min(1.0, (step + 1) / _WARM)
+        return (1e-3 if self.start else 2e-3) * rise * 0.5 * (1.0 + math.cos(math.pi * done))
+
+
+def compute_loss(answer: Answer, head: Tensor, leader: Tensor, root: Tensor, delay: Tensor) -> Tensor:
+    """Loss of a batch: of heads, and with smaller weights of leaders, roots, silence and delays (NaN: none)."""
+    truth = head.float()
+    heads = binary_cross_entropy_with_logits(answer.head, truth, reduction="none").sum(dim=1).mean()
+    links = cross_entropy(answer.leader.flatten(0, 1), leader.flatten())
+    links = links + cross_entropy(answer.root.flatten(0, 1), root.flatten())
+    silent = binary_cross_entropy_with_logits(answer.silent, 1.0 - truth.amax(dim=1))
+    known = delay.isfinite()
+    late = huber_loss(answer.delay[known], torch.log1p(delay[known]), reduction="sum") / known.sum().clamp(min=1)
+    return heads / math.sqrt(head.shape[1]) + 0.3 * links + 0.3 * silent + 0.1 * late
+
+
+class _Trainer:
+    """The state of a training: the network, the average of its weights, the optimiser and one row a shard."""
+
+    def __init__(self, training: ReaderTraining) -> None:
+        self.training = training
+        seed = int(np.random.default_rng([training.seed, _START]).integers(2**63))
+        self.network = draw_network(training.part(NetworkSizes), seed).to(training.device)
+        if training.start:
+            load_arrays(self.network, read_arrays(training.start), training.start)
+        self.average = deepcopy(self.network)
+        self.optimiser = torch.optim.AdamW(self.network.parameters(), weight_decay=0.01, fused=True)
+        self.rows: list[dict[str, Any]] = []
+
+    def learn(self, shard: list[Batch]) -> dict[str, Any]:
+        """Take the steps of a shard; returns its row, measured before a batch is learned."""
+        training, number = self.training, len(self.rows)
+        if number == 0 and not training.start:
+            _standardise(self.network, shard)
+            _standardise(self.average, shard)
+        rng = np.random.default_rng([training.seed, _ORDER, number])
+        step, losses = number * training.shard_steps, list[float]()
+        families: dict[str, tuple[int, int]] = {}
+        for fresh in [True] + [False] * (_PASSES - 1):
+            order = rng.permutation(len(shard))
+            for chosen in np.split(order, range(_TOGETHER, len(order), _TOGETHER)):
+                self.optimiser.zero_grad()
+                for batch in (shard[k] for k in chosen):
+                    dropped = _GROUPS[rng.integers(len(_GROUPS))] if rng.random() < _DROPPED else None
+                    loss, exact = self._add_gradients(batch, dropped, len(chosen))
+                    if fresh and dropped is None:
+                        losses.append(loss)
+                        right, windows = families.get(batch.family, (0, 0))
+                        families[batch.family] = (right + exact, windows + len(batch.head))
+                self._step(step)
+                step += 1
+        right, windows = np.sum(list(families.values()) or [(0, 0)], axis=0).tolist()
+        row = {"shard": number + 1, "loss": float(np.mean(losses or [np.nan])), "exact": right / max(1, windows)}
+        self.rows.append({**row, "families": {name: list(families[name]) for name in sorted(families)}})
+        return row
+
+    def _add_gradients(self, batch: Batch, dropped: tuple[str, slice] | None, count: int) -> tuple[float, int]:
+        """Add a batch's gradients over ``count``; returns its loss, and in how many windows the heads are exact."""
+        device, network = self.training.device, self.network
+        inputs = [torch.tensor(array, dtype=torch.float32, device=device) for array in batch[:3]]
+        head, leader, root, delay = (torch.tensor(array, device=device) for array in batch[3:7])
+        if dropped is not None:
+            name, part = dropped
+            inputs[_INPUTS.index(name)][..., part] = network.get_buffer(f"{name}_mean")[part]
+        answer = network(*inputs)
+        loss = compute_loss(answer, head, leader, root, delay)
+        (loss / count).backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
+        return float(loss.detach()), int(((answer.head > 0) == head).all(dim=1).sum())
+
+    def _step(self, step: int) -> None:
+        for group in self.optimiser.param_groups:
+            group["lr"] = self.training.find_rate(step)
+        nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
+        self.optimiser.step()
+        decay = min(_MOST_DECAY, (1 + step) / (10 + step))
+        with torch.no_grad():
+            for mean, now in zip(self.average.parameters(), self.network.parameters(), strict=True):
+                mean.lerp_(now, 1.0 - decay)
+
+    def read(self, checkpoint: Checkpoint, history: Path) -> None:
+        """Go on from a checkpoint, if there is one."""
+        arrays, losses = checkpoint.read()
+        if losses:
+            parts = (("network", self.network), ("average", self.average))
+            for name, network in parts:
+                load_arrays(network, {key: arrays[f"{name}.{key}"] for key in network.state_dict()}, name)
+            count = len(list(self.network.parameters()))
+            state = {k: {key: torch.tensor(arrays[f"optimiser.{k}.{key}"]) for key in _STATE} for k in range(count)}
+            self.optimiser.load_state_dict({**self.optimiser.state_dict(), "state": state})
+            self.rows = [json.loads(line) for line in history.read_text().splitlines()][: len(losses)]
+
+    def write(self, checkpoint: Checkpoint, folder: Path) -> None:
+        """Write ``families.jsonl``, ``losses.csv`` and the checkpoint, in this order."""
+        write_text(folder / "families.jsonl", "".join(json.dumps(row) + "\n" for row in self.rows))
+        lines = [f"{row['shard']},{row['loss']:.6f},{row['exact']:.4f}\n" for row in self.rows]
+        write_text(folder / "losses.csv", "shard,loss,exact\n" + "".join(lines))
+        saved = {f"network.{name}": value.cpu() for name, value in self.network.state_dict().items()}
+        saved |= {f"average.{name}": value.cpu() for name, value in self.average.state_dict().items()}
+        for number, state in self.optimiser.state_dict()["state"].items():
+            saved |= {f"optimiser.{number}.{name}": state[name].cpu() for name in _STATE}
+        checkpoint.write(saved, [row["loss"] for row in self.rows])
+
+
+def train_reader(
+    out: str | os.PathLike[str],
+    training: ReaderTraining | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+    resume: bool = True,
+    *,
+    workers: int = 1,
+    backend: str | None = None,
+) -> Path:
+    """Train the network and write its weights, the running average.
+
+    Files in ``out``: ``reader.safetensors`` and ``reader.json``, see :mod:`detectors.weights`; ``losses.csv`` and
+    ``families.jsonl``, a row a shard: loss and share of windows with exact heads when they were new, the latter by
+    family too; ``checkpoint.safetensors``.
+
+    Args:
+        out: the folder.
+        training: the settings.
+        progress: called with the number of finished shards and of all.
+        resume: go on from the checkpoint in ``out``.
+        workers: processes that draw shards while the network learns; the result doesn't depend on them.
+        backend: ``"serial"`` draws in this process, ``"ray"`` on a Ray cluster.
+
+    Raises:
+        ArgumentError: ``out`` can't be written or has a checkpoint with other settings, ``start`` has other arrays, or
+            there is no such device.
+    """
+    training = ReaderTraining() if training is None else training
+    if training.device == "cuda" and not torch.cuda.is_available():
+        raise ArgumentError("device must be 'cpu' where torch finds no CUDA device, got 'cuda'.")
+    for name in set(training.without) - set(FAMILIES):
+        raise unknown_name("without", name, FAMILIES)
+    folder = reserve_folder(Path(out))
+    settings = {**training.model_dump(mode="json"), "prior": PRIOR_VERSION}
+    checkpoint, trainer = Checkpoint(folder, settings), _Trainer(training)
+    if resume:
+        trainer.read(checkpoint, folder / "families.jsonl")
+    for shard in _draw_shards(training, range(len(trainer.rows), training.count), workers, backend):
+        trainer.learn(shard)
+        trainer.write(checkpoint, folder)
+        progress(len(trainer.rows), training.count)
+    last = trainer.rows[-5:]
+    metrics: dict[str, Any] = {
+        "windows": training.count * training.batches * training.windows,
+        "last_shards": len(last),
+    }
+    metrics |= {name: float(np.mean([row[name] for row in last])) for name in ("loss", "exact")}
+    arrays = {name: value.cpu() for name, value in trainer.average.state_dict().items()}
+    return write_weights(folder / "reader.safetensors", arrays, settings, metrics)
+
+
+def _draw_shards(training: ReaderTraining, numbers: range, workers: int, backend: str | None) -> Iterator[list[Batch]]:
+    seed = (training.seed, _SHARD)
+    shards = Shards(seed, training.batches, training.windows, training.without, training.most_uavs)
+    if backend in ("serial", "ray"):
+        return map_tasks(shards.draw, numbers, workers=workers, backend=backend)
+    return draw_ahead(shards.draw, numbers, workers, become_worker)
+
+
+def _standardise(network: ReaderNetwork, shard: list[Batch]) -> None:
+    """Set means and scales of the inputs to those of a shard; a seventh of the pairs is enough."""
+    for name, every, least in (("pair", 7, 1e-3), ("uav", 1, 1e-3), ("context", 1, 1e-2)):
+        arrays = [getattr(batch, name) for batch in shard]
+        values = np.concatenate([array.reshape(-1, array.shape[-1])[::every] for array in arrays]).astype(np.float64)
+        network.get_buffer(f"{name}_mean").copy_(torch.tensor(values.mean(axis=0)))
+        network.get_buffer(f"{name}_scale").copy_(torch.tensor(1.0 / values.std(axis=0).clip(least)))
+
+
+def load_arrays(network: ReaderNetwork, arrays: dict[str, Any], path: str) -> None:
+    """Set the arrays of a network; those of another network are an ``ArgumentError``."""
+    try:
+        network.load_state_dict({name: torch.tensor(array) for name, array in arrays.items()})
+    except RuntimeError as error:
+        reason = " ".join(str(error).split())
+        raise ArgumentError(
+            f"start must hold the arrays of a reader of these sizes, got {quote(path)}: {reason}"
+        ) from None
