@@ -18,7 +18,8 @@ class Policy(Config):
 
     Args:
         policy: ``"cost"`` names the set with the least expected cost, and at least one UAV, since an episode only
-            continues while a head is alive; ``"map"`` names the UAVs with a probability above 1/2, possibly none.
+            continues while a head is alive (none, where :func:`choose` is told that nobody leads); ``"map"`` names the
+            UAVs with a probability above 1/2, possibly none.
         objective: ``"P2"`` (all heads, few rounds) or ``"P1"`` (one head, one round).
         shot_budget: the largest number of candidates per round; ``None``: no limit.
         redundancy_price: the cost of a redundant candidate, in units of the objective (1/N of a round in P2).
@@ -34,7 +35,13 @@ class Policy(Config):
 
 
 def choose(
-    probability: Floats, alive: Mask, policy: Policy, tie: Floats, doubt: float = 0.0, most: int | None = None
+    probability: Floats,
+    alive: Mask,
+    policy: Policy,
+    tie: Floats,
+    doubt: float = 0.0,
+    most: int | None = None,
+    silent: float | None = None,
 ) -> Mask:
     """Choose the candidates.
 
@@ -45,6 +52,10 @@ def choose(
     fit is taken as wrong, and then all UAVs are equally likely heads.
 
     P1: there is one head; naming k > 1 UAVs costs ``redundancy_price`` (k - 1) and hits it with the sum of their p.
+
+    With probability ``silent`` no UAV leads, so that another round costs nothing and each named UAV is redundant. Else
+    the heads are independent with p / (1 - ``silent``), and naming nobody misses them. So the best set may be empty;
+    if ``silent`` is ``None``, at least one UAV is named.
 
     The result are living UAVs, ``(N,)``, at most ``most``. The numbers ``tie`` ``(N,)`` order UAVs with equal
     ``probability`` ``(N,)``.
@@ -62,17 +73,23 @@ def choose(
         count = min(int((p > 0.5).sum()), 1 if policy.objective == "P1" else budget, budget)
         named[order[:count]] = True
         return named
+    led = 1.0 if silent is None else 1.0 - min(max(silent, 0.0), 1.0 - 1e-9)
+    if silent is not None:
+        sure, even, p = (np.minimum(some / led, 1.0) for some in (sure, even, p))
     sizes = np.arange(1, budget + 1)
     if policy.objective == "P1":
         total = max(float(p.sum()), 1e-12)
-        cost = policy.redundancy_price * (sizes - 1) - np.cumsum(p / total)[:budget]
+        cost = policy.redundancy_price * (sizes - 1) - led * np.cumsum(p / total)[:budget]
+        nobody = led - 1.0
     else:
         none_left = ((1.0 - doubt) * _no_head_after(sure) + doubt * _no_head_after(even))[:budget]
-        redundant = np.cumsum(1.0 - p)[:budget]
-        guessing = bool(p[0] < _GUESS)
+        redundant = np.cumsum(1.0 - led * p)[:budget]
+        guessing = bool(led * p[0] < _GUESS)
         price = policy.round_price if policy.round_price is not None else (len(alive) / 4.0 if guessing else 1.0)
-        cost = price * (1.0 - none_left) + policy.redundancy_price * redundant / len(alive)
-    named[order[: int(cost.argmin()) + 1]] = True
+        cost = led * price * (1.0 - none_left) + policy.redundancy_price * redundant / len(alive)
+        nobody = led * price
+    if silent is None or cost.min() < nobody:
+        named[order[: int(cost.argmin()) + 1]] = True
     return named
 
 

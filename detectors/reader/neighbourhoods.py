@@ -1,0 +1,209 @@
+"""Cuts a large swarm into neighbourhoods: sets of UAVs that move alike, each small enough to be read as one window.
+
+Two UAVs are alike if the turns of one resemble those of the other, at the same time or some steps later. Links between
+the most alike are merged, the strongest first, into communities. Heads may move like none of their followers, or have
+more followers than a neighbourhood holds. So each community is joined by the UAVs whose past turns, and whose products
+of velocities, explain its mean turns best.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from usnet_env.arrays import Floats, Indices, Mask, Singles
+
+SIZE = 82  # UAVs of a neighbourhood; the network has learned from swarms of this size
+_MERGED = 60  # of them that are merged; the others join
+_LINKS = 12  # of each UAV
+_STRONG = 2.3  # weight of a link that isn't due to chance
+_JOINING = 2  # UAVs that join a community because they explain most, and because they turn first
+_FEW = 2000  # UAVs of which each may join; of more, those without a community and those of divided ones
+_RIVALS = 200  # UAVs that may come first, of each community
+_LAST_LAG = 12  # steps
+_WORK = 3e10  # products in a comparison of all pairs; in a larger swarm, steps are averaged before
+_CHUNK = 512  # UAVs whose pairs are compared at once
+
+
+class Neighbourhood(NamedTuple):
+    """The UAVs that are read as one window: ``members`` ``(m,)``, and for which of them it counts, ``own`` ``(m,)``."""
+
+    members: Indices
+    own: Mask
+
+
+def cut_swarm(velocity: Singles, seen: Mask) -> list[Neighbourhood]:
+    """Cut a swarm with ``velocity`` ``(T, n, 3)``, valid where ``seen`` ``(T, n)``, into neighbourhoods.
+
+    Each UAV is in its own neighbourhood, and in others if it may lead UAVs there. Time grows with n², memory with n.
+    """
+    steps, uavs = seen.shape
+    links, weight = link_alike(velocity, seen)
+    strong = weight > _STRONG
+    community = _merge_links(links[strong], weight[strong], uavs)
+    piece = _merge_links(links, weight, uavs)
+    size = np.bincount(community, minlength=uavs)
+    groups = np.flatnonzero(size > 2)
+    torn = np.unique(community[links[strong][(community[links[strong, 0]] != community[links[strong, 1]])]])
+    possible = np.flatnonzero((uavs <= _FEW) | (size[community] < 3) | np.isin(community, torn))
+    guests: dict[int, list[int]] = {}
+    if len(groups) and len(possible) and steps > 3:
+        turns = find_turns(velocity, seen)
+        share = _explain_groups(velocity, seen, turns, community, groups, possible)
+        joins = np.zeros(share.shape, bool)
+        for group, column in enumerate(share.T):
+            joins[_choose_first(column, turns[possible]), group] = True
+        for place in np.flatnonzero(joins.any(axis=1)):
+            uav, into = possible[place], np.flatnonzero(joins[place])
+            if size[community[uav]] < 3:
+                piece[uav] = piece[groups[into[share[place, into].argmax()]]]
+            for group in into:
+                guests.setdefault(piece[groups[group]], []).append(uav)
+    return _pack_pieces(piece, guests)
+
+
+def find_turns(series: Singles, seen: Mask, block: int = 1) -> Singles:
+    """What a UAV's last two values don't explain, in means over ``block`` steps, ``(n, T // block, d)``.
+
+    ``series`` ``(T, n, d)`` counts where ``seen`` ``(T, n)``. The squares of each UAV sum to 1, or to 0 if it never
+    turns; single large turns are bounded.
+    """
+    count, uavs, width = len(seen) // block, *series.shape[1:]
+    there = seen[: count * block].reshape(count, block, uavs)
+    some = there.any(axis=1)[..., None].astype(np.float32)
+    summed = (series[: count * block] * seen[: count * block, :, None]).reshape(count, block, uavs, width).sum(axis=1)
+    mean = summed / np.maximum(there.sum(axis=1), 1)[..., None]
+    mean = (mean - (mean * some).sum(axis=0) / np.maximum(some.sum(axis=0), 1)) * some
+    known = some.copy()
+    known[1:] *= some[:-1]
+    known[2:] *= some[:-2]
+    known[:2] = 0
+    past = np.zeros((2, *mean.shape), np.float32)
+    past[0, 1:], past[1, 2:] = mean[:-1], mean[:-2]
+    gram = np.einsum("atnd,btnd->nab", past * known, past)
+    gram += (1e-2 * np.trace(gram, axis1=1, axis2=2) + 1e-12)[:, None, None] * np.eye(2)
+    law = np.linalg.solve(gram, np.einsum("atnd,tnd->na", past, mean * known)[..., None])[..., 0]
+    turn = (mean - np.einsum("na,atnd->tnd", law, past)) * known
+    length = np.linalg.norm(turn, axis=2)
+    usual = np.sqrt((length**2).sum(axis=0) / np.maximum(known[..., 0].sum(axis=0), 1))
+    turn *= np.minimum(1.0, 3.0 * usual / np.maximum(length, 1e-12))[..., None]
+    total = np.sqrt((turn**2).sum(axis=(0, 2)))
+    return np.ascontiguousarray((turn / np.maximum(total, 1e-9)[:, None]).transpose(1, 0, 2), np.float32)
+
+
+def link_alike(velocity: Singles, seen: Mask) -> tuple[Indices, Floats]:
+    """Link each UAV to those that are most alike: ``(e, 2)`` pairs, ``(e,)`` weights.
+
+    The weight is the largest correlation of the turns at any lag, in units of what chance reaches among all pairs,
+    times the square root of the number of neighbours that the two share.
+    """
+    steps, uavs = seen.shape
+    lags, block = min(_LAST_LAG, steps // 3), 1
+    while uavs**2 * 3 * (steps // block) * (lags // block + 1) > _WORK:
+        block += 1
+    turns = find_turns(velocity, seen, block).reshape(uavs, -1)
+    width = turns.shape[1]
+    shifts = [3 * lag for lag in range(1, lags // block + 1)]
+    most = min(_LINKS, uavs - 1)
+    nearest, likeness = np.empty((uavs, most), np.int64), np.empty((uavs, most), np.float32)
+    for first in range(0, uavs, _CHUNK):
+        rows = turns[first : first + _CHUNK]
+        alike = rows @ turns.T
+        for shift in shifts:
+            np.maximum(alike, rows[:, shift:] @ turns[:, : width - shift].T, out=alike)
+            np.maximum(alike, rows[:, : width - shift] @ turns[:, shift:].T, out=alike)
+        alike[np.arange(len(rows)), np.arange(first, first + len(rows))] = -1.0
+        best = np.argpartition(alike, uavs - most, axis=1)[:, uavs - most :]
+        nearest[first : first + _CHUNK] = best
+        likeness[first : first + _CHUNK] = np.take_along_axis(alike, best, axis=1)
+    row, column = np.repeat(np.arange(uavs), most), nearest.ravel()
+    ones = np.ones(uavs * (most + 1))
+    near = csr_array((ones, (np.append(row, np.arange(uavs)), np.append(column, np.arange(uavs)))), (uavs, uavs))
+    shared = np.asarray((near @ near.T)[row, column]).ravel()
+    chance = np.sqrt(2.0 * np.log(uavs * (2 * len(shifts) + 1)) / width)
+    fade = np.minimum(likeness.ravel() / np.maximum(likeness.min(axis=1)[column], 1e-9), 1.0)
+    return np.stack([row, column], axis=1), likeness.ravel() / chance * np.sqrt(shared) * np.sign(fade) * fade**2
+
+
+def _merge_links(links: Indices, weight: Floats, uavs: int) -> Indices:
+    """Merge linked UAVs, the strongest links first, to sets of at most ``_MERGED``; labels ``(n,)`` are indices."""
+    parent, size = list(range(uavs)), [1] * uavs
+
+    def find(uav: int) -> int:
+        while parent[uav] != uav:
+            parent[uav] = uav = parent[parent[uav]]
+        return uav
+
+    for one, other in links[np.argsort(-weight, kind="stable")].tolist():
+        one, other = find(one), find(other)
+        if one != other and size[one] + size[other] <= _MERGED:
+            parent[other] = one
+            size[one] += size[other]
+    return np.array([find(uav) for uav in range(uavs)])
+
+
+def _explain_groups(
+    velocity: Singles, seen: Mask, turns: Singles, community: Indices, groups: Indices, possible: Indices
+) -> Floats:
+    """Share of each group's mean turns that each possible head's past explains best at one lag, ``(p, g)``; -1: own."""
+    steps = len(seen)
+    target = np.stack([turns[community == group].mean(axis=0) for group in groups])  # (g, T, 3)
+    target /= np.maximum(np.sqrt((target**2).sum(axis=(1, 2))), 1e-9)[:, None, None]
+    flown = velocity[:, possible]
+    products = np.stack([flown[..., a] * flown[..., b] for a in range(3) for b in range(a, 3)], axis=-1)
+    past = np.concatenate([turns[possible], find_turns(products, seen[:, possible])], axis=2)  # (p, T, 9)
+    gram = past.transpose(0, 2, 1) @ past
+    gram += (1e-2 * np.trace(gram, axis1=1, axis2=2) / 9 + 1e-9)[:, None, None] * np.eye(9, dtype=np.float32)
+    white = np.linalg.solve(np.linalg.cholesky(gram), past.transpose(0, 2, 1)).astype(np.float32)  # (p, 9, T)
+    share, reverse = np.zeros((2, len(possible), len(groups)))
+    for lag in range(1, min(_LAST_LAG, steps // 3) + 1):
+        later = target[:, lag:].transpose(1, 0, 2).reshape(steps - lag, -1)
+        sooner = target[:, :-lag].transpose(1, 0, 2).reshape(steps - lag, -1)
+        for first in range(0, len(possible), _CHUNK):
+            at = slice(first, first + _CHUNK)
+            np.maximum(share[at], _squares(white[at, :, :-lag], later), out=share[at])
+            np.maximum(reverse[at], _squares(white[at, :3, lag:], sooner), out=reverse[at])
+    share -= reverse
+    share[community[possible][:, None] == groups] = -1.0
+    return share
+
+
+def _squares(white: Singles, target: Singles) -> Singles:
+    """Sums of squared products ``(p, g)`` of series ``(p, d, t)`` and ``(t, 3 g)``."""
+    product = white.reshape(-1, white.shape[2]) @ target
+    return np.asarray((product**2).reshape(len(white), white.shape[1], -1, 3).sum(axis=(1, 3)))
+
+
+def _choose_first(share: Floats, turns: Singles) -> Indices:
+    """The UAVs with the largest shares, and of those with half of it the ones whose turns ``(p, T, 3)`` come first."""
+    best = np.argsort(-share, kind="stable")[:_RIVALS]
+    good = best[share[best] >= 0.5 * abs(share[best[0]])]
+    some = turns[good].reshape(len(good), 3 * turns.shape[1])
+    ahead = np.zeros((len(good), len(good)), np.float32)
+    for shift in range(3, 3 * min(_LAST_LAG, turns.shape[1] // 3) + 1, 3):
+        np.maximum(ahead, some[:, :-shift] @ some[:, shift:].T, out=ahead)  # of i before j
+    first = np.argsort((ahead.T - ahead).sum(axis=1), kind="stable")
+    return np.union1d(best[:_JOINING], good[first[:_JOINING]])
+
+
+def _pack_pieces(piece: Indices, guests: dict[int, list[int]]) -> list[Neighbourhood]:
+    """Fill neighbourhoods with whole pieces, the largest first."""
+    sets = [
+        (np.flatnonzero(piece == label), np.setdiff1d(guests.get(label, []), np.flatnonzero(piece == label)))
+        for label in np.unique(piece)
+    ]
+    sets.sort(key=lambda each: -len(each[0]) - len(each[1]))
+    bins: list[list[Indices]] = []
+    for own, more in sets:
+        used = next((b for b in bins if len(b[0]) + len(b[1]) + len(own) + len(more) <= SIZE), None)
+        if used is None:
+            bins.append([own, more])
+        else:
+            used[0], used[1] = np.append(used[0], own), np.append(used[1], more)
+    made = []
+    for own, more in bins:
+        members = np.union1d(own, more).astype(np.int64)
+        made.append(Neighbourhood(members, np.isin(members, own)))
+    return made
