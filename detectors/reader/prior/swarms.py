@@ -13,7 +13,7 @@ from detectors.reader.prior.motion import Motion
 from detectors.reader.prior.strategies import MEMORY, draw_strategy
 from detectors.reader.prior.table import MODELS
 from usnet_env.arrays import Indices, Mask
-from usnet_env.envs.field import DISTRIBUTION
+from usnet_env.envs.field import DISTRIBUTIONS
 from usnet_env.swarm import SwarmConfig, SwarmState, advance, destroy, start
 from usnet_env.swarm.field_follow import Frontness, Links
 from usnet_env.swarm.field_kernels import DELAY
@@ -47,12 +47,10 @@ def draw_model_swarm(
 
 def draw_field_swarm(rng: np.random.Generator, steps: int, most_uavs: int, without: Collection[str]) -> SwarmConfig:
     """Draw a swarm as ``USNET/Field`` does, its constants varied in half of the draws."""
-    arguments = DISTRIBUTION.draw(rng)
+    arguments = DISTRIBUTIONS[2].draw(rng)
     while arguments["follow"] in without:
-        arguments = DISTRIBUTION.draw(rng)
+        arguments = DISTRIBUTIONS[2].draw(rng)
     arguments["follow"] = draw_strategy(rng, arguments["follow"])
-    if arguments["formation"] == "around":
-        arguments["formation"] = "gathered"
     uavs = min(most_uavs, draw_whole(rng, 24, 60))
     return _fit(clear_sensor(arguments, without), uavs, steps)
 
