@@ -7,10 +7,10 @@ from collections.abc import Collection
 import numpy as np
 
 from detectors.reader.examples import Examples
-from detectors.reader.prior.draws import draw_name
+from detectors.reader.prior.draws import draw_log, draw_name
 from detectors.reader.prior.faults import observe
-from detectors.reader.prior.motion import Motion, fill, flatten, make_examples, thin
-from detectors.reader.prior.swarms import draw_field_swarm, draw_model, draw_model_swarm, draw_steps, fly_swarms
+from detectors.reader.prior.motion import Motion, make_examples, resample
+from detectors.reader.prior.swarms import draw_field_swarm, draw_model_swarm, fly_swarms
 from detectors.reader.prior.table import (
     FAULT_SHARE,
     FAULTS,
@@ -24,22 +24,19 @@ from detectors.reader.prior.worlds import WORLDS
 
 __all__ = ["FAMILIES", "PRIOR_VERSION", "draw_examples"]
 
-
-def _weigh_families() -> dict[str, float]:
-    """The probability of each family."""
-    weights = {"field": FIELD_SHARE}
-    parts = (
-        (MODELS, MODEL_SHARE),
-        (FAULTS, FAULT_SHARE),
-        ({name: world.weight for name, world in WORLDS.items()}, WORLD_SHARE),
-    )
-    for names, share in parts:
-        weights.update({name: share * weight / sum(names.values()) for name, weight in names.items()})
-    return weights
-
-
-_WEIGHTS = _weigh_families()
+_PARTS = (
+    (MODEL_SHARE, MODELS),
+    (FAULT_SHARE, FAULTS),
+    (WORLD_SHARE, {name: world.weight for name, world in WORLDS.items()}),
+)
+_WEIGHTS = {"field": FIELD_SHARE} | {
+    name: share * weight / sum(part.values()) for share, part in _PARTS for name, weight in part.items()
+}
 FAMILIES: tuple[str, ...] = tuple(_WEIGHTS)
+
+
+def _keep(weights: dict[str, float], without: Collection[str]) -> dict[str, float]:
+    return {name: weight for name, weight in weights.items() if name not in without}
 
 
 def draw_examples(
@@ -55,40 +52,41 @@ def draw_examples(
     Args:
         rng: the generator; equal generators draw equal windows, bit for bit.
         windows: B, number of windows.
-        without: families that are left out, of a draw within another family too: a model, a fault or a world.
+        without: models, faults and worlds that are left out, as parts of other families too.
         family: the family; ``None``: drawn.
-        most_uavs: the largest number of UAVs.
+        most_uavs: the largest number of UAVs, at least 8.
     """
-    weights = {name: weight for name, weight in _WEIGHTS.items() if name not in without}
-    family = family or draw_name(rng, weights)
-    steps = draw_steps(rng)
-    if family == "field" or family in FAULTS:
-        if family == "field":
-            config = draw_field_swarm(rng, steps, most_uavs, without)
-        else:
-            config = draw_model_swarm(rng, draw_model(rng, without), steps, most_uavs, family)
-        motion = fly_swarms(config, rng, windows)
+    family = family or draw_name(rng, _keep(_WEIGHTS, without))
+    steps = 100 if rng.random() < 0.55 else round(float(draw_log(rng, 20.0, 200.0)))
+    if family == "field":
+        motion = fly_swarms(draw_field_swarm(rng, steps, most_uavs, without), rng, windows)
+    elif family in FAULTS:
+        model = draw_name(rng, _keep(MODELS, without))
+        motion = fly_swarms(draw_model_swarm(rng, model, steps, most_uavs, family, without), rng, windows)
         if family in ("fault:jumps", "fault:rounding"):
             motion = observe(motion, rng, without, family)
-        return make_examples(motion, family)
-    return make_examples(_draw_motion(rng, family, windows, steps, most_uavs, without), family)
+    else:
+        motion = _draw_sampled(rng, family, windows, steps, most_uavs)
+        if family in WORLDS and rng.random() < 0.25:
+            motion = observe(motion, rng, without)
+    return make_examples(motion, family)
 
 
-def _draw_motion(
-    rng: np.random.Generator, family: str, windows: int, steps: int, most_uavs: int, without: Collection[str]
-) -> Motion:
-    """Draw motions of a model or world, sampled slowly or interpolated in 8 % each, flat in 8 %."""
+def _draw_sampled(rng: np.random.Generator, family: str, windows: int, steps: int, most_uavs: int) -> Motion:
+    """Draw motions of a model or world, of which 8 % are sampled slowly, 8 % fast, and 8 % seen on a plane."""
     pace, times = rng.random(), int(rng.integers(2, 6))
-    slow, fast = min(times, 400 // steps), max(1, min(times, steps // 16))
-    flown = steps * slow if pace < 0.08 else -(-steps // fast) if pace > 0.92 else steps
+    instants = np.arange(steps + 1.0)
+    if pace < 0.08:
+        instants *= min(times, 400 // steps)
+    elif pace > 0.92:
+        instants /= max(1, min(times, steps // 16))
+    flown = int(np.ceil(instants[-1]))
     if family in WORLDS:
         motion = WORLDS[family].draw(rng, windows, flown, most_uavs)
     else:
-        motion = fly_swarms(draw_model_swarm(rng, family, flown, most_uavs), rng, windows)
-    if pace < 0.08:
-        motion = thin(motion, slow)
-    elif pace > 0.92 and motion.seen.all():
-        motion = fill(motion, fast, steps, bool(rng.random() < 0.5))
+        motion = fly_swarms(draw_model_swarm(rng, family, flown, most_uavs, "none", ()), rng, windows)
+    if instants[1] > 1 or (instants[1] < 1 and motion.seen.all()):
+        motion = resample(motion, instants, int(rng.choice([1, 3])))
     if rng.random() < 0.08:
-        motion = flatten(motion)
-    return observe(motion, rng, without) if family in WORLDS and rng.random() < 0.25 else motion
+        motion = motion._replace(position=motion.position * np.array([1.0, 1.0, 0.0]), velocity=None)
+    return motion

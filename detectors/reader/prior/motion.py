@@ -1,23 +1,20 @@
-"""What flies: the motions of B windows with their truth, before anybody observes them."""
+"""What flies: the motions of B windows with their truth, how they are sampled, and the examples that they become."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import make_interp_spline
 
 from detectors.reader.examples import Examples
 from usnet_env.arrays import Floats, Indices, Mask, Singles
 
 
 class Motion(NamedTuple):
-    """B motions of n UAVs; ``head``, ``leader``, ``root`` and ``delay`` as in ``Examples``.
+    """B motions of n UAVs: positions ``(B, T + 1, n, 3)`` in metres, and the other fields of ``Examples``.
 
-    Args:
-        position: ``(B, T + 1, n, 3)`` metres.
-        seen: ``(B, T + 1, n)`` bool.
-        velocity: ``(B, T, n, 3)`` metres a step where it is known better than from the positions, else None.
+    ``velocity`` is None where it follows from the positions.
     """
 
     position: Floats | Singles
@@ -31,54 +28,28 @@ class Motion(NamedTuple):
 
 def find_heads(position: Floats, leader: Indices, delay: Floats) -> Motion:
     """A motion of which all is seen; heads and roots are where the chains of leaders end."""
-    root = leader
-    for _ in range(int(np.ceil(np.log2(leader.shape[1] + 1)))):
+    root, own = leader, np.arange(leader.shape[1])
+    for _ in range(leader.shape[1].bit_length()):
         root = np.take_along_axis(root, root, axis=1)
-    own = np.arange(leader.shape[1])
-    head = np.zeros(leader.shape, bool)
-    for row, roots in zip(head, root, strict=True):
-        row[roots[roots != own]] = True
+    head = np.stack([np.isin(own, row[row != own]) for row in root])
     late = np.where(leader == own, np.nan, delay).astype(np.float32)
     return Motion(position, np.ones(position.shape[:3], bool), head, leader, root, late)
 
 
-def thin(motion: Motion, every: int) -> Motion:
-    """Sample every k-th instant."""
-    seen, late = motion.seen[:, ::every], motion.delay / np.float32(every)
-    return motion._replace(position=motion.position[:, ::every], seen=seen, delay=late, velocity=None)
-
-
-def fill(motion: Motion, times: int, steps: int, cubic: bool) -> Motion:
-    """Interpolate the places of a motion that is all seen at ``times`` its rate, to ``steps`` steps."""
-    position = motion.position
-    coarse, fine = np.arange(position.shape[1]), np.arange(steps + 1) / times
-    if cubic:
-        dense = CubicSpline(coarse, position, axis=1)(fine)
-    else:
-        before = np.minimum(fine.astype(np.int64), len(coarse) - 2)
-        part = (fine - before)[:, None, None]
-        dense = (1 - part) * position[:, before] + part * position[:, before + 1]
-    seen, late = np.ones(dense.shape[:3], bool), motion.delay * np.float32(times)
-    return motion._replace(position=dense, seen=seen, delay=late, velocity=None)
-
-
-def flatten(motion: Motion) -> Motion:
-    """Project a motion on the plane."""
-    return motion._replace(position=motion.position * np.array([1.0, 1.0, 0.0]), velocity=None)
+def resample(motion: Motion, instants: Floats, degree: int = 1) -> Motion:
+    """Sample a motion at evenly spaced instants, in steps; between its own by splines, if all of it is seen."""
+    late = motion.delay / np.float32(instants[1])
+    if instants[1] >= 1:
+        own = instants.astype(np.int64)
+        return motion._replace(position=motion.position[:, own], seen=motion.seen[:, own], delay=late, velocity=None)
+    position = make_interp_spline(np.arange(motion.position.shape[1]), motion.position, degree, axis=1)(instants)
+    return motion._replace(position=position, seen=np.ones(position.shape[:3], bool), delay=late, velocity=None)
 
 
 def make_examples(motion: Motion, family: str) -> Examples:
     """The windows of a motion, with zeros where a UAV isn't seen."""
-    position, seen = motion.position, motion.seen
-    velocity = np.diff(position, axis=1) if motion.velocity is None else motion.velocity
+    position, seen, head, leader, root, delay, velocity = motion
+    velocity = np.diff(position, axis=1) if velocity is None else velocity
     both = (seen[:, 1:] & seen[:, :-1])[..., None]
-    return Examples(
-        np.where(seen[..., None], position, 0.0).astype(np.float32),
-        np.where(both, velocity, 0.0).astype(np.float32),
-        seen,
-        motion.head,
-        motion.leader.astype(np.int64),
-        motion.root.astype(np.int64),
-        motion.delay.astype(np.float32),
-        family,
-    )
+    shown = np.where(seen[..., None], position, 0.0).astype(np.float32)
+    return Examples(shown, np.where(both, velocity, 0.0).astype(np.float32), seen, head, leader, root, delay, family)
