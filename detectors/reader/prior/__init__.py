@@ -7,36 +7,15 @@ from collections.abc import Collection
 import numpy as np
 
 from detectors.reader.examples import Examples
-from detectors.reader.prior.draws import draw_log, draw_name
-from detectors.reader.prior.faults import observe
-from detectors.reader.prior.motion import Motion, make_examples, resample
+from detectors.reader.prior.families import FAULTS, MODELS, PRIOR_VERSION, SHARES, WORLDS, draw_log, draw_name
+from detectors.reader.prior.observing import make_examples, observe, resample
 from detectors.reader.prior.swarms import draw_field_swarm, draw_model_swarm, fly_swarms
-from detectors.reader.prior.table import (
-    FAULT_SHARE,
-    FAULTS,
-    FIELD_SHARE,
-    MODEL_SHARE,
-    MODELS,
-    PRIOR_VERSION,
-    WORLD_SHARE,
-)
-from detectors.reader.prior.worlds import WORLDS
+from detectors.reader.prior.worlds import fly_world
 
 __all__ = ["FAMILIES", "PRIOR_VERSION", "draw_examples"]
 
-_PARTS = (
-    (MODEL_SHARE, MODELS),
-    (FAULT_SHARE, FAULTS),
-    (WORLD_SHARE, {name: world.weight for name, world in WORLDS.items()}),
-)
-_WEIGHTS = {"field": FIELD_SHARE} | {
-    name: share * weight / sum(part.values()) for share, part in _PARTS for name, weight in part.items()
-}
+_WEIGHTS = {name: share * weight / sum(part.values()) for share, part in SHARES for name, weight in part.items()}
 FAMILIES: tuple[str, ...] = tuple(_WEIGHTS)
-
-
-def _keep(weights: dict[str, float], without: Collection[str]) -> dict[str, float]:
-    return {name: weight for name, weight in weights.items() if name not in without}
 
 
 def draw_examples(
@@ -56,37 +35,36 @@ def draw_examples(
         family: the family; ``None``: drawn.
         most_uavs: the largest number of UAVs, at least 8.
     """
-    family = family or draw_name(rng, _keep(_WEIGHTS, without))
+    family = family or draw_name(rng, _WEIGHTS, without)
     steps = 100 if rng.random() < 0.55 else round(float(draw_log(rng, 20.0, 200.0)))
     if family == "field":
-        motion = fly_swarms(draw_field_swarm(rng, steps, most_uavs, without), rng, windows)
+        drawn = fly_swarms(draw_field_swarm(rng, steps, most_uavs, without), rng, windows)
     elif family in FAULTS:
-        model = draw_name(rng, _keep(MODELS, without))
-        motion = fly_swarms(draw_model_swarm(rng, model, steps, most_uavs, family, without), rng, windows)
+        model = draw_name(rng, MODELS, without)
+        drawn = fly_swarms(draw_model_swarm(rng, model, steps, most_uavs, family, without), rng, windows)
         if family in ("fault:jumps", "fault:rounding"):
-            motion = observe(motion, rng, without, family)
+            drawn = observe(drawn, rng, without, family)
     else:
-        motion = _draw_sampled(rng, family, windows, steps, most_uavs)
+        drawn = _draw_sampled(rng, family, windows, steps, most_uavs)
         if family in WORLDS and rng.random() < 0.25:
-            motion = observe(motion, rng, without)
-    return make_examples(motion, family)
+            drawn = observe(drawn, rng, without)
+    return drawn._replace(family=family)
 
 
-def _draw_sampled(rng: np.random.Generator, family: str, windows: int, steps: int, most_uavs: int) -> Motion:
-    """Draw motions of a model or world, of which 8 % are sampled slowly, 8 % fast, and 8 % seen on a plane."""
-    pace, times = rng.random(), int(rng.integers(2, 6))
-    instants = np.arange(steps + 1.0)
+def _draw_sampled(rng: np.random.Generator, family: str, windows: int, steps: int, most_uavs: int) -> Examples:
+    """Draw windows of a model or world, of which 8 % are sampled slowly, 8 % fast, and 8 % seen on a plane."""
+    pace, times, instants = rng.random(), int(rng.integers(2, 6)), np.arange(steps + 1.0)
     if pace < 0.08:
         instants *= min(times, 400 // steps)
     elif pace > 0.92:
         instants /= max(1, min(times, steps // 16))
     flown = int(np.ceil(instants[-1]))
     if family in WORLDS:
-        motion = WORLDS[family].draw(rng, windows, flown, most_uavs)
+        drawn = fly_world(rng, family, windows, flown, most_uavs)
     else:
-        motion = fly_swarms(draw_model_swarm(rng, family, flown, most_uavs, "none", ()), rng, windows)
-    if instants[1] > 1 or (instants[1] < 1 and motion.seen.all()):
-        motion = resample(motion, instants, int(rng.choice([1, 3])))
+        drawn = fly_swarms(draw_model_swarm(rng, family, flown, most_uavs), rng, windows)
+    if instants[1] != 1:
+        drawn = resample(drawn, instants, int(rng.choice([1, 3])))
     if rng.random() < 0.08:
-        motion = motion._replace(position=motion.position * np.array([1.0, 1.0, 0.0]), velocity=None)
-    return motion
+        drawn = make_examples(drawn.position * np.array([1.0, 1.0, 0.0]), drawn.seen, drawn[3:])
+    return drawn

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from usnet_env.swarm import FOLLOW_STRATEGIES, FollowInputs, FollowStrategy, kernels
-from usnet_env.swarm.field_follow import Chain, Frontness, Hierarchy, Kinds, Links, Slots
+from usnet_env.swarm.field_follow import Chain, Hierarchy, Kinds, Links, Slots
 from usnet_env.swarm.random_follow import RandomFollowStrategy, random_follow_strategy
 from usnet_env.swarm.strategy import TrajectoryBatch
 
@@ -79,6 +79,4 @@ def draw_strategy(rng: np.random.Generator, name: str) -> str | FollowStrategy:
         changed["depth"] = int(rng.integers(1, 6))
     if isinstance(strategy, Slots):
         changed.update(delays=(1, int(rng.integers(1, MEMORY + 1))), smoothing=int(rng.integers(3, MEMORY + 1)))
-    if isinstance(strategy, Frontness):
-        changed["place"] = None
     return replace(strategy, **changed)

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from detectors.reader.prior.draws import draw_name, draw_whole
-from detectors.reader.prior.faults import clear_sensor, draw_sensor
-from detectors.reader.prior.motion import Motion
+from detectors.reader.examples import Examples
+from detectors.reader.prior.families import draw_name, draw_whole
+from detectors.reader.prior.observing import draw_sensors, make_examples
 from detectors.reader.prior.strategies import MEMORY, draw_strategy
 from usnet_env.arrays import Indices, Mask
 from usnet_env.envs.field import DISTRIBUTION
@@ -24,7 +24,7 @@ _OTHERS = {"clutter": (0.1, 8), "traffic": (0.15, 7), "bystanders": (0.25, 12), 
 
 
 def draw_model_swarm(
-    rng: np.random.Generator, name: str, steps: int, most_uavs: int, fault: str, without: Collection[str]
+    rng: np.random.Generator, name: str, steps: int, most_uavs: int, fault: str = "", without: Collection[str] = ()
 ) -> SwarmConfig:
     """Draw a swarm that follows by the model ``name``, seen by a sensor with the fault."""
     uavs = draw_whole(rng, 6, min(60, most_uavs) if rng.random() < 0.98 else most_uavs)
@@ -37,19 +37,20 @@ def draw_model_swarm(
         "head_jitter": bool(rng.random() < 0.7),
         "clusters": int(rng.integers(1, most_clusters + 1)),
         **{name: int(rng.integers(most) + 1) if rng.random() < often else 0 for name, (often, most) in _OTHERS.items()},
-        **draw_sensor(rng, fault, without),
+        **draw_sensors(rng, without).get(fault, {}),
     }
     return _fit(arguments, uavs, steps)
 
 
 def draw_field_swarm(rng: np.random.Generator, steps: int, most_uavs: int, without: Collection[str]) -> SwarmConfig:
     """Draw a swarm as the field environment does, its constants varied in half of the draws."""
+    faults = [list(names)[-1] for fault, names in draw_sensors(rng).items() if fault in without]
     arguments = DISTRIBUTION.draw(rng)
-    while arguments["follow"] in without:
+    while arguments["follow"] in without or any(arguments.get(name) for name in faults):
         arguments = DISTRIBUTION.draw(rng)
     arguments["follow"] = draw_strategy(rng, arguments["follow"])
     arguments["formation"] = "uniform" if arguments["formation"] == "uniform" else "gathered"
-    return _fit(clear_sensor(arguments, without), min(most_uavs, draw_whole(rng, 24, 60)), steps)
+    return _fit(arguments, min(most_uavs, draw_whole(rng, 24, 60)), steps)
 
 
 def _fit(arguments: dict[str, Any], uavs: int, steps: int) -> SwarmConfig:
@@ -60,47 +61,39 @@ def _fit(arguments: dict[str, Any], uavs: int, steps: int) -> SwarmConfig:
     return SwarmConfig(uavs=uavs, observation_steps=steps, memory=MEMORY, **arguments)
 
 
-def fly_swarms(config: SwarmConfig, rng: np.random.Generator, windows: int) -> Motion:
+def fly_swarms(config: SwarmConfig, rng: np.random.Generator, windows: int) -> Examples:
     """Simulate windows of a swarm, in 15 % of the draws after the destruction of as many UAVs in each."""
     rngs = rng.spawn(windows)
     state = start(config, rngs)
     if rng.random() < 0.15 and config.uavs >= 12:
-        gone = _draw_losses(state.head, rng, int(rng.integers(1, max(2, config.uavs // 5))))
+        gone = _draw_losses(state.head, rng, int(rng.integers(config.uavs // 5)) + 1)
         state, _ = advance(config, state, rngs)
         state = destroy(state, gone)
     state, sighting = advance(config, state, rngs)
-    living = np.stack([np.flatnonzero(alive) for alive in sighting.alive])
-    row = np.arange(windows)[:, None]
-    position, velocity, seen = (
-        array.swapaxes(1, 2)[row, living].swapaxes(1, 2)
-        for array in (sighting.position, sighting.velocity, sighting.seen)
+    living, row = np.stack([np.flatnonzero(alive) for alive in sighting.alive]), np.arange(windows)[:, None]
+    seen = sighting.seen.swapaxes(1, 2)[row, living].swapaxes(1, 2)
+    position, velocity = (
+        array.swapaxes(1, 2)[row, living].swapaxes(1, 2) for array in (sighting.position, sighting.velocity)
     )
-    return Motion(position, seen, *_find_truth(config, state, living), velocity)
+    return make_examples(position, seen, _find_truth(config, state, living), velocity)
 
 
 def _draw_losses(head: Mask, rng: np.random.Generator, losses: int) -> Mask:
-    """Draw which UAVs of each swarm are destroyed, equally many; one head, and five others, are spared."""
-    gone = np.zeros(head.shape, bool)
-    for row, heads in zip(gone, head, strict=True):
-        most = min(losses, max(int(heads.sum()) - 1, 0))
-        least = min(max(losses - int((~heads).sum()) + 5, 0), most)
-        hit = int(rng.integers(least, most + 1))
-        row[rng.permutation(np.flatnonzero(heads))[:hit]] = True
-        row[rng.permutation(np.flatnonzero(~heads))[: losses - hit]] = True
-    return gone
+    """Draw which UAVs of each swarm are destroyed, equally many, heads more or less often; one head is spared."""
+    key = rng.random(head.shape) + rng.uniform(-0.5, 1.0, (len(head), 1)) * head
+    key[np.arange(len(head)), np.where(head, key, -1.0).argmax(axis=1)] = -1.0
+    return np.asarray(key.argsort(axis=1).argsort(axis=1) >= head.shape[1] - losses)
 
 
 def _find_truth(config: SwarmConfig, state: SwarmState, living: Indices) -> tuple[Any, ...]:
-    """``head``, ``leader``, ``root`` and ``delay`` of the living UAVs ``(B, n)``, by their places among these."""
+    """The truth about the living UAVs ``(B, n)``, by their places among these: the fields of ``Examples``."""
     row, own = np.arange(len(living))[:, None], np.arange(living.shape[1])
-    place = np.full((len(living), config.uavs), -1)
+    place = np.full((len(living), config.uavs + state.reference_position.shape[2] + 1), -1)  # of nobody at the end
     place[row, living] = own
 
     def find_places(target: Indices) -> Indices:
-        target = target[row, living]
-        inside = (target >= 0) & (target < config.uavs) & (config.follow != "none")
-        local = np.where(inside, place[row, np.where(inside, target, 0)], -1)
-        return np.where(local >= 0, local, own)
+        local = place[row, target[row, living]]
+        return np.where((local >= 0) & (config.follow != "none"), local, own)
 
     root = find_places(state.root)
     leader = np.where(root == own, own, find_places(state.leader))  # a predator has a source, but no head
@@ -112,4 +105,4 @@ def _find_truth(config: SwarmConfig, state: SwarmState, living: Indices) -> tupl
     if isinstance(strategy, Frontness) or (isinstance(strategy, Links) and not strategy.strength):
         table = state.parameters.reshape(len(living), -1, config.uavs)[:, DELAY]
         delay[follows] = table[row, living][follows]
-    return head, leader, root, delay
+    return head, leader, root, delay, ""

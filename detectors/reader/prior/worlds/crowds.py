@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
-from detectors.reader.prior.draws import draw_log
+from detectors.reader.prior.families import draw_log
 from detectors.reader.prior.worlds.stage import Flight, Stage, draw_ways, place_groups, travel
 from usnet_env.arrays import Floats
 
@@ -30,28 +32,44 @@ def draw_walkers(rng: np.random.Generator, stage: Stage) -> Flight:
     return Flight(travel(place, draw_ways(rng, stage, stage.steps, stage.uavs)), np.arange(stage.uavs))
 
 
-def _fly_flock(rng: np.random.Generator, stage: Stage, weight: Floats, drive: Floats) -> Floats:
-    """Positions ``(B, T + 1, n, 3)`` of a flock of push, alignment and attraction with ``weight (B, n, n)``.
+def _fly(rng: np.random.Generator, stage: Stage, place: Floats, turn: Floats, wish: Callable[..., Floats]) -> Floats:
+    """Positions ``(B, T + 1, n, 3)`` of UAVs from places ``(B, n, 3)`` on, after 30 steps that are left out.
 
-    The part ``drive`` ``(n,)`` of a velocity is a way of the UAV's own. The flock turns as far in a step as its inertia
-    allows; speeds are fixed in half of the draws; neighbours act some steps late in a third.
+    The part ``turn`` of a velocity is new in a step: ``wish(t, position, velocity)``, of all instants so far.
+    """
+    position = np.empty((stage.windows, stage.steps + 31, *place.shape[1:]))
+    velocity = np.zeros_like(position)
+    position[:, 0], shake = place, draw_log(rng, 0.02, 0.4)
+    for t in range(stage.steps + 30):
+        wanted = wish(t, position, velocity) + shake * stage.draw_normals(rng, place.shape[1])
+        velocity[:, t + 1] = (1.0 - turn) * velocity[:, t] + turn * wanted
+        position[:, t + 1] = position[:, t] + velocity[:, t + 1]
+    return position[:, 30:]
+
+
+def _fly_flock(rng: np.random.Generator, stage: Stage, weight: Floats, drive: Floats) -> Floats:
+    """Positions of a flock of push, alignment and attraction with ``weight (B, n, n)``.
+
+    The part ``drive`` ``(n,)`` of a velocity is a way of the UAV's own. Speeds are equal in half of the draws.
+    Neighbours act some steps late in a third.
     """
     near, windows, uavs, part = draw_log(rng, 1.0, 6.0, stage.windows, 1), stage.windows, stage.uavs, drive[:, None]
     radius = near * np.sort(draw_log(rng, 1.0, 20.0, windows, 3), axis=1)
     push, align, pull = (draw_log(rng, low, high, windows, 1, 1) for low, high in ((1, 3), (0.2, 1.5), (0.05, 0.6)))
-    turn, shake = draw_log(rng, 0.15, 1.0, windows, 1, 1), draw_log(rng, 0.02, 0.4, windows, 1, 1)
-    fixed, late = rng.random() < 0.5, max(0, int(rng.integers(-16, 9)))
-    ways = draw_ways(rng, stage, stage.steps + 20, uavs)
-    places = [0.6 * near[..., None] * uavs ** (1.0 / stage.axes.sum()) * stage.draw_normals(rng, uavs)]
-    velocity = [stage.draw_normals(rng, uavs)]
-    for t in range(ways.shape[1]):
-        acts = _sum_neighbours(places[-1], velocity[max(t - late, 0)], weight, radius)
-        wanted = push * acts[0] + align * acts[1] + pull * acts[2] + shake * stage.draw_normals(rng, uavs)
-        new = (1.0 - turn) * velocity[-1] + turn * ((1.0 - part) * wanted + part * ways[:, t])
-        speed = np.linalg.norm(new, axis=-1, keepdims=True) + 1e-9
-        velocity.append(new / speed if fixed else new * np.minimum(1.0, 2.0 / speed))
-        places.append(places[-1] + velocity[-1])
-    return np.stack(places[-stage.steps - 1 :], axis=1)
+    ways, fixed, late = (
+        draw_ways(rng, stage, stage.steps + 30, uavs),
+        rng.random() < 0.5,
+        max(0, int(rng.integers(-16, 9))),
+    )
+
+    def wish(t: int, position: Floats, velocity: Floats) -> Floats:
+        acts = _sum_neighbours(position[:, t], velocity[:, max(t - late, 0)], weight, radius)
+        wanted = (1.0 - part) * (push * acts[0] + align * acts[1] + pull * acts[2]) + part * ways[:, t]
+        size = np.linalg.norm(wanted, axis=-1, keepdims=True) + 1e-9
+        return wanted / size if fixed else wanted * np.minimum(1.0, 2.0 / size)
+
+    place = 0.6 * near[..., None] * uavs ** (1.0 / stage.axes.sum()) * stage.draw_normals(rng, uavs)
+    return _fly(rng, stage, place, draw_log(rng, 0.15, 1.0, windows, 1, 1), wish)
 
 
 def draw_leaderless(rng: np.random.Generator, stage: Stage) -> Flight:
@@ -71,27 +89,28 @@ def draw_boids_signed(rng: np.random.Generator, stage: Stage) -> Flight:
 
 
 def draw_herd(rng: np.random.Generator, stage: Stage) -> Flight:
-    """A herd of equals that a driver pushes from behind; it is unseen in half of the draws. Nobody leads."""
-    herd, shape = stage.uavs - 1, (stage.windows, 1, 1)
+    """A herd of equals that the first UAV drives from behind; it is unseen in half of the draws. Nobody leads."""
+    shape = stage.windows, 1, 1
     reach = draw_log(rng, 4.0, 20.0, *shape)
-    weight, radius = np.tile(1.0 - np.eye(herd), (stage.windows, 1, 1)), reach[:, 0] * [0.15, 0.5, 3.0]
+    weight, radius = np.tile(1.0 - np.eye(stage.uavs), (stage.windows, 1, 1)), reach[:, 0] * [0.15, 0.5, 3.0]
+    weight[:, :, 0] = 0.0
+    align, pull = (draw_log(rng, 0.1, 0.8, *shape) for _ in range(2))
     goal = draw_ways(rng, stage, stage.steps + 30, 1, 0.1)
     goal /= np.linalg.norm(goal, axis=-1, keepdims=True) + 1e-9
-    align, pull, calm = (draw_log(rng, 0.1, 0.8, *shape) for _ in range(3))
-    place = 0.15 * reach * np.sqrt(herd) * stage.draw_normals(rng, herd)
-    driver, velocity, places = -1.5 * reach * goal[:, 0], np.zeros_like(place), []
-    for t in range(goal.shape[1]):
-        places.append(np.concatenate([driver, place], axis=1))
-        away = place - driver
+
+    def wish(t: int, position: Floats, velocity: Floats) -> Floats:
+        place, herd = position[:, t], position[:, t, 1:]
+        acts = _sum_neighbours(place, velocity[:, t], weight, radius)
+        away = place - place[:, :1]
         distance = np.linalg.norm(away, axis=-1, keepdims=True) + 1e-9
-        flight = 1.5 * np.exp(-distance / reach) * away / distance
-        acts = _sum_neighbours(place, velocity, weight, radius)
-        wanted = flight + acts[0] + align * acts[1] + pull * acts[2] + 0.1 * stage.draw_normals(rng, herd)
-        velocity = (1.0 - calm) * velocity + calm * wanted
-        place = place + velocity
-        wish = place.mean(1, keepdims=True) - goal[:, t] * (reach + place.std((1, 2), keepdims=True)) - driver
-        driver = driver + 1.2 * wish / np.maximum(np.linalg.norm(wish, axis=-1, keepdims=True), 3.0)
-    seen = np.stack(places[-stage.steps - 1 :], axis=1)[:, :, int(rng.integers(2)) :]
+        wanted = 1.5 * np.exp(-distance / reach) * away / distance + acts[0] + align * acts[1] + pull * acts[2]
+        behind = herd.mean(1, keepdims=True) - goal[:, t] * (reach + herd.std((1, 2), keepdims=True)) - place[:, :1]
+        wanted[:, :1] = 1.2 * behind / np.maximum(np.linalg.norm(behind, axis=-1, keepdims=True), 3.0)
+        return wanted
+
+    place = 0.15 * reach * np.sqrt(stage.uavs) * stage.draw_normals(rng, stage.uavs)
+    place[:, :1] -= 1.5 * reach * goal[:, 0]
+    seen = _fly(rng, stage, place, draw_log(rng, 0.2, 0.9, *shape), wish)[:, :, int(rng.integers(2)) :]
     return Flight(seen, np.arange(seen.shape[2]))
 
 
@@ -99,34 +118,26 @@ def draw_people(rng: np.random.Generator, stage: Stage) -> Flight:
     """Groups of 2 to 6 people: one of each knows the way, in front or aside; the others keep by it, and apart."""
     groups = max(1, round(stage.uavs / float(rng.uniform(2.0, 6.0))))
     leader, window = np.arange(stage.uavs) % groups, np.arange(stage.windows)[:, None]
-    ways = draw_ways(rng, stage, stage.steps + 20, groups, 0.1)
+    ways, delay = draw_ways(rng, stage, stage.steps + 30, groups, 0.1), stage.draw_delays(rng, 15)
     slot = draw_log(rng, 0.5, 3.0) * (stage.draw_normals(rng, stage.uavs) + rng.normal(0.0, 1.5) * stage.axes)
     slot[:, :groups] = 0.0
-    position, velocity = np.empty((2, stage.windows, stage.steps + 21, stage.uavs, 3))
-    position[:, 0] = 3.0 * place_groups(rng, stage, np.arange(groups))[:, leader] + slot
-    velocity[:, 0] = ways[:, 0, leader]
     weight = np.tile(np.where(leader[:, None] == leader, 1.0, 0.2) - np.eye(stage.uavs), (stage.windows, 1, 1))
     weight[:, :groups] *= rng.uniform(0.0, 0.4)
-    radius, shake, delay = (
-        np.tile([1.5, 0.1, 0.1], (stage.windows, 1)),
-        draw_log(rng, 0.02, 0.3),
-        stage.draw_delays(rng, 15),
-    )
     copies, keeps, turn = (draw_log(rng, low, 1.0, stage.windows, 1, 1) for low in (0.3, 0.05, 0.2))
-    for t in range(ways.shape[1]):
+
+    def wish(t: int, position: Floats, velocity: Floats) -> Floats:
         late = np.maximum(t - delay, 0)
         wanted = keeps * (position[window, late, leader] + slot - position[:, t])
         wanted += copies * velocity[window, late, leader]
         wanted[:, :groups] = ways[:, t]
-        wanted += _sum_neighbours(position[:, t], velocity[:, t], weight, radius)[0]
-        wanted += shake * stage.draw_normals(rng, stage.uavs)
-        velocity[:, t + 1] = (1.0 - turn) * velocity[:, t] + turn * wanted
-        position[:, t + 1] = position[:, t] + velocity[:, t + 1]
-    return Flight(position[:, -stage.steps - 1 :], leader, delay)
+        return wanted + _sum_neighbours(position[:, t], velocity[:, t], weight, np.full((len(weight), 3), 1.5))[0]
+
+    place = 3.0 * place_groups(rng, stage, np.arange(groups))[:, leader] + slot
+    return Flight(_fly(rng, stage, place, turn, wish), leader, delay)
 
 
 def draw_springs(rng: np.random.Generator, stage: Stage) -> Flight:
-    """Particles with springs in a box or not; the first pulls all others, and these pull it back less, or not at all."""
+    """Particles with springs, in a box or not; the first pulls all others, which pull it back less, or not at all."""
     windows, uavs = stage.windows, stage.uavs
     stiff = draw_log(rng, 0.003, 0.3, windows, 1, 1) / np.sqrt(uavs)
     spring = stiff * np.triu(rng.random((windows, uavs, uavs)) < rng.uniform(0.0, 0.7), 1)

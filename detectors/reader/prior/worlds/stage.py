@@ -10,8 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import lfilter
 
-from detectors.reader.prior.draws import draw_log
-from detectors.reader.prior.motion import Motion, find_heads
+from detectors.reader.examples import Examples
+from detectors.reader.prior.families import draw_log
+from detectors.reader.prior.observing import make_examples
 from usnet_env.arrays import Floats, Indices
 
 
@@ -64,7 +65,7 @@ def draw_ways(rng: np.random.Generator, stage: Stage, steps: int, uavs: int, cal
         way = filter_noise(way, keep)
         way /= np.sqrt((way**2).mean((1, 2, 3), keepdims=True)) + 1e-9
     way = way + rng.uniform(0.0, 2.0, (stage.windows, 1, 1, 1)) * stage.draw_normals(rng, 1, uavs)
-    if rng.random() < 0.6:
+    if stage.axes.sum() > 1 and rng.random() < 0.6:
         speed = filter_noise(rng.standard_normal((stage.windows, steps, uavs, 1)), np.full(stage.windows, 0.95))
         way *= np.exp(rng.uniform(0.0, 0.5) * speed) / (np.linalg.norm(way, axis=-1, keepdims=True) + 1e-9)
     return way
@@ -88,22 +89,25 @@ def travel(place: Floats, velocity: Floats) -> Floats:
     return np.cumsum(np.concatenate([place[:, None], velocity], axis=1), axis=1)
 
 
-def finish(rng: np.random.Generator, stage: Stage, flight: Flight, bystanders: bool) -> Motion:
-    """Add lone UAVs among the others to a third of the flights, mix all, and find the heads."""
+def finish(rng: np.random.Generator, stage: Stage, flight: Flight) -> Examples:
+    """Add lone UAVs among the others to a third of the flights with a leader, mix all, and find the heads."""
     position, leader, delay = flight
-    windows, _, uavs, _ = position.shape
-    delay = np.broadcast_to(np.asarray(delay, np.float64), (windows, uavs))
-    if bystanders and rng.random() < 1 / 3:
-        lone = int(rng.integers(1, max(2, uavs // 3) + 1))
+    (windows, _, uavs, _), row = position.shape, np.arange(len(position))[:, None]
+    delay = np.broadcast_to(np.asarray(delay, np.float32), (windows, uavs))
+    if (leader != np.arange(uavs)).any() and rng.random() < 1 / 3:
+        lone = int(rng.integers(max(2, uavs // 3))) + 1
         speed = np.linalg.norm(np.diff(position, axis=1), axis=-1).mean((1, 2))[:, None, None]
-        place = position[:, 0].mean(1, keepdims=True) + (position[:, 0].std((1, 2))[:, None, None] + speed) * (
-            stage.draw_normals(rng, lone)
-        )
-        ways = speed[..., None] * draw_ways(rng, stage, stage.steps, lone)
-        position = np.concatenate([position, travel(place, ways)], axis=2)
-        leader = np.append(leader, uavs + np.arange(lone))
-        delay = np.concatenate([delay, np.full((windows, lone), np.nan)], axis=1)
+        spread = position[:, 0].std((1, 2))[:, None, None] + speed
+        place = position[:, 0].mean(1, keepdims=True) + spread * stage.draw_normals(rng, lone)
+        ways = travel(place, speed[..., None] * draw_ways(rng, stage, stage.steps, lone))
+        position, leader = np.concatenate([position, ways], axis=2), np.append(leader, uavs + np.arange(lone))
+        delay = np.concatenate([delay, np.full((windows, lone), np.nan, np.float32)], axis=1)
     order = rng.permuted(np.tile(np.arange(len(leader)), (windows, 1)), axis=1)  # who stands at a place
-    rank, row = np.argsort(order, axis=1), np.arange(windows)[:, None]
+    own, leads = np.arange(len(leader)), np.argsort(order, axis=1)[row, leader[order]]
+    root = leads
+    for _ in range(len(own).bit_length()):
+        root = root[row, root]
+    head = np.stack([np.isin(own, roots[roots != own]) for roots in root])
+    late = np.where(leads == own, np.float32(np.nan), delay[row, order])
     mixed = np.take_along_axis(position, order[:, None, :, None], axis=2)
-    return find_heads(mixed, rank[row, leader[order]], delay[row, order])
+    return make_examples(mixed, np.ones(mixed.shape[:3], bool), (head, leads, root, late, ""))
