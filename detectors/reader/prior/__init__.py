@@ -1,7 +1,5 @@
 """The prior: everything that the reader learns from, drawn family by family."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 
 import numpy as np

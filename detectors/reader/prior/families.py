@@ -1,7 +1,4 @@
-"""The families of the prior with their weights, and how names and numbers are drawn.
-
-None of f1 to f7 is a family; ``mixed`` and ``switching`` hold f1 to f6 as parts of a swarm.
-"""
+"""The families of the prior with their weights, none of them one of f1 to f7; and how names and numbers are drawn."""
 
 from collections.abc import Collection, Mapping
 
@@ -11,7 +8,7 @@ from usnet_env.arrays import Floats
 
 PRIOR_VERSION = 1  # increases when a draw changes
 
-MODELS = {  # follow strategies; flocks are the hardest, and come twice as often
+MODELS = {  # follow strategies; flocks are the hardest, and come twice as often; two hold f1 to f6 as parts
     "random": 2.5,
     **dict.fromkeys(("unequal_delays", "mixed", "switching", "chain", "pigeons", "cucker_smale"), 1.0),
     **dict.fromkeys(("frontness", "part_time", "partial_turns"), 1.0),

@@ -1,7 +1,5 @@
 """What observers make of a motion: the examples, how they are sampled, and the faults of sensors."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from typing import Any
 
@@ -26,17 +24,12 @@ def make_examples(position: Floats | Singles, seen: Mask, truth: Any, velocity: 
 
 def resample(examples: Examples, instants: Floats, degree: int) -> Examples:
     """Sample at evenly spaced instants, in steps; between those of the examples by splines, if all is seen there."""
-    position, seen = examples.position, examples.seen
-    if instants[1] >= 1:
-        own = instants.astype(np.int64)
-        position, seen = position[:, own], seen[:, own]
-    elif seen.all():
+    position, own = examples.position, instants.astype(np.int64)
+    if instants[1] > 1 or examples.seen.all():
         position = make_interp_spline(np.arange(position.shape[1]), position, degree, axis=1)(instants)
-        seen = np.ones(position.shape[:3], bool)
-    else:
-        return examples
-    late = examples.delay / np.float32(instants[1])
-    return make_examples(position, seen, examples._replace(delay=late)[3:])
+        late = examples.delay / np.float32(instants[1])
+        return make_examples(position, examples.seen[:, own], examples._replace(delay=late)[3:])
+    return examples
 
 
 def draw_sensors(rng: np.random.Generator, without: Collection[str] = ()) -> dict[str, dict[str, Any]]:

@@ -1,7 +1,5 @@
 """Follow strategies of the prior: random ones, and the field models with their constants varied."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -41,13 +39,9 @@ class RandomStrategy(RandomFollowStrategy):
 
 def _draw_random(rng: np.random.Generator) -> RandomStrategy:
     """Draw a random strategy; of a third all terms are linear, and half of these turn nothing."""
-    linear, alike = rng.random() < 1 / 3, rng.random() < 0.5
-    drawn = random_follow_strategy(rng)
-    while linear and (
-        any(term.kind != "linear" for term in drawn.terms)
-        or (alike and all(term.weight > 0 and term.lag == 0 for term in drawn.terms))  # that is f1
-    ):
-        drawn = random_follow_strategy(rng)
+    linear, alike, drawn = rng.random() < 1 / 3, rng.random() < 0.5, random_follow_strategy(rng)
+    while linear and any(term.kind != "linear" or (term.lag == 0 and term.weight > 0) for term in drawn.terms):
+        drawn = random_follow_strategy(rng)  # without the second condition f1, f2 and f3 could be drawn
     parts: dict[str, Any] = {field.name: getattr(drawn, field.name) for field in fields(drawn)}
     rotation = None if linear and alike else drawn.rotation
     return RandomStrategy(**{**parts, "rotation": rotation, "noise": drawn.noise * float(2.0 ** rng.integers(-1, 3))})

@@ -1,7 +1,5 @@
 """Swarms of the simulator: their configurations, and their motions with the truth."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from typing import Any
 
@@ -43,11 +41,10 @@ def draw_model_swarm(
 
 
 def draw_field_swarm(rng: np.random.Generator, steps: int, most_uavs: int, without: Collection[str]) -> SwarmConfig:
-    """Draw a swarm as the field environment does, its constants varied in half of the draws."""
+    """Draw a swarm as the field environment does, with constants of its model varied in half of the draws."""
     faults = [list(names)[-1] for fault, names in draw_sensors(rng).items() if fault in without]
-    arguments = DISTRIBUTION.draw(rng)
-    while arguments["follow"] in without or any(arguments.get(name) for name in faults):
-        arguments = DISTRIBUTION.draw(rng)
+    while (arguments := DISTRIBUTION.draw(rng))["follow"] in without or any(arguments.get(name) for name in faults):
+        pass
     arguments["follow"] = draw_strategy(rng, arguments["follow"])
     arguments["formation"] = "uniform" if arguments["formation"] == "uniform" else "gathered"
     return _fit(arguments, min(most_uavs, draw_whole(rng, 24, 60)), steps)

@@ -1,7 +1,5 @@
 """Worlds that the simulator doesn't have: other laws of following, and many in which nobody leads."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

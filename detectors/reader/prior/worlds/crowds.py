@@ -1,7 +1,5 @@
 """Worlds in which UAVs act on each other: flocks, herds, people, and particles with springs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
@@ -12,10 +10,9 @@ from usnet_env.arrays import Floats
 
 
 def _sum_neighbours(place: Floats, velocity: Floats, weight: Floats, radius: Floats) -> tuple[Floats, Floats, Floats]:
-    """The push, the mean velocity and the mean direction of the neighbours of each UAV, ``(B, n, 3)`` each.
+    """The push, mean velocity and mean direction of each UAV's neighbours within ``radius (B, 3)``, ``(B, n, 3)`` each.
 
-    ``weight`` ``(B, n, n)`` is the influence of UAV j on UAV i, 0 on the diagonal; the means are in units of the sum of
-    its sizes. Each comes from within its ``radius`` ``(B, 3)``, and a push falls with the distance.
+    ``weight`` ``(B, n, n)`` is the influence of UAV j on UAV i, 0 on the diagonal. A push falls with the distance.
     """
     square = (place * place).sum(-1)
     distance = np.sqrt(np.maximum(square[:, :, None] + square[:, None] - 2.0 * place @ place.swapaxes(1, 2), 1e-12))
@@ -28,15 +25,12 @@ def _sum_neighbours(place: Floats, velocity: Floats, weight: Floats, radius: Flo
 
 def draw_walkers(rng: np.random.Generator, stage: Stage) -> Flight:
     """UAVs that fly on their own: nobody leads."""
-    place = place_groups(rng, stage, np.zeros(stage.uavs, np.int64))
-    return Flight(travel(place, draw_ways(rng, stage, stage.steps, stage.uavs)), np.arange(stage.uavs))
+    place, ways = 30.0 * stage.draw_normals(rng, stage.uavs), draw_ways(rng, stage, stage.steps, stage.uavs)
+    return Flight(travel(draw_log(rng, 0.03, 3.0) * place, ways), np.arange(stage.uavs))
 
 
 def _fly(rng: np.random.Generator, stage: Stage, place: Floats, turn: Floats, wish: Callable[..., Floats]) -> Floats:
-    """Positions ``(B, T + 1, n, 3)`` of UAVs from places ``(B, n, 3)`` on, after 30 steps that are left out.
-
-    The part ``turn`` of a velocity is new in a step: ``wish(t, position, velocity)``, of all instants so far.
-    """
+    """Positions ``(B, T + 1, n, 3)`` of UAVs, the part ``turn`` of whose velocities becomes their wish in a step."""
     position = np.empty((stage.windows, stage.steps + 31, *place.shape[1:]))
     velocity = np.zeros_like(position)
     position[:, 0], shake = place, draw_log(rng, 0.02, 0.4)
@@ -48,19 +42,12 @@ def _fly(rng: np.random.Generator, stage: Stage, place: Floats, turn: Floats, wi
 
 
 def _fly_flock(rng: np.random.Generator, stage: Stage, weight: Floats, drive: Floats) -> Floats:
-    """Positions of a flock of push, alignment and attraction with ``weight (B, n, n)``.
-
-    The part ``drive`` ``(n,)`` of a velocity is a way of the UAV's own. Speeds are equal in half of the draws.
-    Neighbours act some steps late in a third.
-    """
+    """Positions of a flock with influences ``weight (B, n, n)``; a part ``drive (n,)`` of velocity is an own way."""
     near, windows, uavs, part = draw_log(rng, 1.0, 6.0, stage.windows, 1), stage.windows, stage.uavs, drive[:, None]
     radius = near * np.sort(draw_log(rng, 1.0, 20.0, windows, 3), axis=1)
     push, align, pull = (draw_log(rng, low, high, windows, 1, 1) for low, high in ((1, 3), (0.2, 1.5), (0.05, 0.6)))
-    ways, fixed, late = (
-        draw_ways(rng, stage, stage.steps + 30, uavs),
-        rng.random() < 0.5,
-        max(0, int(rng.integers(-16, 9))),
-    )
+    ways, fixed = draw_ways(rng, stage, stage.steps + 30, uavs), rng.random() < 0.5
+    late = max(0, int(rng.integers(-16, 9)))  # steps, in a third of the draws
 
     def wish(t: int, position: Floats, velocity: Floats) -> Floats:
         acts = _sum_neighbours(position[:, t], velocity[:, max(t - late, 0)], weight, radius)
@@ -148,12 +135,10 @@ def draw_springs(rng: np.random.Generator, stage: Stage) -> Flight:
     push = pushed * stage.draw_normals(rng, stage.steps, uavs)
     push[:, :, 0] *= rng.uniform(0.0, 3.0)
     drag = float(draw_log(rng, 0.005, 0.3)) if pushed else 0.0
-    place, velocity = stage.draw_normals(rng, uavs), draw_log(rng, 0.05, 0.5) * stage.draw_normals(rng, uavs)
-    places = [place]
+    places, velocity = [stage.draw_normals(rng, uavs)], draw_log(rng, 0.05, 0.5) * stage.draw_normals(rng, uavs)
     for part in range(4 * stage.steps):  # four parts of each step
-        force = push[:, part // 4] - drag * velocity + spring @ place - spring.sum(-1, keepdims=True) * place
-        velocity = velocity + force / 4.0
-        place = place + velocity / 4.0
-        velocity = np.where(np.abs(place) > wall, -np.sign(place) * np.abs(velocity), velocity)
-        places.append(place)
+        force = spring @ places[-1] - spring.sum(-1, keepdims=True) * places[-1]
+        velocity = velocity + (push[:, part // 4] - drag * velocity + force) / 4.0
+        places.append(places[-1] + velocity / 4.0)
+        velocity = np.where(np.abs(places[-1]) > wall, -np.sign(places[-1]) * np.abs(velocity), velocity)
     return Flight(np.stack(places[::4], axis=1), np.zeros(uavs, np.int64))

@@ -1,19 +1,9 @@
 """Worlds in which UAVs copy the velocities of a leader some steps late, go to its places, or share a way."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from detectors.reader.prior.families import draw_log
-from detectors.reader.prior.worlds.stage import (
-    Flight,
-    Stage,
-    draw_groups,
-    draw_ways,
-    filter_noise,
-    place_groups,
-    travel,
-)
+from detectors.reader.prior.worlds.stage import Flight, Stage, draw_groups, draw_ways, keep_noise, place_groups, travel
 from usnet_env.arrays import Floats, Indices
 
 
@@ -45,10 +35,8 @@ def draw_graded(rng: np.random.Generator, stage: Stage) -> Flight:
     """A graded order: each UAV copies the one before it, or any before it, or one of the two before it."""
     later = np.arange(1, stage.uavs)
     low = [later - 1, np.zeros_like(later), np.maximum(later - 2, 0)][int(rng.integers(3))]
-    leader, delay = (
-        np.append(0, rng.integers(low, later)),
-        stage.draw_delays(rng, stage.steps // (3 * min(stage.uavs, 8))),
-    )
+    leader = np.append(0, rng.integers(low, later))
+    delay = stage.draw_delays(rng, stage.steps // (3 * min(stage.uavs, 8)))
     return Flight(_copy(rng, stage, np.tile(leader, (stage.steps, 1)), delay, 0.4), leader, delay)
 
 
@@ -58,10 +46,8 @@ def draw_changes(rng: np.random.Generator, stage: Stage) -> Flight:
     longest = rng.uniform(0.5, 0.8)
     share = np.append(longest, (1.0 - longest) * rng.dirichlet(np.ones(leaders - 1)))
     order = rng.permutation(leaders)
-    ends = np.cumsum(share[order])[:-1] * stage.steps
-    head = order[np.searchsorted(ends, np.arange(stage.steps), side="right")]
-    delay = stage.draw_delays(rng, stage.steps // 10)
-    source = np.tile(head[:, None], (1, stage.uavs))
+    ends, delay = np.cumsum(share[order])[:-1] * stage.steps, stage.draw_delays(rng, stage.steps // 10)
+    source = order[np.searchsorted(ends, np.arange(stage.steps), side="right")][:, None].repeat(stage.uavs, axis=1)
     return Flight(_copy(rng, stage, source, delay, 0.3), np.zeros(stage.uavs, np.int64), delay)
 
 
@@ -81,45 +67,30 @@ def draw_fission(rng: np.random.Generator, stage: Stage) -> Flight:
     """Some followers leave a leader for another one, so that two groups become one, or one becomes two."""
     leader = np.append([0, 1, 0, 1], rng.integers(2, size=stage.uavs - 4))
     movers = np.flatnonzero(rng.random(stage.uavs - 4) < rng.uniform(0.2, 1.0)) + 4
-    source = np.tile(leader, (stage.steps, 1))
+    source, delay = np.tile(leader, (stage.steps, 1)), stage.draw_delays(rng, stage.steps // 10)
     source[: int(rng.uniform(0.15, 0.45) * stage.steps), movers] = 1 - leader[movers]
-    delay = stage.draw_delays(rng, stage.steps // 10)
     return Flight(_copy(rng, stage, source[:: int(rng.choice([-1, 1]))], delay, 0.3), leader, delay)
 
 
 def _go_after(
     rng: np.random.Generator, stage: Stage, track: Floats, leader: Indices, delay: Indices, wide: float = 10.0
 ) -> Floats:
-    """The positions ``(B, T + 1, n, 3)`` of UAVs that go to places of their leader ``delay`` steps later.
-
-    ``track`` ``(B, before + T + 1, m, 3)`` are the places of the leaders, the first m UAVs. Followers sway, and keep a
-    side of the way, up to about ``wide`` steps from it.
-    """
-    led, last, window = (
-        np.arange(track.shape[2], stage.uavs),
-        track.shape[1] - 1,
-        np.arange(stage.windows)[:, None, None],
-    )
-    late = np.maximum(np.arange(last - stage.steps, last + 1)[:, None] - delay[:, None, led], 0)
-    way = np.linalg.norm(np.diff(track, axis=1), axis=-1).mean((1, 2)).reshape(-1, 1, 1, 1) + 1e-9
-    course = (
-        track[window, np.minimum(late + 4, last), leader[led]] - track[window, np.maximum(late - 4, 0), leader[led]]
-    )
+    """Positions ``(B, T + 1, n, 3)`` of m leaders with the ``track (B, S + T + 1, m, 3)`` and of those who go there."""
+    led, last = leader[track.shape[2] :], track.shape[1] - 1
+    window, one = np.arange(stage.windows)[:, None, None], (stage.windows, 1, 1, 1)
+    late = np.maximum(np.arange(last - stage.steps, last + 1)[:, None] - delay[:, None, track.shape[2] :], 0)
+    way = np.linalg.norm(np.diff(track, axis=1), axis=-1).mean((1, 2)).reshape(one) + 1e-9
+    course = track[window, np.minimum(late + 4, last), led] - track[window, np.maximum(late - 4, 0), led]
     side = course[..., [1, 0, 2]] * [-1.0, 1.0, 0.0] / (np.linalg.norm(course, axis=-1, keepdims=True) + way)
-    aside = draw_log(rng, 0.002 * wide, wide, stage.windows, 1, 1, 1) * rng.standard_normal(
-        (stage.windows, 1, len(led), 1)
-    )
-    sway = filter_noise(stage.draw_normals(rng, *late.shape[1:]), rng.uniform(0.3, 0.98, stage.windows))
-    sway *= draw_log(rng, 0.02, 1.0, stage.windows, 1, 1, 1)
-    place = track[window, late, leader[led]] + way * (aside * side + sway)
+    aside = draw_log(rng, 0.002 * wide, wide, *one) * rng.standard_normal((stage.windows, 1, len(led), 1))
+    sway = keep_noise(stage.draw_normals(rng, *late.shape[1:]), rng.uniform(0.3, 0.98, stage.windows))
+    sway *= draw_log(rng, 0.02, 1.0, *one)
+    place = track[window, late, led] + way * (aside * side + sway)
     return np.concatenate([track[:, -stage.steps - 1 :], place], axis=2)
 
 
 def _track(rng: np.random.Generator, stage: Stage, leader: Indices, delay: Indices, rest: bool) -> Floats:
-    """The places ``(B, before + T + 1, m, 3)`` of m leaders, ``before`` the longest delay.
-
-    With ``rest`` they set off within the window, and stop again up to twice.
-    """
+    """Draw places ``(B, S + T + 1, m, 3)`` of m leaders, S the longest delay; some ``rest`` until they set off."""
     before, leaders, walks = int(delay.max()), int(leader.max()) + 1, np.array(1.0)
     way = draw_ways(rng, stage, before + stage.steps, leaders, 0.1 if rest else 0.5)
     if rest:
@@ -179,27 +150,23 @@ def draw_route(rng: np.random.Generator, stage: Stage) -> Flight:
     """UAVs on one winding way, from their own places on it, at their own paces, some backwards: nobody leads."""
     shape = stage.windows, stage.steps + 1, stage.uavs
     road = travel(stage.draw_normals(rng, 1), draw_ways(rng, stage, 3 * stage.steps, 1, 0.1))[:, :, 0]
-    vary = filter_noise(rng.standard_normal(shape), rng.uniform(0.5, 0.98, stage.windows))
+    vary = keep_noise(rng.standard_normal(shape), rng.uniform(0.5, 0.98, stage.windows))
     gone = np.cumsum(stage.draw_each(rng, 0.3, 1.0)[:, None] * np.exp(rng.uniform(0.0, 0.4) * vary), axis=1)
     along = rng.uniform(0.0, 1.2 * stage.steps, (stage.windows, 1, stage.uavs)) + np.minimum(gone, 1.7 * stage.steps)
     along = np.where(rng.random(stage.uavs) < rng.choice([0.0, 0.5]), 3 * stage.steps - along, along)
-    before, window = along.astype(np.int64), np.arange(stage.windows)[:, None, None]
-    part = (along - before)[..., None]
+    before, part, window = along.astype(np.int64), along[..., None] % 1.0, np.arange(stage.windows)[:, None, None]
     place = (1.0 - part) * road[window, before] + part * road[window, before + 1]
-    sway = filter_noise(stage.draw_normals(rng, *shape[1:]), np.full(stage.windows, 0.9))
+    sway = keep_noise(stage.draw_normals(rng, *shape[1:]), np.full(stage.windows, 0.9))
     return Flight(place + draw_log(rng, 0.02, 1.0) * sway, np.arange(stage.uavs))
 
 
 def draw_initiators(rng: np.random.Generator, stage: Stage) -> Flight:
-    """UAVs that rest or mill about; one sets off, and the others join 5 to 40 steps later and go to its places.
-
-    In some windows another one begins a second, shorter trip, or began one before; the leader is who led longer.
-    """
+    """UAVs rest or mill about; one sets off, others join late and go to its places; another has a shorter trip."""
     swap = float(rng.choice([0.0, 0.0, 0.35, 0.65]))  # when the other trip ends, or this one
     own, window = np.arange(stage.uavs), np.arange(stage.windows)[:, None]
     delay = rng.integers(5, max(7, min(41, stage.steps // 3)), (stage.windows, stage.uavs))
-    step = filter_noise(stage.draw_normals(rng, stage.steps, stage.uavs), rng.uniform(0.0, 0.9, stage.windows))
-    step *= rng.choice([0.02, 0.1, 0.3])
+    step = rng.choice([0.02, 0.1, 0.3]) * stage.draw_normals(rng, stage.steps, stage.uavs)
+    step = keep_noise(step, rng.uniform(0.0, 0.9, stage.windows))
     position = np.empty((stage.windows, stage.steps + 1, stage.uavs, 3))
     position[:, 0] = draw_log(rng, 2.0, 15.0) * stage.draw_normals(rng, stage.uavs)
     ways, far = draw_ways(rng, stage, stage.steps, 1, 0.1), draw_log(rng, 1.0, 6.0)

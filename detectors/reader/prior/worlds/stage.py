@@ -1,9 +1,4 @@
-"""What all worlds share: their size, the ways of UAVs that fly on their own, places, delays, and groups.
-
-A world orders its UAVs as it likes, in all windows alike: ``finish`` mixes them. The speed of a UAV is about 1.
-"""
-
-from __future__ import annotations
+"""What all worlds share. A world orders its UAVs as it likes, and ``finish`` mixes them. Speeds are about 1."""
 
 from typing import NamedTuple
 
@@ -47,7 +42,7 @@ class Flight(NamedTuple):
     delay: Floats | Indices | float = np.nan
 
 
-def filter_noise(noise: Floats, keep: Floats) -> Floats:
+def keep_noise(noise: Floats, keep: Floats) -> Floats:
     """Autoregressive noise of order 1 with the variance of ``noise (B, S, ...)``, and ``keep (B,)``."""
     rest = np.sqrt(1.0 - keep**2)
     noise[:, 0] /= rest.reshape(-1, *[1] * (noise.ndim - 2))
@@ -55,18 +50,15 @@ def filter_noise(noise: Floats, keep: Floats) -> Floats:
 
 
 def draw_ways(rng: np.random.Generator, stage: Stage, steps: int, uavs: int, calm: float = 1.0) -> Floats:
-    """Velocities ``(B, steps, uavs, 3)`` of UAVs that fly on their own: from jittery to nearly straight.
-
-    ``calm`` is the largest part of a velocity that is forgotten in a step. Speeds are steady, vary, or go with turns.
-    """
+    """Velocities ``(B, steps, uavs, 3)`` of lone UAVs; in a step they forget ``calm`` of a velocity at most."""
     keep = 1.0 - draw_log(rng, 0.01, calm, stage.windows)
-    way = filter_noise(stage.draw_normals(rng, steps, uavs), keep)
+    way = keep_noise(stage.draw_normals(rng, steps, uavs), keep)
     if rng.random() < 0.5:  # smooth turns
-        way = filter_noise(way, keep)
+        way = keep_noise(way, keep)
         way /= np.sqrt((way**2).mean((1, 2, 3), keepdims=True)) + 1e-9
     way = way + rng.uniform(0.0, 2.0, (stage.windows, 1, 1, 1)) * stage.draw_normals(rng, 1, uavs)
     if stage.axes.sum() > 1 and rng.random() < 0.6:
-        speed = filter_noise(rng.standard_normal((stage.windows, steps, uavs, 1)), np.full(stage.windows, 0.95))
+        speed = keep_noise(rng.standard_normal((stage.windows, steps, uavs, 1)), np.full(stage.windows, 0.95))
         way *= np.exp(rng.uniform(0.0, 0.5) * speed) / (np.linalg.norm(way, axis=-1, keepdims=True) + 1e-9)
     return way
 
@@ -91,9 +83,9 @@ def travel(place: Floats, velocity: Floats) -> Floats:
 
 def finish(rng: np.random.Generator, stage: Stage, flight: Flight) -> Examples:
     """Add lone UAVs among the others to a third of the flights with a leader, mix all, and find the heads."""
-    position, leader, delay = flight
+    position, leader = flight.position, flight.leader
     (windows, _, uavs, _), row = position.shape, np.arange(len(position))[:, None]
-    delay = np.broadcast_to(np.asarray(delay, np.float32), (windows, uavs))
+    delay = np.broadcast_to(np.asarray(flight.delay, np.float32), (windows, uavs))
     if (leader != np.arange(uavs)).any() and rng.random() < 1 / 3:
         lone = int(rng.integers(max(2, uavs // 3))) + 1
         speed = np.linalg.norm(np.diff(position, axis=1), axis=-1).mean((1, 2))[:, None, None]
