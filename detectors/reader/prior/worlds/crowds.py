@@ -61,9 +61,8 @@ def _fly_flock(rng: np.random.Generator, stage: Stage, weight: Floats, drive: Fl
 
 def draw_leaderless(rng: np.random.Generator, stage: Stage) -> Flight:
     """A flock of equals: nobody leads."""
-    weight = np.tile(1.0 - np.eye(stage.uavs), (stage.windows, 1, 1))
-    drive = np.full(stage.uavs, rng.choice([0.0, 0.0, 0.2]))
-    return Flight(_fly_flock(rng, stage, weight, drive), np.arange(stage.uavs))
+    weight, drive = 1.0 - np.eye(stage.uavs), np.full(stage.uavs, rng.choice([0.0, 0.0, 0.2]))
+    return Flight(_fly_flock(rng, stage, np.tile(weight, (stage.windows, 1, 1)), drive), np.arange(stage.uavs))
 
 
 def draw_boids_signed(rng: np.random.Generator, stage: Stage) -> Flight:
