@@ -11,6 +11,7 @@ import numpy as np
 from joblib.externals.loky import get_reusable_executor
 from numpy.typing import NDArray
 
+from detectors.reader.examples import Examples
 from detectors.reader.features import make_features
 from detectors.reader.prior import draw_examples
 from usnet_env.arrays import Indices, Mask, Singles
@@ -31,9 +32,15 @@ class Batch(NamedTuple):
     family: str
 
 
-def draw_batch(rng: np.random.Generator, windows: int, without: tuple[str, ...], most_uavs: int) -> Batch:
-    """Draw windows of one family of the prior, but those named, and at most so many UAVs."""
-    drawn = draw_examples(rng, windows, without=without, most_uavs=most_uavs)
+def draw_shard(
+    number: int, *, seed: tuple[int, ...], batches: int, windows: int, without: tuple[str, ...], most_uavs: int
+) -> list[Batch]:
+    """Draw shard ``number`` of a seed: batches, each of one family of the prior, but those in ``without``."""
+    rng = np.random.default_rng([*seed, number])
+    return [_describe(draw_examples(rng, windows, without=without, most_uavs=most_uavs)) for _ in range(batches)]
+
+
+def _describe(drawn: Examples) -> Batch:
     tracks = zip(drawn.position, drawn.velocity, drawn.seen, strict=True)
     pair, uav, context = map(np.stack, zip(*(make_features(*window) for window in tracks), strict=True))
     small = np.clip(pair, -_LARGEST, _LARGEST).astype(np.float16)

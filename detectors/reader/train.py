@@ -22,7 +22,7 @@ from pydantic import Field
 from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits, cross_entropy, huber_loss
 
-from detectors.reader.draws import Batch, draw_ahead, draw_batch
+from detectors.reader.draws import Batch, draw_ahead, draw_shard
 from detectors.reader.features import CONTEXT_GROUPS, PAIR_GROUPS, UAV_GROUPS
 from detectors.reader.forward import Answer
 from detectors.reader.network import NetworkSizes, ReaderNetwork, draw_network
@@ -216,15 +216,11 @@ def train_reader(
 
 
 def _draw_shards(training: ReaderTraining, numbers: range, workers: int, backend: str | None) -> Iterator[list[Batch]]:
-    draw = partial(_draw_shard, training)
+    settings = training.model_dump(include={"batches", "windows", "without", "most_uavs"})
+    draw = partial(draw_shard, seed=(training.seed, _SHARD), **settings)
     if backend in ("serial", "ray"):
         return map_tasks(draw, numbers, workers=workers, backend=backend)
     return draw_ahead(draw, numbers, workers, become_worker)
-
-
-def _draw_shard(training: ReaderTraining, number: int) -> list[Batch]:
-    rng = np.random.default_rng([training.seed, _SHARD, number])
-    return [draw_batch(rng, training.windows, training.without, training.most_uavs) for _ in range(training.batches)]
 
 
 def _load_start(network: ReaderNetwork, path: str) -> None:
