@@ -7,7 +7,7 @@ products of matrices.
 from __future__ import annotations
 
 import math
-from typing import Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -67,12 +67,11 @@ def read(weights: Weights, features: Features) -> Answer[Singles]:
     row, column = np.split(state @ weights["ends.weight"].T, 2, axis=1)
     row = row + _apply(weights, "context", context)
     both = (scaled @ weights["enter.weight"].T).reshape(n, n, 2 * width)
-    entered = np.empty((n, n, 2 * width), np.float32)
+    entered = np.empty((n, n, width), np.float32)
     _meet(both, row, column, weights["itself"], entered)
-    _append_relative(entered)
-    pair = np.zeros((n * n, width), np.float32)
-    normed = np.empty_like(pair)
-    change = _apply(weights, "rows", entered.reshape(n * n, 2 * width))
+    plain, ranked = np.split(weights["rows.weight"].T, 2)
+    change = (entered @ plain + _normalise(entered, ROW_NOISE) @ ranked + weights["rows.bias"]).reshape(n * n, width)
+    pair, normed = np.zeros_like(change), np.empty_like(change)
     for block in range(sum(name.endswith(".attention.weight") for name in weights)):
         _add_and_normalise(pair, change, normed)
         change, state = _update(weights, f"blocks.{block}", normed, state)
@@ -115,9 +114,12 @@ def _apply_layers(weights: Weights, name: str, values: Singles) -> Singles:
     return _apply(weights, f"{name}.second", hidden)
 
 
-def _normalise(state: Singles) -> Singles:
-    centred = state - state.mean(axis=1, keepdims=True)
-    return centred / np.sqrt((centred**2).mean(axis=1, keepdims=True) + _NORM_NOISE)
+def _normalise(values: Singles, noise: Any = _NORM_NOISE) -> Singles:
+    """Values with mean 0 and variance 1 along axis 1."""
+    centred = values - values.mean(axis=1, keepdims=True)
+    square = np.einsum("ij...,ij...->i...", centred, centred)[:, None] / np.float32(values.shape[1])
+    centred *= _ONE / np.sqrt(square + noise)
+    return centred
 
 
 @compiled(**_FAST)
@@ -153,26 +155,6 @@ def _meet(both, row, column, itself, out):
                     out[i, j, c] += itself[c]
             for c in range(width):
                 out[i, j, c] = _gelu(out[i, j, c])
-
-
-@compiled(**_FAST)
-def _append_relative(pair):
-    """Write behind the first half of each pair's vector the same, standardised over the pairs of its row."""
-    n, width = len(pair), pair.shape[2] // 2
-    for i in range(n):
-        mean, square = np.zeros((2, width), np.float32)
-        for j in range(n):
-            for c in range(width):
-                mean[c] += pair[i, j, c] / np.float32(n)
-        for j in range(n):
-            for c in range(width):
-                pair[i, j, width + c] = pair[i, j, c] - mean[c]
-                square[c] += pair[i, j, width + c] ** 2 / np.float32(n)
-        for c in range(width):
-            square[c] = _ONE / math.sqrt(square[c] + ROW_NOISE)
-        for j in range(n):
-            for c in range(width):
-                pair[i, j, width + c] *= square[c]
 
 
 @compiled(**_FAST)

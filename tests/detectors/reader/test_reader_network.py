@@ -82,7 +82,7 @@ def test_foreign_weights_are_refused(tmp_path):
         load_reader(str(tmp_path / "none"))
     arrays = {"pair_mean": np.zeros(3, np.float32), "uav_mean": np.zeros(2, np.float32)}
     path = write_weights(tmp_path / "other.safetensors", arrays, {}, {})
-    with pytest.raises(ArgumentError, match="^weights must be a file of a reader with this version's features, got"):
+    with pytest.raises(ArgumentError, match=r"^weights must be a file of a reader with this version's features, got"):
         load_reader(str(path))
     with pytest.raises(ArgumentError, match=r"^attn_heads must divide width \(32\), got 3"):
         draw_network(NetworkSizes(attn_heads=3), 0)

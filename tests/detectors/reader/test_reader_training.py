@@ -47,9 +47,9 @@ def test_a_training_that_is_repeated_on_few_windows_learns_them(tmp_path, monkey
     shard = next(train._draw_shards(ReaderTraining(**{**SMALL, "batches": 3}), range(1), 1, "serial"))
     monkeypatch.setattr(train, "draw_shard", lambda number, **settings: shard)
     monkeypatch.setattr(train, "_WARM", 10)
-    path = train_serially(tmp_path, shards=60, batches=3, width=16)
+    path = train_serially(tmp_path, shards=40, batches=3, width=16)
     rows = read_losses(tmp_path)
-    assert [int(row["shard"]) for row in rows] == list(range(1, 61))
+    assert [int(row["shard"]) for row in rows] == list(range(1, 41))
     losses = [float(row["loss"]) for row in rows]
     assert np.mean(losses[-5:]) < 0.4 * np.mean(losses[:5])
     record = json.loads(path.with_suffix(".json").read_text())
@@ -69,7 +69,7 @@ def test_a_training_that_starts_from_weights_keeps_their_standards(tmp_path):
         np.testing.assert_array_equal(one[name], two[name])
     moved = np.abs(two["enter.weight"] - one["enter.weight"]).max()
     assert 0 < moved < 1e-3  # two small steps
-    with pytest.raises(ArgumentError, match=r"^start must hold the arrays of such a reader, got .*size mismatch"):
+    with pytest.raises(ArgumentError, match=r"^start must hold a network of these sizes, got"):
         train_serially(tmp_path / "wider", start=str(first), width=16)
 
 
@@ -80,8 +80,8 @@ def test_processes_draw_the_shards_in_order(monkeypatch):
     serial = train._draw_shards(training, range(1, 3), 1, "serial")
     for one, other in zip(ahead, serial, strict=True):
         for left, right in zip(one, other, strict=True):
-            assert left.family == right.family == "none"
-            for a, b in zip(left[:-1], right[:-1], strict=True):
+            assert left[1].family == right[1].family == "none"
+            for a, b in zip((*left[0], *left[1][:-1]), (*right[0], *right[1][:-1]), strict=True):
                 np.testing.assert_array_equal(a, b)
 
 
@@ -116,6 +116,6 @@ def test_unknown_settings_are_refused_in_one_sentence(tmp_path):
     with pytest.raises(ArgumentError, match=r"^without must be one of .*, got 'starlings'"):
         train_serially(tmp_path, without=("starlings",))
     if not torch.cuda.is_available():
-        with pytest.raises(ArgumentError, match="^device must be 'cpu' where torch finds no CUDA device, got 'cuda'"):
+        with pytest.raises(ArgumentError, match=r"^device must be 'cpu' where torch finds no CUDA device, got 'cuda'"):
             train_serially(tmp_path, device="cuda")
     assert list(islice(tmp_path.iterdir(), 1)) == []
