@@ -1,7 +1,6 @@
 """The network of the reader without torch: the same answers from the same file, by NumPy and compiled loops.
 
-Vectors of pairs ``(n, n, w)`` are read from memory as rarely as can be: each loop does all that happens between two
-products of matrices.
+A loop does all that happens to the vectors of pairs ``(n, n, w)`` between two products of matrices.
 """
 
 from __future__ import annotations
@@ -49,7 +48,7 @@ def load_reader(weights: str = "shipped") -> Weights:
         return packaged_arrays("detectors.reader", "reader")
     arrays = read_arrays(weights)
     counts = tuple(len(arrays.get(f"{name}_mean", ())) for name in ("pair", "uav", "context"))
-    if counts != (PAIR_FEATURES, UAV_FEATURES, CONTEXT_FEATURES) or "silent.second.bias" not in arrays:
+    if counts != (PAIR_FEATURES, UAV_FEATURES, CONTEXT_FEATURES) or "silent.2.bias" not in arrays:
         raise ArgumentError(f"weights must be a file of a reader with this version's features, got {quote(weights)}.")
     return arrays
 
@@ -109,9 +108,9 @@ def _apply(weights: Weights, name: str, values: Singles) -> Singles:
 
 
 def _apply_layers(weights: Weights, name: str, values: Singles) -> Singles:
-    hidden = _apply(weights, f"{name}.first", values)
+    hidden = _apply(weights, f"{name}.0", values)
     hidden *= _HALF * (_ONE + np.tanh(_SLOPE * (hidden + _CUBE * hidden * hidden * hidden)))
-    return _apply(weights, f"{name}.second", hidden)
+    return _apply(weights, f"{name}.2", hidden)
 
 
 def _normalise(values: Singles, noise: Any = _NORM_NOISE) -> Singles:
@@ -148,13 +147,11 @@ def _meet(both, row, column, itself, out):
     n, width = row.shape
     for i in range(n):
         for j in range(n):
+            same = np.float32(i == j)
             for c in range(width):
-                out[i, j, c] = both[i, j, c] + both[j, i, width + c] + row[i, c] + column[j, c]
-            if i == j:
-                for c in range(width):
-                    out[i, j, c] += itself[c]
-            for c in range(width):
-                out[i, j, c] = _gelu(out[i, j, c])
+                out[i, j, c] = _gelu(
+                    both[i, j, c] + both[j, i, width + c] + row[i, c] + column[j, c] + same * itself[c]
+                )
 
 
 @compiled(**_FAST)

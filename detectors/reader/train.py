@@ -1,8 +1,7 @@
 """Trains the reader on windows that the prior draws.
 
-A training is a list of shards. Shard k follows from the seed and k alone, and every shard is used for a few passes and
-forgotten. So a training that is resumed from its checkpoint, written after each shard, gives exactly the result of an
-uninterrupted one on a CPU.
+Shard k of windows follows from the seed and k alone; it is used for a few passes and forgotten. So a training that is
+resumed from its checkpoint, written after each shard, gives exactly the result of an uninterrupted one on a CPU.
 """
 
 from __future__ import annotations
@@ -23,8 +22,7 @@ from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits, cross_entropy, huber_loss
 
 from detectors.reader.draws import Batch, draw_ahead, draw_shard
-from detectors.reader.examples import Examples
-from detectors.reader.features import CONTEXT_GROUPS, PAIR_GROUPS, UAV_GROUPS, Features
+from detectors.reader.features import CONTEXT_GROUPS, PAIR_GROUPS, UAV_GROUPS
 from detectors.reader.forward import Answer, load_reader
 from detectors.reader.network import NetworkSizes, draw_network
 from detectors.reader.prior import FAMILIES, PRIOR_VERSION
@@ -37,9 +35,8 @@ from usnet_env.files import reserve_folder, write_text
 _START, _SHARD, _ORDER = range(3)  # purpose of a seed
 _PRESETS = {"minutes": 25, "hours": 300}  # shards
 _PASSES, _TOGETHER = 2, 3  # how often a shard is used, and the batches in a step
-_WARM = 100  # steps until the largest rate
+_WARM, _MOST_DECAY = 100, 0.996  # steps until the largest rate; decay of the average of the weights
 _DROPPED = 0.15  # share of batches in which one group of features is hidden
-_MOST_DECAY = 0.996  # of the average of the weights
 _STATE = ("step", "exp_avg", "exp_avg_sq")  # of the optimiser, for each parameter
 _INPUTS = {"pair": PAIR_GROUPS, "uav": UAV_GROUPS, "context": CONTEXT_GROUPS}
 _GROUPS = [(name, part) for name, groups in _INPUTS.items() for part in groups.values()]
@@ -112,23 +109,21 @@ class _Trainer:
             order = rng.permutation(len(shard))
             steps = np.split(order, range(_TOGETHER, len(order), _TOGETHER))
             for k, chosen in enumerate(steps, start=(len(self.rows) * _PASSES + number) * len(steps)):
-                for features, truth in (shard[index] for index in chosen):
+                for batch in (shard[index] for index in chosen):
                     dropped = _GROUPS[rng.integers(len(_GROUPS))] if rng.random() < _DROPPED else None
-                    loss, exact = self._add_gradients(features, truth, dropped, len(chosen))
+                    loss, exact = self._add_gradients(batch, dropped, len(chosen))
                     if number == 0 and dropped is None:
                         losses.append(loss)
-                        right, windows = families.get(truth.family, (0, 0))
-                        families[truth.family] = [right + exact, windows + len(truth.head)]
+                        right, windows = families.get(batch[1].family, (0, 0))
+                        families[batch[1].family] = [right + exact, windows + len(batch[1].head)]
                 self._step(k, self.shards * _PASSES * len(steps))
         share = np.divide(*np.sum([[0, 0], *families.values()], axis=0))
         row = {"shard": len(self.rows) + 1, "loss": float(np.mean(losses)), "exact": float(share)}
         self.rows.append({**row, "families": dict(sorted(families.items()))})
 
-    def _add_gradients(
-        self, features: Features, truth: Examples, dropped: tuple[str, slice] | None, count: int
-    ) -> tuple[float, int]:
+    def _add_gradients(self, batch: Batch, dropped: tuple[str, slice] | None, count: int) -> tuple[float, int]:
         """Add a batch's gradients over ``count``; returns its loss, and in how many windows the heads are exact."""
-        device = self.training.device
+        (features, truth), device = batch, self.training.device
         inputs = {name: torch.tensor(array, device=device).float() for name, array in features._asdict().items()}
         head, leader, root, delay = (torch.tensor(array, device=device) for array in truth[3:7])
         if dropped is not None:
