@@ -142,7 +142,8 @@ def _scale_window(position: Singles, velocity: Singles, seen: Mask) -> _Window:
     s = _align(seen)
     m = _align(s[1:] * s[:-1])
     v = np.where(m[..., None] > 0, velocity, 0).astype(np.float64)
-    rms = max(float(np.sqrt((v**2).sum() / max(float(m.sum()), 1))), 1e-9)
+    rms = float(np.sqrt((v**2).sum() / max(float(m.sum()), 1)))
+    rms = rms if rms > 1e-9 else 1.0
     p = np.where(seen[..., None], position, 0).astype(np.float64)
     middle = p.sum((0, 1)) / max(float(s.sum()), 1)
     p = (p - middle) * s[..., None] / rms
