@@ -45,7 +45,7 @@ def measure_bearings(p, mean, moving, out, own):
                 if moving[k, i] == _ZERO:
                     continue
                 after = min(k + 1, instants - 1)
-                turns, late = moving[after, i], _ONE if 2 * k >= instants else _ZERO
+                turns, late = moving[after, i] if after > k else _ZERO, _ONE if 2 * k >= instants else _ZERO
                 x, y, z, vx, vy, vz = p[k, 0, i], p[k, 1, i], p[k, 2, i], mean[k, 0, i], mean[k, 1, i], mean[k, 2, i]
                 ax, ay, az = turns * (mean[after, 0, i] - vx), turns * (mean[after, 1, i] - vy), mean[after, 2, i] - vz
                 az *= turns
