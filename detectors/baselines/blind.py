@@ -21,7 +21,7 @@ from usnet_env.window import Window
 
 
 class CentralMost(Detector):
-    """Names the UAV in the middle of each group; it sees where the UAVs are at the end of the window, and no motion.
+    """Names the UAV in the middle of each group; it sees where the UAVs are at first, and no motion.
 
     Groups are single-linkage clusters of at least 3 UAVs. Scores fall with the distance from the middle of the group.
 
@@ -40,7 +40,7 @@ class CentralMost(Detector):
         living = np.flatnonzero(window.alive & window.seen.any(axis=0))
         candidates = np.zeros(window.uavs, bool)
         if len(living) > 1:
-            place = fill_gaps(window).position[-1, living].astype(np.float64)
+            place = fill_gaps(window).position[0, living].astype(np.float64)
             clusters[living] = group_by_distance(place, reach)
         for group in range(clusters.max() + 1):
             members = np.flatnonzero(clusters == group)
@@ -59,7 +59,7 @@ def group_by_distance(place: Floats, reach: float) -> Indices:
     tree = KDTree(place)
     nearest = np.median(tree.query(place, 2)[0][:, 1])
     pairs = tree.query_pairs(reach * float(nearest), output_type="ndarray")
-    links = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(place),) * 2)
+    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(place),) * 2)
     group = connected_components(links, directed=False)[1]
     large = np.bincount(group) >= 3
     return np.where(large[group], np.cumsum(large)[group] - 1, -1).astype(np.int64)
