@@ -277,6 +277,7 @@ LIMIT_MODELS: dict[str, FieldStrategy] = {
         "v_{i,t+1} = norm((1 − g_i) v_{i,t} + g_i v_{iL,t+1−d_i} + κ_n n), g_i from 0.1 to 0.3",
         breaks="a follower follows nothing but its head",
         parameters=("delays", "gains", "noise"),
+        noise=0.18,  # of a smoother follower the track alone would tell that it is one
         delays=(1, 6),
         gains=(0.1, 0.3),
     ),

@@ -198,7 +198,7 @@ def _draw_law(rng: np.random.Generator, parts: tuple[str, str, str]) -> OpenLaw:
     delay, spread = (int(number) for number in rng.integers((1, 0), (6, 4)))
     sizes = rng.uniform((0.4, 20.0, 0.0, -np.pi), (0.9, 60.0, 1.0, np.pi))
     gain, reach, sharpness, course = (float(size) for size in sizes)
-    noise = 0.2 * (1.0 - gain) ** 0.5  # a smooth follower would stand out from wandering heads by its track alone
+    noise = 0.1 * (1.0 - gain) ** 0.5  # a smoother follower would stand out the more by its track alone
     return OpenLaw(*parts, delay, spread, gain, reach, sharpness, course, noise)
 
 
