@@ -8,5 +8,5 @@ from detectors.baselines.transfer_entropy import TransferEntropy
 from detectors.baselines.warping import Flica, Mflica
 from detectors.lagged import Granger
 
-__all__ = ["CentralMost", "DirectionalDelays", "Flica", "FrontMost", "LaggedNetwork", "Mflica", "NetLagRegression", "TransferEntropy"]
-__all__ += ["Factions", "Granger", "NetworkDetector", "TrackOutlier"]
+__all__ = ["CentralMost", "DirectionalDelays", "Factions", "Flica", "FrontMost", "Granger", "LaggedNetwork", "Mflica"]
+__all__ += ["NetLagRegression", "NetworkDetector", "TrackOutlier", "TransferEntropy"]

@@ -21,7 +21,7 @@ from usnet_env.window import Window
 
 
 class CentralMost(Detector):
-    """Names the UAV in the middle of each group; it sees where the UAVs are at the end of the window, and no motion.
+    """Names the UAV in the middle of each group; it sees where the UAVs are at first, and no motion.
 
     Groups are single-linkage clusters of at least 3 UAVs. Scores fall with the distance from the middle of the group.
 
@@ -34,32 +34,27 @@ class CentralMost(Detector):
     reach: Annotated[float, Field(gt=0, le=100)] = 3.0
 
     def detect(self, window: Window) -> Detection:
-        """Name a UAV in each group. Clusters are the groups; -1: in none."""
+        """Name a UAV in each group; clusters are the groups."""
         reach = self.check_arguments().reach
         scores, clusters = np.zeros(window.uavs), np.full(window.uavs, -1, np.int64)
-        living = np.flatnonzero(window.alive & window.seen.any(axis=0))
-        candidates = np.zeros(window.uavs, bool)
-        if len(living) > 1:
-            place = fill_gaps(window).position[-1, living].astype(np.float64)
-            clusters[living] = group_by_distance(place, reach)
+        candidates, seen = np.zeros(window.uavs, bool), window.alive & window.seen.any(axis=0)
+        place = fill_gaps(window).position[0].astype(np.float64)
+        if seen.sum() > 1:
+            clusters[seen] = group_by_distance(place[seen], reach)
         for group in range(clusters.max() + 1):
             members = np.flatnonzero(clusters == group)
-            points = place[np.searchsorted(living, members)]
-            far = np.linalg.norm(points - points.mean(axis=0), axis=1)
+            far = np.linalg.norm(place[members] - place[members].mean(axis=0), axis=1)
             scores[members] = 1.0 / (1.0 + far / max(float(far.mean()), 1e-9))
             candidates[members[far.argmin()]] = True
         return Detection(candidates=candidates, scores=scores, clusters=clusters)
 
 
 def group_by_distance(place: Floats, reach: float) -> Indices:
-    """Groups ``(n,)`` of at least 3 points ``(n, 3)`` by single linkage; -1: in no group.
-
-    ``reach`` is the longest link, in units of the median distance to the nearest other point.
-    """
+    """Groups ``(n,)`` of at least 3 points ``(n, 3)``, by links up to ``reach`` median distances; -1: in no group."""
     tree = KDTree(place)
     nearest = np.median(tree.query(place, 2)[0][:, 1])
     pairs = tree.query_pairs(reach * float(nearest), output_type="ndarray")
-    links = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(place),) * 2)
+    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(place),) * 2)
     group = connected_components(links, directed=False)[1]
     large = np.bincount(group) >= 3
     return np.where(large[group], np.cumsum(large)[group] - 1, -1).astype(np.int64)
@@ -68,8 +63,7 @@ def group_by_distance(place: Floats, reach: float) -> Indices:
 class TrackOutlier(Detector):
     """Names the UAVs whose track, seen alone, is unlike the others: by its speed, turns and memory.
 
-    The distance of a track is the root mean square of its features' distances from their medians, in units of the
-    median distance. Scores are these distances.
+    Scores are the root mean square of the features' distances from their medians, in units of the median distance.
 
     Args:
         threshold: the distance from which a UAV is named; the farthest one is named if there is none.
@@ -93,11 +87,7 @@ class TrackOutlier(Detector):
 
 
 def describe_tracks(velocity: Floats) -> Floats:
-    """Features ``(n, at most 8)`` of the velocities ``(T, n, 3)`` of each track alone.
-
-    They are the mean and the spread of the speed and of the turns (1 - cosine), and correlations with its own past at
-    4 lags up to a quarter of the window.
-    """
+    """Features ``(n, 5 to 8)`` of each of the velocities ``(T, n, 3)``: speed, turns, and memory at up to 4 lags."""
     speed = np.linalg.norm(velocity, axis=2)
     course = velocity / np.maximum(speed, 1e-12)[..., None]
     turn = 1.0 - (course[1:] * course[:-1]).sum(axis=2)

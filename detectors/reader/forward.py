@@ -1,13 +1,12 @@
 """The network of the reader without torch: the same answers from the same file, by NumPy and compiled loops.
 
-Vectors of pairs ``(n, n, w)`` are read from memory as rarely as can be: each loop does all that happens between two
-products of matrices.
+A loop does all that happens to the vectors of pairs ``(n, n, w)`` between two products of matrices.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -49,7 +48,7 @@ def load_reader(weights: str = "shipped") -> Weights:
         return packaged_arrays("detectors.reader", "reader")
     arrays = read_arrays(weights)
     counts = tuple(len(arrays.get(f"{name}_mean", ())) for name in ("pair", "uav", "context"))
-    if counts != (PAIR_FEATURES, UAV_FEATURES, CONTEXT_FEATURES) or "silent.second.bias" not in arrays:
+    if counts != (PAIR_FEATURES, UAV_FEATURES, CONTEXT_FEATURES) or "silent.2.bias" not in arrays:
         raise ArgumentError(f"weights must be a file of a reader with this version's features, got {quote(weights)}.")
     return arrays
 
@@ -67,12 +66,11 @@ def read(weights: Weights, features: Features) -> Answer[Singles]:
     row, column = np.split(state @ weights["ends.weight"].T, 2, axis=1)
     row = row + _apply(weights, "context", context)
     both = (scaled @ weights["enter.weight"].T).reshape(n, n, 2 * width)
-    entered = np.empty((n, n, 2 * width), np.float32)
+    entered = np.empty((n, n, width), np.float32)
     _meet(both, row, column, weights["itself"], entered)
-    _append_relative(entered)
-    pair = np.zeros((n * n, width), np.float32)
-    normed = np.empty_like(pair)
-    change = _apply(weights, "rows", entered.reshape(n * n, 2 * width))
+    plain, ranked = np.split(weights["rows.weight"].T, 2)
+    change = (entered @ plain + _normalise(entered, ROW_NOISE) @ ranked + weights["rows.bias"]).reshape(n * n, width)
+    pair, normed = np.zeros_like(change), np.empty_like(change)
     for block in range(sum(name.endswith(".attention.weight") for name in weights)):
         _add_and_normalise(pair, change, normed)
         change, state = _update(weights, f"blocks.{block}", normed, state)
@@ -110,14 +108,17 @@ def _apply(weights: Weights, name: str, values: Singles) -> Singles:
 
 
 def _apply_layers(weights: Weights, name: str, values: Singles) -> Singles:
-    hidden = _apply(weights, f"{name}.first", values)
+    hidden = _apply(weights, f"{name}.0", values)
     hidden *= _HALF * (_ONE + np.tanh(_SLOPE * (hidden + _CUBE * hidden * hidden * hidden)))
-    return _apply(weights, f"{name}.second", hidden)
+    return _apply(weights, f"{name}.2", hidden)
 
 
-def _normalise(state: Singles) -> Singles:
-    centred = state - state.mean(axis=1, keepdims=True)
-    return centred / np.sqrt((centred**2).mean(axis=1, keepdims=True) + _NORM_NOISE)
+def _normalise(values: Singles, noise: Any = _NORM_NOISE) -> Singles:
+    """Values with mean 0 and variance 1 along axis 1."""
+    centred = values - values.mean(axis=1, keepdims=True)
+    square = np.einsum("ij...,ij...->i...", centred, centred)[:, None] / np.float32(values.shape[1])
+    centred *= _ONE / np.sqrt(square + noise)
+    return centred
 
 
 @compiled(**_FAST)
@@ -146,33 +147,11 @@ def _meet(both, row, column, itself, out):
     n, width = row.shape
     for i in range(n):
         for j in range(n):
+            same = np.float32(i == j)
             for c in range(width):
-                out[i, j, c] = both[i, j, c] + both[j, i, width + c] + row[i, c] + column[j, c]
-            if i == j:
-                for c in range(width):
-                    out[i, j, c] += itself[c]
-            for c in range(width):
-                out[i, j, c] = _gelu(out[i, j, c])
-
-
-@compiled(**_FAST)
-def _append_relative(pair):
-    """Write behind the first half of each pair's vector the same, standardised over the pairs of its row."""
-    n, width = len(pair), pair.shape[2] // 2
-    for i in range(n):
-        mean, square = np.zeros((2, width), np.float32)
-        for j in range(n):
-            for c in range(width):
-                mean[c] += pair[i, j, c] / np.float32(n)
-        for j in range(n):
-            for c in range(width):
-                pair[i, j, width + c] = pair[i, j, c] - mean[c]
-                square[c] += pair[i, j, width + c] ** 2 / np.float32(n)
-        for c in range(width):
-            square[c] = _ONE / math.sqrt(square[c] + ROW_NOISE)
-        for j in range(n):
-            for c in range(width):
-                pair[i, j, width + c] *= square[c]
+                out[i, j, c] = _gelu(
+                    both[i, j, c] + both[j, i, width + c] + row[i, c] + column[j, c] + same * itself[c]
+                )
 
 
 @compiled(**_FAST)

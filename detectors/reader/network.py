@@ -27,19 +27,8 @@ class NetworkSizes(Config):
     blocks: Annotated[int, Field(ge=1, le=16)] = 3
 
 
-def _apply_gelu(values: Tensor) -> Tensor:
-    return gelu(values, approximate="tanh")
-
-
-class _TwoLayers(nn.Module):
-    def __init__(self, given: int, hidden: int, made: int) -> None:
-        super().__init__()
-        self.first = nn.Linear(given, hidden)
-        self.second = nn.Linear(hidden, made)
-
-    def forward(self, values: Tensor) -> Tensor:
-        made: Tensor = self.second(_apply_gelu(self.first(values)))
-        return made
+def _stack_layers(given: int, hidden: int, made: int) -> nn.Sequential:
+    return nn.Sequential(nn.Linear(given, hidden), nn.GELU("tanh"), nn.Linear(hidden, made))
 
 
 class _Block(nn.Module):
@@ -50,7 +39,7 @@ class _Block(nn.Module):
         width = sizes.width
         self.attention = nn.Linear(width, sizes.attn_heads, bias=False)
         self.gathered = nn.Linear(2 * width, width, bias=False)  # chosen and received, each head to its own values
-        self.uav = _TwoLayers(5 * width + sizes.attn_heads, 2 * width, width)
+        self.uav = _stack_layers(5 * width + sizes.attn_heads, 2 * width, width)
         self.mix = nn.Linear(2 * width, width)  # of a pair and its reverse
         self.ends = nn.Linear(width, 2 * width, bias=False)
         self.out = nn.Linear(width, width, bias=False)
@@ -62,12 +51,9 @@ class _Block(nn.Module):
         turned = normed.transpose(1, 2).contiguous()
         given = torch.softmax(torch.matmul(self.attention.weight, normed.transpose(2, 3)), dim=3)  # (B, i, heads, j)
         taken = given.permute(0, 3, 2, 1).contiguous()  # (B, j, heads, i)
-        chosen, received = (
-            torch.einsum("bihc,hdc->bihd", torch.matmul(weight, vectors), matrix.reshape(heads, -1, width)).flatten(2)
-            for weight, vectors, matrix in zip(
-                (given, taken), (normed, turned), self.gathered.weight.chunk(2, dim=1), strict=True
-            )
-        )
+        gathered = torch.matmul(given, normed), torch.matmul(taken, turned)  # (B, n, heads, w)
+        own = zip(gathered, self.gathered.weight.view(heads, -1, 2, width).unbind(dim=2), strict=True)
+        chosen, received = (torch.einsum("bihc,hdc->bihd", *each).flatten(2) for each in own)
         received = torch.sign(received) * torch.log1p(received.abs())  # it grows with the number of followers
         seen = torch.einsum("bihj,bjhd->bihd", given, state.view(batch, n, heads, -1)).flatten(2)
         whole = uav.mean(dim=1, keepdim=True).expand(batch, n, width)
@@ -77,7 +63,7 @@ class _Block(nn.Module):
         ends = (row + self.mix.bias)[:, :, None] + column[:, None]
         forth, back = self.mix.weight.chunk(2, dim=1)
         mixed = torch.addmm(ends.view(-1, width), normed.view(-1, width), forth.t())
-        mixed = _apply_gelu(torch.addmm(mixed, turned.view(-1, width), back.t()))
+        mixed = gelu(torch.addmm(mixed, turned.view(-1, width), back.t()), approximate="tanh")
         return torch.addmm(pair.view(-1, width), mixed, self.out.weight.t()).view_as(pair), uav
 
 
@@ -103,15 +89,15 @@ class ReaderNetwork(nn.Module):
             self.register_buffer(f"{name}_mean", torch.zeros(count))
             self.register_buffer(f"{name}_scale", torch.ones(count))
         self.enter = nn.Linear(pairs, 2 * width, bias=False)  # of a pair, and of its reverse
-        self.enter_uav = _TwoLayers(uavs + contexts, 2 * width, width)
+        self.enter_uav = _stack_layers(uavs + contexts, 2 * width, width)
         self.ends = nn.Linear(width, 2 * width, bias=False)
         self.context = nn.Linear(contexts, width)
         self.itself = nn.Parameter(torch.zeros(width))
         self.rows = nn.Linear(2 * width, width)  # of a pair, and of the pair relative to its row
         self.blocks = nn.ModuleList(_Block(sizes) for _ in range(sizes.blocks))
         self.links = nn.Linear(width, 2)  # leader and root
-        self.head = _TwoLayers(width, width, 2)  # head and delay
-        self.silent = _TwoLayers(2 * width, width, 1)
+        self.head = _stack_layers(width, width, 2)  # head and delay
+        self.silent = _stack_layers(2 * width, width, 1)
 
     def _standardise(self, name: str, values: Tensor) -> Tensor:
         mean, scale = self.get_buffer(f"{name}_mean"), self.get_buffer(f"{name}_scale")
@@ -138,7 +124,7 @@ class ReaderNetwork(nn.Module):
         forth, back = self.enter(pair).chunk(2, dim=3)
         row, column = self.ends(state).chunk(2, dim=2)
         both = forth + back.transpose(1, 2) + (row + context[:, None])[:, :, None] + column[:, None]
-        entered = _apply_gelu(both + torch.eye(n, device=pair.device)[..., None] * self.itself)
+        entered = gelu(both + torch.eye(n, device=pair.device)[..., None] * self.itself, approximate="tanh")
         relative = entered - entered.mean(dim=2, keepdim=True)
         relative = relative * torch.rsqrt(relative.square().mean(dim=2, keepdim=True) + float(ROW_NOISE))
         plain, ranked = self.rows.weight.chunk(2, dim=1)

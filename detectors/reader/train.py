@@ -1,8 +1,7 @@
 """Trains the reader on windows that the prior draws.
 
-A training is a list of shards. Shard k follows from the seed and k alone, and every shard is used for a few passes and
-forgotten. So a training that is resumed from its checkpoint, written after each shard, gives exactly the result of an
-uninterrupted one on a CPU.
+Shard k of windows follows from the seed and k alone; it is used for a few passes and forgotten. So a training that is
+resumed from its checkpoint, written after each shard, gives exactly the result of an uninterrupted one on a CPU.
 """
 
 from __future__ import annotations
@@ -22,12 +21,12 @@ from pydantic import Field
 from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits, cross_entropy, huber_loss
 
-from detectors.reader.draws import Batch, draw_ahead, draw_batch
+from detectors.reader.draws import Batch, draw_ahead, draw_shard
 from detectors.reader.features import CONTEXT_GROUPS, PAIR_GROUPS, UAV_GROUPS
-from detectors.reader.forward import Answer
-from detectors.reader.network import NetworkSizes, ReaderNetwork, draw_network
+from detectors.reader.forward import Answer, load_reader
+from detectors.reader.network import NetworkSizes, draw_network
 from detectors.reader.prior import FAMILIES, PRIOR_VERSION
-from detectors.weights import Checkpoint, read_arrays, write_weights
+from detectors.weights import Checkpoint, write_weights
 from usnet_env.config import ArgumentError, quote, unknown_name
 from usnet_env.evaluation.run import map_tasks
 from usnet_env.evaluation.tasks import become_worker
@@ -35,12 +34,12 @@ from usnet_env.files import reserve_folder, write_text
 
 _START, _SHARD, _ORDER = range(3)  # purpose of a seed
 _PRESETS = {"minutes": 25, "hours": 300}  # shards
-_PASSES, _TOGETHER = 2, 3  # how often a shard is used, and the batches in a step
-_WARM = 100  # steps until the largest rate
+_PASSES, _TOGETHER = 1, 3  # how often a shard is used, and the batches in a step
+_WARM, _MOST_DECAY = 100, 0.996  # steps until the largest rate; decay of the average of the weights
 _DROPPED = 0.15  # share of batches in which one group of features is hidden
-_MOST_DECAY = 0.996  # of the average of the weights
 _STATE = ("step", "exp_avg", "exp_avg_sq")  # of the optimiser, for each parameter
-_GROUPS = [(k, part) for k, groups in enumerate((PAIR_GROUPS, UAV_GROUPS, CONTEXT_GROUPS)) for part in groups.values()]
+_INPUTS = {"pair": PAIR_GROUPS, "uav": UAV_GROUPS, "context": CONTEXT_GROUPS}
+_GROUPS = [(name, part) for name, groups in _INPUTS.items() for part in groups.values()]
 
 Count = Annotated[int, Field(ge=1, le=10_000_000)]
 
@@ -91,7 +90,11 @@ class _Trainer:
         seed = int(np.random.default_rng([training.seed, _START]).integers(2**63))
         self.network = draw_network(training.part(NetworkSizes), seed).to(training.device)
         if training.start:
-            _load_start(self.network, training.start)
+            arrays = {name: torch.tensor(array) for name, array in load_reader(training.start).items()}
+            shapes = [{name: value.shape for name, value in it.items()} for it in (arrays, self.network.state_dict())]
+            if shapes[0] != shapes[1]:
+                raise ArgumentError(f"start must hold a network of these sizes, got {quote(training.start)}.")
+            self.network.load_state_dict(arrays)
         self.both = nn.ModuleDict({"network": self.network, "average": deepcopy(self.network)})
         self.optimiser = torch.optim.AdamW(self.network.parameters(), weight_decay=0.01, fused=True)
         self.rows: list[dict[str, Any]] = []
@@ -111,22 +114,22 @@ class _Trainer:
                     loss, exact = self._add_gradients(batch, dropped, len(chosen))
                     if number == 0 and dropped is None:
                         losses.append(loss)
-                        right, windows = families.get(batch.family, (0, 0))
-                        families[batch.family] = [right + exact, windows + len(batch.head)]
+                        right, windows = families.get(batch[1].family, (0, 0))
+                        families[batch[1].family] = [right + exact, windows + len(batch[1].head)]
                 self._step(k, self.shards * _PASSES * len(steps))
         share = np.divide(*np.sum([[0, 0], *families.values()], axis=0))
         row = {"shard": len(self.rows) + 1, "loss": float(np.mean(losses)), "exact": float(share)}
         self.rows.append({**row, "families": dict(sorted(families.items()))})
 
-    def _add_gradients(self, batch: Batch, dropped: tuple[int, slice] | None, count: int) -> tuple[float, int]:
+    def _add_gradients(self, batch: Batch, dropped: tuple[str, slice] | None, count: int) -> tuple[float, int]:
         """Add a batch's gradients over ``count``; returns its loss, and in how many windows the heads are exact."""
-        device = self.training.device
-        inputs = [torch.tensor(array, dtype=torch.float32, device=device) for array in batch[:3]]
-        head, leader, root, delay = (torch.tensor(array, device=device) for array in batch[3:7])
+        (features, truth), device = batch, self.training.device
+        inputs = {name: torch.tensor(array, device=device).float() for name, array in features._asdict().items()}
+        head, leader, root, delay = (torch.tensor(array, device=device) for array in truth[3:7])
         if dropped is not None:
-            kind, part = dropped
-            inputs[kind][..., part] = self.network.get_buffer(f"{Batch._fields[kind]}_mean")[part]
-        answer = self.network(*inputs)
+            name, part = dropped
+            inputs[name][..., part] = self.network.get_buffer(f"{name}_mean")[part]
+        answer = self.network(**inputs)
         loss = compute_loss(answer, head, leader, root, delay)
         (loss / count).backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
         return float(loss.detach()), int(((answer.head > 0) == head).all(dim=1).sum())
@@ -146,7 +149,7 @@ class _Trainer:
     def _standardise(self, shard: list[Batch]) -> None:
         """Set means and scales of the inputs to those of a shard; a seventh of the pairs is enough."""
         for name, every, least in (("pair", 7, 1e-3), ("uav", 1, 1e-3), ("context", 1, 1e-2)):
-            arrays = [getattr(batch, name) for batch in shard]
+            arrays = [getattr(features, name) for features, _ in shard]
             values = np.concatenate([array.reshape(-1, array.shape[-1])[::every] for array in arrays], dtype=np.float64)
             for network in self.both.values():
                 network.get_buffer(f"{name}_mean").copy_(torch.tensor(values.mean(axis=0)))
@@ -216,22 +219,8 @@ def train_reader(
 
 
 def _draw_shards(training: ReaderTraining, numbers: range, workers: int, backend: str | None) -> Iterator[list[Batch]]:
-    draw = partial(_draw_shard, training)
+    settings = training.model_dump(include={"batches", "windows", "without", "most_uavs"})
+    draw = partial(draw_shard, seed=(training.seed, _SHARD), **settings)
     if backend in ("serial", "ray"):
         return map_tasks(draw, numbers, workers=workers, backend=backend)
     return draw_ahead(draw, numbers, workers, become_worker)
-
-
-def _draw_shard(training: ReaderTraining, number: int) -> list[Batch]:
-    rng = np.random.default_rng([training.seed, _SHARD, number])
-    return [draw_batch(rng, training.windows, training.without, training.most_uavs) for _ in range(training.batches)]
-
-
-def _load_start(network: ReaderNetwork, path: str) -> None:
-    """Set the arrays of a network to those of a file."""
-    arrays = {name: torch.tensor(array) for name, array in read_arrays(path).items()}
-    try:
-        network.load_state_dict(arrays)
-    except RuntimeError as error:
-        reason = str(error).splitlines()[1].strip()
-        raise ArgumentError(f"start must hold the arrays of such a reader, got {quote(path)}: {reason}") from None

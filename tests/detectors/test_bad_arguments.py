@@ -9,6 +9,8 @@ from usnet_env import ArgumentError, make_detector
 
 BAD = {
     "random": {"count": 0},
+    "central-most": {"reach": 0.0},
+    "track-outlier": {"threshold": -1.0},
     "lagged-correlation": {"clusters": 0, "max_lag": None},
     "lagged-regression": {"clusters": 2.5, "lags": "4", "squares": 1, "ridge": float("nan")},
     "granger": {"own_lags": -1},

@@ -17,8 +17,9 @@ import numpy as np
 
 from usnet_env.envs.field import DISTRIBUTIONS
 from usnet_env.swarm import SwarmConfig, advance, destroy, start
-from usnet_env.swarm.follow import CONTROLS, FIELD_MODELS
+from usnet_env.swarm.follow import CONTROLS, FIELD_MODELS, LIMIT_MODELS
 from usnet_env.swarm.kinematics import KINEMATICS
+from usnet_env.swarm.open_follow import draw_laws
 
 __all__ = ["FILE", "make_entries"]
 
@@ -49,12 +50,16 @@ def make_entries() -> dict[str, Callable[[], Any]]:
     """What makes each entry, by its name: kind, model and version."""
     entries: dict[str, Callable[[], Any]] = {
         **{
-            f"follow {name} {model.version}": lambda name=name: fly(follow=name)
-            for name, model in {**FIELD_MODELS, **CONTROLS}.items()
+            f"follow {name} {model.version}": lambda name=name: fly(follow=name, memory=30 if name == "late" else 12)
+            for name, model in {**FIELD_MODELS, **CONTROLS, **LIMIT_MODELS}.items()
         },
         **{
             f"kinematics {name} {KINEMATICS[name].version}": lambda name=name: fly(follow="f2", kinematics=name)
             for name in ("unit", "varied_speed", "lagged", "limited", "layered")
+        },
+        **{
+            f"open law {number} of seed 1": lambda law=law: fly(follow=law)
+            for number, law in enumerate(draw_laws(1).values(), 1)
         },
         "bystanders 1": lambda: fly(follow="f2", bystanders=6, traffic=7),
         "gathered 1": lambda: fly(follow="f2", formation="gathered", decoys=2, bystanders=4, traffic=3, clutter=3),

@@ -33,6 +33,9 @@ class Suite(Config):
     episodes: int = Field(ge=1, le=1_000_000, description="episodes of a cell in published tables")
     seed: int = Field(ge=1000, lt=2**63, description="seed of published tables")
     tuning_seed: int = Field(ge=0, lt=1000, description="seed for tuning a detector, whose swarms are other ones")
+    commitment: str | None = Field(
+        None, pattern="^[0-9a-f]{64}$", description="SHA-256 of a seed that is kept until its table is published"
+    )
     cells: dict[str, Cell] = Field(min_length=1, description="the settings by name")
 
     @property

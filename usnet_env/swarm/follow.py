@@ -19,6 +19,7 @@ from usnet_env.parts import Registry
 from usnet_env.swarm import field_follow, flock_follow, kernels
 from usnet_env.swarm.field_follow import FieldStrategy
 from usnet_env.swarm.field_kernels import EACH_CLUSTER, EACH_FOLLOWER
+from usnet_env.swarm.open_follow import OPEN_LAWS
 from usnet_env.swarm.strategy import KAPPA, KAPPA_NOISE, KAPPA_RANGE, FollowInputs, FollowStrategy, TrajectoryBatch
 
 
@@ -270,8 +271,28 @@ CONTROLS: dict[str, FieldStrategy] = {
     ),
 }
 
+#: Models of the suite ``limit``, which no environment draws.
+LIMIT_MODELS: dict[str, FieldStrategy] = {
+    "weak": field_follow.Links(
+        "v_{i,t+1} = norm((1 − g_i) v_{i,t} + g_i v_{iL,t+1−d_i} + κ_n n), g_i from 0.1 to 0.3",
+        breaks="a follower follows nothing but its head",
+        parameters=("delays", "gains", "noise"),
+        noise=0.18,  # of a smoother follower the track alone would tell that it is one
+        delays=(1, 6),
+        gains=(0.1, 0.3),
+    ),
+    "late": field_follow.Links(
+        "v_{i,t+1} = norm((1 − g_i) v_{i,t} + g_i v_{iL,t+1−d_i} + κ_i n), d_i from 10 to 30",
+        breaks="a follower answers soon",
+        parameters=("delays", "gains", "noises", "noise"),
+        delays=(10, 30),
+        gains=(0.5, 1.0),
+        noises=(0.5, 4.0),
+    ),
+}
+
 _TABLE_2 = {"f1": Lags(1), "f2": Lags(2), "f3": Lags(3), "f4": Lags(2, square=True), "f5": Lags(3, square=True)}
-_OWN = {**_TABLE_2, "f6": StayInRange(), "f7": Network(), **FIELD_MODELS, **CONTROLS}
+_OWN = {**_TABLE_2, "f6": StayInRange(), "f7": Network(), **FIELD_MODELS, **CONTROLS, **LIMIT_MODELS, **OPEN_LAWS}
 
 #: All follow strategies by name; ``"none"`` selects the control without followers.
 FOLLOW_STRATEGIES = Registry(
