@@ -34,7 +34,7 @@ from usnet_env.files import reserve_folder, write_text
 
 _START, _SHARD, _ORDER = range(3)  # purpose of a seed
 _PRESETS = {"minutes": 25, "hours": 300}  # shards
-_PASSES, _TOGETHER = 1, 3  # how often a shard is used, and the batches in a step
+_PASSES, _TOGETHER = 2, 3  # how often a shard is used, and the batches in a step
 _WARM, _MOST_DECAY = 100, 0.996  # steps until the largest rate; decay of the average of the weights
 _DROPPED = 0.15  # share of batches in which one group of features is hidden
 _STATE = ("step", "exp_avg", "exp_avg_sq")  # of the optimiser, for each parameter

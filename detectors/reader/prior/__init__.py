@@ -43,13 +43,15 @@ def draw_examples(
         if family in ("fault:jumps", "fault:rounding"):
             drawn = observe(drawn, rng, without, family)
     else:
-        drawn = _draw_sampled(rng, family, windows, steps, most_uavs)
+        drawn = _draw_sampled(rng, family, windows, steps, most_uavs, without)
         if family in WORLDS and rng.random() < 0.25:
             drawn = observe(drawn, rng, without)
     return drawn._replace(family=family)
 
 
-def _draw_sampled(rng: np.random.Generator, family: str, windows: int, steps: int, most_uavs: int) -> Examples:
+def _draw_sampled(
+    rng: np.random.Generator, family: str, windows: int, steps: int, most_uavs: int, without: Collection[str]
+) -> Examples:
     """Draw windows of a model or world, of which 8 % are sampled slowly, 8 % fast, and 8 % seen on a plane."""
     pace, times, instants = rng.random(), int(rng.integers(2, 6)), np.arange(steps + 1.0)
     if pace < 0.08:
@@ -60,7 +62,7 @@ def _draw_sampled(rng: np.random.Generator, family: str, windows: int, steps: in
     if family in WORLDS:
         drawn = fly_world(rng, family, windows, flown, most_uavs)
     else:
-        drawn = fly_swarms(draw_model_swarm(rng, family, flown, most_uavs), rng, windows)
+        drawn = fly_swarms(draw_model_swarm(rng, family, flown, most_uavs, without=without), rng, windows)
     if instants[1] != 1:
         drawn = resample(drawn, instants, int(rng.choice([1, 3])))
     if rng.random() < 0.08:

@@ -24,7 +24,9 @@ _OTHERS = {"clutter": (0.1, 8), "traffic": (0.15, 7), "bystanders": (0.25, 12), 
 def draw_model_swarm(
     rng: np.random.Generator, name: str, steps: int, most_uavs: int, fault: str = "", without: Collection[str] = ()
 ) -> SwarmConfig:
-    """Draw a swarm that follows by the model ``name``, seen by a sensor with the fault."""
+    """Draw a swarm that follows by the model ``name``, seen by a sensor with the fault; if none is given, often noise."""
+    if not fault and rng.random() < 0.4:
+        fault = "fault:noise"
     uavs = draw_whole(rng, 6, min(60, most_uavs) if rng.random() < 0.98 else most_uavs)
     most_clusters = min(20 if rng.random() < 0.1 else 8, uavs // 3)
     arguments = {
@@ -35,7 +37,7 @@ def draw_model_swarm(
         "head_jitter": bool(rng.random() < 0.7),
         "clusters": int(rng.integers(1, most_clusters + 1)),
         **{name: int(rng.integers(most) + 1) if rng.random() < often else 0 for name, (often, most) in _OTHERS.items()},
-        **draw_sensors(rng, without).get(fault, {}),
+        **(draw_sensors(rng, without).get(fault, {}) if fault not in without else {}),
     }
     return _fit(arguments, uavs, steps)
 
