@@ -7,6 +7,7 @@ data are missing, what is left counts; what can't be told is 0.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from detectors.reader import flock, kernels, series
 from usnet_env.arrays import Mask, Singles
 
+_Signals = dict[str, Singles]  # series of each UAV, (T, p, n) or (T, n), by name
 _BLOCK, _STRIDE = 8, 2  # steps of a block in which one leader is supposed; steps between two bearings
 _LAGS = tuple(range(13))
 _PLACES = (1, 2, 4, 8, 16, 32)
@@ -51,7 +53,7 @@ def _slice_groups(lengths: Mapping[str, int]) -> dict[str, slice]:
 
 PAIR_GROUPS = _slice_groups({
     **_CORRELATION_LENGTHS, "halves": 4, "raw": 2, "tops": 5, "net": 5, "shares": len(_SHARES),
-    "local": _BLOCK_FEATURES, "geo": 6 + flock.BANK, "force": 5, "pc": 16, "places": 13,
+    "local": _BLOCK_FEATURES, "geo": 6 + kernels.BANK, "force": 5, "pc": 16, "places": 13,
 })  # fmt: skip
 UAV_GROUPS = _slice_groups({"track": 20, "nearest": 4, "neighbours": 26, "rule": 13})
 CONTEXT_GROUPS = _slice_groups({"size": 3, "motion": 6})
@@ -61,20 +63,11 @@ PAIR_FEATURES, UAV_FEATURES, CONTEXT_FEATURES = (
 
 
 class Features(NamedTuple):
-    """What the reader knows of a window of n UAVs, float32.
-
-    Args:
-        pair: ``(n, n, F)``; its memory is ordered features first.
-        uav: ``(n, G)``.
-        context: ``(K,)``.
-    """
+    """Float32 numbers of a window of n UAVs: (n, n, F), in memory features first; (n, G); (K,)."""
 
     pair: Singles
     uav: Singles
     context: Singles
-
-
-_Signals = dict[str, Singles]  # series of each UAV, (T, p, n) or (T, n), by name
 
 
 def make_features(position: Singles, velocity: Singles, seen: Mask) -> Features:
@@ -105,10 +98,10 @@ def make_features(position: Singles, velocity: Singles, seen: Mask) -> Features:
 
 def _make_array(shape: tuple[int, ...]) -> Singles:
     """Zeros that begin at a multiple of 64 bytes, so that sums never depend on where memory was free."""
-    size = int(np.prod(shape))
-    memory = np.zeros(4 * size + 64, np.uint8)
-    start = -memory.ctypes.data % 64
-    return memory[start : start + 4 * size].view(np.float32).reshape(shape)
+    size = math.prod(shape)
+    memory = np.zeros(size + 16, np.float32)
+    start = -memory.ctypes.data % 64 // 4
+    return memory[start : start + size].reshape(shape)
 
 
 def _align(x: NDArray[Any]) -> Singles:
@@ -138,9 +131,7 @@ def _make_signals(p: Singles, v: Singles, seen: Singles, m: Singles) -> _Signals
     e = series.find_innovations(c, complete)
     smooth, enough = series.average_series(v, m, 5)
     bank, count, nearest = flock.survey_neighbours(p, seen, v, m)
-    rule = dict(
-        zip(("residual", "coefficients", "error", "least", "last"), flock.fit_flock(v, complete, bank), strict=True)
-    )
+    rule = flock.fit_flock(v, complete, bank)
     raw = {"velocity": c, "innovation": e, "turn": series.change_series(smooth, enough, 5),
            "smooth": series.centre_series(smooth, enough), "slow": series.average_series(c, m, 4)[0],
            "slow_innovation": series.average_series(e, complete, 4)[0], "force": series.change_series(v, m, 1),
@@ -173,34 +164,27 @@ def _fill_correlations(pair: Singles, s: _Signals) -> None:
     for name, kinds in _CORRELATIONS.items():
         start = PAIR_GROUPS[name].start
         for later, earlier, lags in kinds:
-            cap = steps // 3 if name == "long" else steps
-            used = [lag for lag in lags if lag <= cap]
+            used = [lag for lag in lags if lag <= (steps // 3 if name == "long" else steps)]
             _correlate(s[later], s[earlier], used, pair[start : start + len(lags)])
             start += len(lags)
     halves = _make_array((2, 2, n, n))
     for x, part in zip(np.split(s["innovation"], [steps // 2]), halves, strict=True):
         _correlate(x, x, (1, 2), part)
-    target = pair[PAIR_GROUPS["halves"]]
-    target[:2], target[2:] = 2 * halves.min(0), 2 * halves.max(0)
+    pair[PAIR_GROUPS["halves"]] = np.concatenate([2 * halves.min(0), 2 * halves.max(0)])
     both = _make_array((n, n))
     np.matmul(s["m"].T, s["m"], out=both)
     share = np.maximum(s["m"].mean(0), np.float32(0.02))
     overlap = both / (steps * np.sqrt(share[:, None] * share))
     pair[: PAIR_GROUPS["halves"].stop] *= 1 / np.maximum(overlap, np.float32(0.3))
     direction = _align(s["v"] / np.maximum(np.sqrt((s["v"] ** 2).sum(1, keepdims=True)), np.float32(1e-6)))
-    raw = pair[PAIR_GROUPS["raw"]]
-    _correlate(direction, direction, (0,), raw)
-    raw[0] /= np.maximum(both, 1)
-    raw[1] = overlap
-    tops, net = pair[PAIR_GROUPS["tops"]], pair[PAIR_GROUPS["net"]]
+    _correlate(direction, direction, (0,), halves[0])
+    pair[PAIR_GROUPS["raw"]] = halves[0, 0] / np.maximum(both, 1), overlap
     (e, e_lag, e_sum), (c, c_lag, c_sum), (g, _, g_sum) = (
         _summarise_lags(pair[PAIR_GROUPS[name]][first:], _CORRELATIONS[name][0][2][first:])
         for name, first in (("ee", 1), ("cc", 1), ("gg", 0))
     )
-    for k, x in enumerate((e, e_lag, c, c_lag, g)):
-        tops[k] = x
-    for k, x in enumerate((e, c, e_sum, c_sum, g_sum)):
-        net[k] = x - x.T
+    pair[PAIR_GROUPS["tops"]] = e, e_lag, c, c_lag, g
+    pair[PAIR_GROUPS["net"]] = [x - x.T for x in (e, c, e_sum, c_sum, g_sum)]
 
 
 def _summarise_lags(x: Singles, lags: Sequence[int]) -> tuple[Singles, Singles, Singles]:
@@ -243,21 +227,22 @@ def _fill_blocks(out: Singles, s: _Signals) -> None:
     seen = s["m"] * series.delay_series(s["m"], 1)
     change = ((s["v"] - series.delay_series(s["v"], 1)) ** 2).sum(1) * seen
     persistence = _cut_blocks(change).sum(1) / np.maximum(_cut_blocks(seen).sum(1), 1)
-    mine = [
-        np.concatenate([_cut_blocks(x) for x in (-2 * s["v"], power, s["m"])], 1),
-        _cut_blocks(s["m"]),
-        _cut_blocks(e),
-    ]
-    mine = [_align(x).transpose(0, 2, 1) for x in mine]
-    product, found, start = _make_array((3, blocks, n, n)), _make_array((6, n, n)), 0
+    both = np.concatenate([_cut_blocks(x) for x in (-2 * s["v"], power, s["m"])], 1)
+    mine = [_align(x).transpose(0, 2, 1) for x in (both, _cut_blocks(s["m"]), _cut_blocks(e))]
+    (square, overlap, product), start = _make_array((3, blocks, n, n)), 0
     for lag in _BLOCK_LAGS:
         v, m, p, x = (_cut_blocks(y, lag) for y in (s["v"], s["m"], power, e))
-        for k, other in enumerate((np.concatenate([v, m, p], 1), m, x)):
-            np.matmul(mine[k], _align(other), out=product[k])
-        kernels.judge_blocks(*product, persistence, found)
-        count = 6 if lag else 4  # nobody's own change is compared with an undelayed copy
-        out[start : start + count] = found[:count]
-        start += count
+        for y, left, right in zip((square, overlap, product), mine, (np.concatenate([v, m, p], 1), m, x), strict=True):
+            np.matmul(left, _align(right), out=y)
+        valid = overlap > 1.5
+        count, distance = np.maximum(valid.sum(0), 1), np.maximum(square, 0) / np.maximum(overlap, 1) + np.float32(3e-3)
+        found = [(valid / (1 + (distance * np.float32(1 / size)) ** 2)).sum(0) / count for size in (0.03, 0.2)]
+        found += [product.max(0), np.sqrt((np.maximum(product, 0) ** 2).sum(0))]
+        if lag:  # nobody's own change is compared with an undelayed copy
+            ratio = distance / (persistence[..., None] + np.float32(3e-3))
+            found += [(valid * x).sum(0) / count for x in (1 / (1 + ratio**2 * ratio), np.maximum(0, 1 - ratio))]
+        out[start : start + len(found)] = found
+        start += len(found)
 
 
 def _fill_own_past(out: Singles, s: _Signals) -> None:
@@ -291,12 +276,11 @@ def _fill_bearings(geo: Singles, force: Singles, s: _Signals) -> list[Singles]:
     geo[3], geo[4] = _log_distance(sums[3] / count), np.minimum(_log_distance(sums[7]), 4)
     late, early = sums[5] / np.maximum(sums[6], 1), (sums[3] - sums[5]) / np.maximum(sums[4] - sums[6], 1)
     geo[5] = (_log_distance(late) - _log_distance(early)) * ((sums[6] > 0) & (sums[4] > sums[6]))
-    geo[6:] = sums[18 : 18 + flock.BANK] / count
+    geo[6:] = sums[18 : 18 + kernels.BANK] / count
     pull = sums[9] - (sums[13:16] * a.sum(0)[:, :, None]).sum(0) / turned
     spread = np.maximum(sums[10] - (sums[13:16] ** 2).sum(0) / turned, 0) + np.float32(1e-3) * sums[10]
-    for k, (x, size) in enumerate(
-        ((sums[2], turned), (sums[8], turned), (sums[9], sums[10]), (pull, spread), (sums[16], sums[17]))
-    ):
+    sizes = (turned, turned, sums[10], spread, sums[17])
+    for k, (x, size) in enumerate(zip((sums[2], sums[8], sums[9], pull, sums[16]), sizes, strict=True)):
         force[k] = x / (np.sqrt(sums[11] * size) + np.float32(1e-3))
     met = nearest[0] < 1e5
     often, cosine = np.maximum(met.sum(0), 1), nearest[1] * met
@@ -308,7 +292,7 @@ def _fill_bearings(geo: Singles, force: Singles, s: _Signals) -> list[Singles]:
 
 def _log_distance(x: Singles) -> Singles:
     """Distances in steps of flight as logarithms near 0."""
-    return _log(x / 20, 0.05)
+    return _log(x / np.float32(20), 0.05)
 
 
 def _fill_places(out: Singles, s: _Signals) -> None:
@@ -321,8 +305,7 @@ def _fill_places(out: Singles, s: _Signals) -> None:
     out[: k - 1] = size[1:k] - size[0]
     for slot, lag in enumerate((2, 8, 32)):
         if lag in lags:
-            x = size[lags.index(lag)]
-            out[last + slot] = x - x.T
+            out[last + slot] = size[lags.index(lag)] - size[lags.index(lag)].T
     out[last + 3], out[last + 4 : last + 6] = size[k] - size[0], near[k + 1 :]
     out[last + 6] = near[k + 1] - near[k + 1].T
 
@@ -335,7 +318,7 @@ def _log(x: Singles, least: float = 1e-4) -> Singles:
 
 def _describe_uavs(s: _Signals, own: list[Singles]) -> Singles:
     """What single tracks and neighbourhoods say of each UAV: (G, n)."""
-    steps, multiply = len(s["m"]), series.multiply_series
+    steps, multiply = len(s["m"]), kernels.multiply_series
     count, rows = np.maximum(s["m"].sum(0), 1), np.maximum(s["complete"].sum(0), 1)
 
     def echo(name: str, *lags: int) -> list[Singles]:
@@ -355,13 +338,14 @@ def _describe_uavs(s: _Signals, own: list[Singles]) -> Singles:
     for name in _CROWDS:
         turns, deviation = flock.compare_turns(s["v"], s["m"], s["align_" + name], (2, 4, 8, 12))
         x = s["raw_" + name]
+        crowd = _log(s["count_" + name].mean(0), 0.1)
         neighbours += [
             _log(multiply(x, x) / count, 1e-3),
             *echo(name, 1, 4),
-            _log(s["count_" + name].mean(0), 0.1),
+            crowd,
             *turns,
+            _log(deviation / count, 1e-3),
         ]
-        neighbours += [_log(deviation / count, 1e-3)]
     length = np.sqrt((s["raw_residual"] ** 2).sum(1))
     direction = (s["raw_residual"] / np.maximum(length, np.float32(1e-6))[:, None]).sum(0)
     least = np.sort(np.where(s["complete"] > 0, length, 4), 0)[steps // 4]
