@@ -140,8 +140,8 @@ def _make_signals(p: Singles, v: Singles, seen: Singles, m: Singles) -> _Signals
     for name, k in _CROWDS.items():
         s["align_" + name], s["count_" + name] = np.ascontiguousarray(bank[:, :, 1 + k]), count[:, k]
         raw[name] = flock.leave_crowd(v, m, s["align_" + name], count[:, k])
-    for name, x in raw.items():
-        s[name], s["raw_" + name] = _align(series.scale_series(x)), x
+    s |= {"raw_" + name: raw[name] for name in ("velocity", "innovation", "turn", "residual", *_CROWDS)}
+    s |= {name: _align(series.scale_series(x)) for name, x in raw.items()}
     s["plain"] = _align(series.whiten_series(c))
     s["squared"] = _align(series.whiten_series(series.centre_series(series.square_series(v), m)))
     s["rest"], s["first"], s["second"] = series.remove_past(c, complete)
@@ -235,12 +235,16 @@ def _fill_blocks(out: Singles, s: _Signals) -> None:
         for y, left, right in zip((square, overlap, product), mine, (np.concatenate([v, m, p], 1), m, x), strict=True):
             np.matmul(left, _align(right), out=y)
         valid = overlap > 1.5
-        count, distance = np.maximum(valid.sum(0), 1), np.maximum(square, 0) / np.maximum(overlap, 1) + np.float32(3e-3)
-        found = [(valid / (1 + (distance * np.float32(1 / size)) ** 2)).sum(0) / count for size in (0.03, 0.2)]
-        found += [product.max(0), np.sqrt((np.maximum(product, 0) ** 2).sum(0))]
+        count = np.maximum(valid.sum(0), 1)
+        np.maximum(square, 0, out=square)
+        square /= np.maximum(overlap, 1, out=overlap)
+        square += np.float32(3e-3)
+        found = [(valid / (1 + (square * np.float32(1 / size)) ** 2)).sum(0) / count for size in (0.03, 0.2)]
+        found += [product.max(0), np.sqrt((np.maximum(product, 0, out=product) ** 2).sum(0))]
         if lag:  # nobody's own change is compared with an undelayed copy
-            ratio = distance / (persistence[..., None] + np.float32(3e-3))
-            found += [(valid * x).sum(0) / count for x in (1 / (1 + ratio**2 * ratio), np.maximum(0, 1 - ratio))]
+            square /= persistence[..., None] + np.float32(3e-3)
+            found.append((valid / (1 + square**2 * square)).sum(0) / count)
+            found.append((valid * np.maximum(0, 1 - square)).sum(0) / count)
         out[start : start + len(found)] = found
         start += len(found)
 
@@ -248,13 +252,13 @@ def _fill_blocks(out: Singles, s: _Signals) -> None:
 def _fill_own_past(out: Singles, s: _Signals) -> None:
     """Fill the partial correlations of i's velocity with j's 1 to 12 steps before, given i's own last two."""
     n, lags, count = s["m"].shape[1], _LAGS[1:], len(_LAGS) - 1
-    mine = np.concatenate([s[name] for name in ("rest", "first", "second")], 2)
-    x, length = _make_array((count, 3, n, n)), _make_array((count, n, n))
-    _correlate(mine, s["velocity"], lags, x.reshape(count, 3 * n, n))
+    rest, first, second, length = _make_array((4, count, n, n))
+    for x, name in ((rest, "rest"), (first, "first"), (second, "second")):
+        _correlate(s[name], s["velocity"], lags, x)
     power = _align((s["velocity"] ** 2).sum(1, keepdims=True))
     _correlate(s["complete"][:, None], power, lags, length)
-    left = np.maximum(length - x[:, 1] ** 2 - x[:, 2] ** 2, 0) + np.float32(1e-3) * length + np.float32(1e-5)
-    out[:count] = x[:, 0] / np.sqrt(left)
+    left = np.maximum(length - first**2 - second**2, 0) + np.float32(1e-3) * length + np.float32(1e-5)
+    out[:count] = rest / np.sqrt(left)
     top, place, _ = _summarise_lags(np.abs(out[:count]), lags)
     gain = -np.log(np.maximum(1 - top**2, np.float32(1e-3))) * np.maximum(s["m"].sum(0), 4)[:, None]
     out[count], out[count + 1], out[count + 2], out[count + 3] = top, place, top - top.T, np.log(gain + np.float32(0.5))

@@ -38,7 +38,8 @@ def fit_flock(v: Singles, complete: Singles, bank: Singles) -> dict[str, Singles
     """
     steps, _, n = v.shape
     mask = complete[:, None]
-    z = np.concatenate([delay_series(v, 1)[:, :, None], bank], 2) * mask[:, None]
+    z = np.concatenate([delay_series(v, 1)[:, :, None], bank], 2)
+    z *= mask[:, None]
     y, flat = (v * mask).reshape(3 * steps, 1, n), z.reshape(3 * steps, -1, n)
     gram, right, power = multiply_columns(flat, flat), multiply_columns(flat, y), multiply_series(y, y)
     rows = np.maximum(complete.sum(0), 1)
