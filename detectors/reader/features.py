@@ -100,7 +100,7 @@ def _make_array(shape: tuple[int, ...]) -> Singles:
     """Zeros that begin at a multiple of 64 bytes, so that sums never depend on where memory was free."""
     size = math.prod(shape)
     memory = np.zeros(size + 16, np.float32)
-    start = -memory.__array_interface__["data"][0] % 64 // 4
+    start = -memory.ctypes.data % 64 // 4
     return memory[start : start + size].reshape(shape)
 
 

@@ -65,7 +65,8 @@ def average_series(x: Singles, m: Singles, width: int) -> tuple[Singles, Singles
         total[:rows] += x[k : k + rows] * m[k : k + rows, None]
         count[:rows] += m[k : k + rows]
     enough[count >= 2] = 1
-    return total / np.maximum(count, 1)[:, None], enough
+    total /= np.maximum(count, 1)[:, None]
+    return total, enough
 
 
 def change_series(x: Singles, m: Singles, lag: int) -> Singles:
