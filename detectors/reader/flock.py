@@ -6,84 +6,21 @@ import itertools
 
 import numpy as np
 
-from detectors.reader.series import delay_series, multiply_columns, multiply_series, solve_ridges
+from detectors.reader.kernels import BANK, multiply_columns, multiply_series, solve_ridges, sum_neighbours
+from detectors.reader.series import delay_series
 from usnet_env.arrays import Singles
-from usnet_env.compiling import compiled
 
-RADII = np.array([6.0, 12.0, 25.0, 50.0, 100.0], np.float32)  # steps of flight at the typical speed of the window
-BANK = len(RADII)
 _RULES = np.array([(0, 1, 2 + a, 2 + BANK + b) for a, b in itertools.product(range(BANK), repeat=2)])
-
-_ZERO, _ONE, _TINY, _FAR = np.float32(0.0), np.float32(1.0), np.float32(1e-12), np.float32(1e6)
-_OUTER, _STEEP = np.float32(1.1), np.float32(5.0)  # a neighbour's weight falls from 1 to 0 between .9 and 1.1 radii
-_REACH = np.float32(1.0 / 9.0)  # repulsion halves at 3 steps of flight
-_W = 64  # UAVs side by side; rows a constant apart are known not to overlap, so that loops become vector code
-_ROWS = 7  # sums of a radius: weight, velocity, direction; one more radius holds the nearest distance and the repulsion
-
-
-@compiled(error_model="numpy")
-def _sum_neighbours(p, seen, v, m):
-    """Weighted sums over the neighbours in each radius at the beginning of each step: (T, R + 1, 7, n)."""
-    steps, _, n = v.shape
-    out = np.zeros((steps, (BANK + 1) * _ROWS, n), np.float32)
-    sums, one, here = (
-        np.empty((BANK + 1) * _ROWS * _W, np.float32),
-        np.empty(4 * _W, np.float32),
-        np.empty(3 * _W, np.float32),
-    )
-    last = BANK * _ROWS * _W
-    for start in range(0, n, _W):
-        width = min(_W, n - start)
-        for t in range(1, steps):
-            sums[:] = _ZERO
-            sums[last : last + _W] = _FAR
-            for a in range(3):
-                here[a * _W : a * _W + width] = p[t, a, start : start + width]
-            for j in range(n):
-                if seen[t, j] * m[t - 1, j] == _ZERO:
-                    continue
-                x, y, z, vx, vy, vz = p[t, 0, j], p[t, 1, j], p[t, 2, j], v[t - 1, 0, j], v[t - 1, 1, j], v[t - 1, 2, j]
-                for i in range(width):
-                    dx, dy, dz = x - here[i], y - here[_W + i], z - here[2 * _W + i]
-                    d = np.sqrt(dx * dx + dy * dy + dz * dz) + _TINY
-                    one[i], one[_W + i], one[2 * _W + i], one[3 * _W + i] = d, dx / d, dy / d, dz / d
-                if start <= j < start + width:
-                    one[j - start] = _FAR
-                for i in range(width):
-                    push = _ONE / (_ONE + one[i] * one[i] * _REACH)
-                    sums[last + i] = min(sums[last + i], one[i])
-                    sums[last + _W + i] -= push * one[_W + i]
-                    sums[last + 2 * _W + i] -= push * one[2 * _W + i]
-                    sums[last + 3 * _W + i] -= push * one[3 * _W + i]
-                for r in range(BANK):
-                    steep, outer, k = _STEEP / RADII[r], _OUTER * RADII[r], r * _ROWS * _W
-                    for i in range(width):
-                        w = min(_ONE, max(_ZERO, (outer - one[i]) * steep))
-                        sums[k + i] += w
-                        sums[k + _W + i] += w * vx
-                        sums[k + 2 * _W + i] += w * vy
-                        sums[k + 3 * _W + i] += w * vz
-                        sums[k + 4 * _W + i] += w * one[_W + i]
-                        sums[k + 5 * _W + i] += w * one[2 * _W + i]
-                        sums[k + 6 * _W + i] += w * one[3 * _W + i]
-            out[t, :, start : start + width] = sums.reshape(-1, _W)[:, :width]
-    return out.reshape(steps, BANK + 1, _ROWS, n)
 
 
 def survey_neighbours(p: Singles, seen: Singles, v: Singles, m: Singles) -> tuple[Singles, Singles, Singles]:
     """What surrounds each UAV at the beginning of each step; a neighbour's velocity is that of the step before.
 
-    Args:
-        p: places ``(T + 1, 3, n)``, in steps of flight.
-        seen: ``(T + 1, n)``.
-        v: velocities ``(T, 3, n)``.
-        m: ``(T, n)``.
-
-    Returns:
-        ``(T, 3, 1 + 2 R, n)``: repulsion; mean velocity and mean direction of the neighbours within each radius. Their
-        number ``(T, R, n)``. The distance of the nearest ``(T, n)``.
+    Takes places (T + 1, 3, n) and velocities (T, 3, n) in steps of flight, and what is seen of both. Returns
+    (T, 3, 1 + 2 R, n): repulsion; mean velocity and mean direction of the neighbours within each radius. Their number
+    (T, R, n). The distance of the nearest (T, n).
     """
-    sums = _sum_neighbours(p, seen, v, m)
+    sums = sum_neighbours(p, seen, v, m)
     count, bank = sums[:, :BANK, 0], np.empty((len(v), 3, 1 + 2 * BANK, v.shape[2]), np.float32)
     bank[:, :, 0] = sums[:, BANK, 1:4]
     for axis in range(3):
@@ -92,7 +29,7 @@ def survey_neighbours(p: Singles, seen: Singles, v: Singles, m: Singles) -> tupl
     return bank, count, sums[:, BANK, 0]
 
 
-def fit_flock(v: Singles, complete: Singles, bank: Singles) -> tuple[Singles, Singles, Singles, Singles, Singles]:
+def fit_flock(v: Singles, complete: Singles, bank: Singles) -> dict[str, Singles]:
     """Regress velocities on the own last one, repulsion, alignment and attraction; the window chooses the two radii.
 
     ``bank`` is that of :func:`survey_neighbours`. Returns the residuals (T, 3, n) and the coefficients (4, n) of the
@@ -101,7 +38,8 @@ def fit_flock(v: Singles, complete: Singles, bank: Singles) -> tuple[Singles, Si
     """
     steps, _, n = v.shape
     mask = complete[:, None]
-    z = np.concatenate([delay_series(v, 1)[:, :, None], bank], 2) * mask[:, None]
+    z = np.concatenate([delay_series(v, 1)[:, :, None], bank], 2)
+    z *= mask[:, None]
     y, flat = (v * mask).reshape(3 * steps, 1, n), z.reshape(3 * steps, -1, n)
     gram, right, power = multiply_columns(flat, flat), multiply_columns(flat, y), multiply_series(y, y)
     rows = np.maximum(complete.sum(0), 1)
@@ -120,7 +58,8 @@ def fit_flock(v: Singles, complete: Singles, bank: Singles) -> tuple[Singles, Si
     residual = v * mask
     for q, k in enumerate(_RULES[best]):
         residual -= b[q, best] * z[:, :, k]
-    return residual, b[:, best], error[best], error.min(0), fit(np.array([[0]]))[1][0]
+    rule = {"residual": residual, "coefficients": b[:, best], "error": error[best], "least": error.min(0)}
+    return rule | {"last": fit(np.array([[0]]))[1][0]}
 
 
 def leave_crowd(v: Singles, m: Singles, mean: Singles, count: Singles) -> Singles:

@@ -1,31 +1,131 @@
-"""Compiled loops over pairs of UAVs. Answers are ``(features, n, n)``: entry (i, j) says how i relates to j."""
+"""Compiled loops. A series is ``(T, p, n)`` float32, the UAVs side by side; entry (i, j) of a pair: how i sees j."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from detectors.reader.flock import BANK, RADII
 from usnet_env.compiling import compiled
 
+RADII = np.array([6.0, 12.0, 25.0, 50.0, 100.0], np.float32)  # steps of flight at the typical speed of the window
+BANK = len(RADII)
+
 _ZERO, _ONE, _TINY, _FAR = np.float32(0.0), np.float32(1.0), np.float32(1e-12), np.float32(1e6)
-_TIGHT, _LOOSE, _FLOOR, _ENOUGH = np.float32(0.03), np.float32(0.2), np.float32(3e-3), np.float32(1.5)
-_W = 128  # rows of sums are a constant apart, so that the loops become vector code
+_OUTER, _STEEP = np.float32(1.1), np.float32(5.0)  # a neighbour's weight falls from 1 to 0 between .9 and 1.1 radii
+_REACH = np.float32(1.0 / 9.0)  # repulsion halves at 3 steps of flight
+_W, _HALF = 128, 64  # rows of sums are a constant apart, known not to overlap, so that loops become vector code
+_ROWS = 7  # sums of a radius: weight, velocity, direction; one more radius holds the nearest distance and the repulsion
+
+
+@compiled(error_model="numpy")
+def multiply_series(x, y, lag=0):
+    """The sums over steps and axes of x(t + lag) y(t): (n,)."""
+    total = np.zeros(x.shape[2], np.float32)
+    for t in range(lag, len(x)):
+        for a in range(x.shape[1]):
+            for i in range(x.shape[2]):
+                total[i] += x[t, a, i] * y[t - lag, a, i]
+    return total
+
+
+@compiled(error_model="numpy")
+def multiply_columns(x, y):
+    """The sums over rows of x (S, k, n) times y (S, q, n): (k, q, n)."""
+    out = np.zeros((x.shape[1], y.shape[1], x.shape[2]), np.float32)
+    for s in range(len(x)):
+        for a in range(x.shape[1]):
+            for b in range(y.shape[1]):
+                for i in range(x.shape[2]):
+                    out[a, b, i] += x[s, a, i] * y[s, b, i]
+    return out
+
+
+@compiled(error_model="numpy")
+def solve_ridges(gram, right, relative, absolute, whiten=False):
+    """Solve (gram + ridge) x = right for each UAV: ``gram`` (k, k, n) and ``right`` (k, r, n) are overwritten.
+
+    If ``whiten``, stop halfway: rows with the covariance ``gram`` become orthonormal.
+    """
+    k, r, n = right.shape
+    trace = np.zeros(n, np.float32)
+    for a in range(k):
+        trace += gram[a, a]
+    for a in range(k):
+        gram[a, a] += relative * trace / np.float32(k) + absolute
+        for b in range(a + 1):
+            for c in range(b):
+                for i in range(n):
+                    gram[a, b, i] -= gram[a, c, i] * gram[b, c, i]
+            for i in range(n):
+                gram[a, b, i] = np.sqrt(max(gram[a, a, i], _TINY)) if a == b else gram[a, b, i] / gram[b, b, i]
+    for q in range(r):
+        for a in range(k):
+            for c in range(a):
+                for i in range(n):
+                    right[a, q, i] -= gram[a, c, i] * right[c, q, i]
+            right[a, q] /= gram[a, a]
+        for a in range(k - 1, -1 if not whiten else k - 1, -1):
+            for c in range(a + 1, k):
+                for i in range(n):
+                    right[a, q, i] -= gram[c, a, i] * right[c, q, i]
+            right[a, q] /= gram[a, a]
+
+
+@compiled(error_model="numpy")
+def sum_neighbours(p, seen, v, m):
+    """Weighted sums over the neighbours in each radius at the beginning of each step: (T, R + 1, 7, n)."""
+    steps, _, n = v.shape
+    out = np.zeros((steps, (BANK + 1) * _ROWS, n), np.float32)
+    sums, one, here = (
+        np.empty((BANK + 1) * _ROWS * _HALF, np.float32),
+        np.empty(4 * _HALF, np.float32),
+        np.empty(3 * _HALF, np.float32),
+    )
+    last = BANK * _ROWS * _HALF
+    for start in range(0, n, _HALF):
+        width = min(_HALF, n - start)
+        for t in range(1, steps):
+            sums[:] = _ZERO
+            sums[last : last + _HALF] = _FAR
+            for a in range(3):
+                here[a * _HALF : a * _HALF + width] = p[t, a, start : start + width]
+            for j in range(n):
+                if seen[t, j] * m[t - 1, j] == _ZERO:
+                    continue
+                x, y, z, vx, vy, vz = p[t, 0, j], p[t, 1, j], p[t, 2, j], v[t - 1, 0, j], v[t - 1, 1, j], v[t - 1, 2, j]
+                for i in range(width):
+                    dx, dy, dz = x - here[i], y - here[_HALF + i], z - here[2 * _HALF + i]
+                    d = np.sqrt(dx * dx + dy * dy + dz * dz) + _TINY
+                    one[i], one[_HALF + i], one[2 * _HALF + i], one[3 * _HALF + i] = d, dx / d, dy / d, dz / d
+                if start <= j < start + width:
+                    one[j - start] = _FAR
+                for i in range(width):
+                    push = _ONE / (_ONE + one[i] * one[i] * _REACH)
+                    sums[last + i] = min(sums[last + i], one[i])
+                    sums[last + _HALF + i] -= push * one[_HALF + i]
+                    sums[last + 2 * _HALF + i] -= push * one[2 * _HALF + i]
+                    sums[last + 3 * _HALF + i] -= push * one[3 * _HALF + i]
+                for r in range(BANK):
+                    steep, outer, k = _STEEP / RADII[r], _OUTER * RADII[r], r * _ROWS * _HALF
+                    for i in range(width):
+                        w = min(_ONE, max(_ZERO, (outer - one[i]) * steep))
+                        sums[k + i] += w
+                        sums[k + _HALF + i] += w * vx
+                        sums[k + 2 * _HALF + i] += w * vy
+                        sums[k + 3 * _HALF + i] += w * vz
+                        sums[k + 4 * _HALF + i] += w * one[_HALF + i]
+                        sums[k + 5 * _HALF + i] += w * one[2 * _HALF + i]
+                        sums[k + 6 * _HALF + i] += w * one[3 * _HALF + i]
+            out[t, :, start : start + width] = sums.reshape(-1, _HALF)[:, :width]
+    return out.reshape(steps, BANK + 1, _ROWS, n)
 
 
 @compiled(error_model="numpy")
 def measure_bearings(p, v, a, moving, turns):
-    """Sum up over instants where the others are, and whether i flies or accelerates there.
+    """Sum up over K instants where the others are, and whether i flies or accelerates there.
 
-    Args:
-        p: places ``(K, 3, n)``.
-        v: velocities ``(K, 3, n)``.
-        a: accelerations ``(K, 3, n)``, 0 where unknown.
-        moving: ``(K, n)``, 1 where v is known.
-        turns: ``(K, n)``, 1 where a is known.
-
-    Returns:
-        ``(24, n, n)`` sums, one row for each ``total`` below; ``(2, K, n)``: distance of i's nearest UAV, and the cosine
-        between i's velocity and the direction to it.
+    ``p``, ``v`` and ``a`` are places, velocities and accelerations, ``(K, 3, n)``; ``moving`` and ``turns`` ``(K, n)``
+    are 1 where v and a are known. Returns ``(24, n, n)``, a row for each ``total`` below, and ``(2, K, n)``: i's
+    distance from the nearest UAV, and the cosine between i's velocity and the direction to it.
     """
     instants, _, n = p.shape
     sums, nearest = np.empty((19 + BANK, n, n), np.float32), np.full((2, instants, n), _FAR)
@@ -85,15 +185,11 @@ def measure_bearings(p, v, a, moving, turns):
 
 @compiled(error_model="numpy")
 def measure_places(p, seen, lags, stride, out):
-    """How close UAV i comes to where j was.
+    """How close i comes to where j was ``lags`` (L,) instants before, the first of them 0: into ``out`` (L + 3, n, n).
 
-    Args:
-        p: places ``(T + 1, 3, n)``.
-        seen: ``(T + 1, n)``.
-        lags: ``(L,)``, the first is 0.
-        stride: one of so many instants is looked at.
-        out: gets ``(L + 3, n, n)``: mean distance from i to where j was each lag before; mean distance of the nearest
-            such place; share of the instants at which it is behind j; mean place of its lag in ``lags``, 0 to 1.
+    ``p`` is ``(T + 1, 3, n)``, ``seen`` ``(T + 1, n)``; one of ``stride`` instants is looked at. Rows: mean distance
+    for each lag; of the nearest of these places the mean distance, how often it is behind j, and its mean place in
+    ``lags``, 0 to 1.
     """
     instants, _, n = p.shape
     last = len(lags) - 1
@@ -119,51 +215,11 @@ def measure_places(p, seen, lags, stride, out):
                     d += (_ONE - b) * _FAR
                     best[j] = lag if d < nearest[j] else best[j]
                     nearest[j] = min(d, nearest[j])
-            if t >= lags[last]:
-                for j in range(n):
-                    w = _ONE if nearest[j] < _FAR else _ZERO
-                    total[last + 1, j] += nearest[j] * w
-                    total[last + 2, j] += w if best[j] > _ZERO else _ZERO
-                    total[last + 3, j] += best[j] * w
-                    times[j] += w
+            for j in range(n if t >= lags[last] else 0):
+                w = _ONE if nearest[j] < _FAR else _ZERO
+                total[last + 1, j] += nearest[j] * w
+                total[last + 2, j] += w if best[j] > _ZERO else _ZERO
+                total[last + 3, j] += best[j] * w
+                times[j] += w
         for k in range(last + 4):
             out[k, i] = total[k] / np.maximum(count[k] if k <= last else times, _ONE)
-
-
-@compiled(error_model="numpy")
-def judge_blocks(square, overlap, product, persistence, out):
-    """How well i's velocity is j's of some steps before, block by block.
-
-    Args:
-        square: sums of squared differences, ``(blocks, n, n)``.
-        overlap: number of steps, ``(blocks, n, n)``.
-        product: products of innovations, ``(blocks, n, n)``.
-        persistence: ``(blocks, n)``, i's mean squared change of velocity in a step.
-        out: gets ``(6, n, n)``: share of the blocks with a small difference, with a fair one, greatest product, root of
-            the squares of positive ones, share with a difference below i's own change, and how far below.
-    """
-    blocks, n, _ = square.shape
-    total = np.empty(8 * _W, np.float32)
-    for i in range(n):
-        for start in range(0, n, _W):
-            end, width = min(start + _W, n), min(_W, n - start)
-            total[:] = _ZERO
-            total[2 * _W : 3 * _W] = -_ONE
-            for b in range(blocks):
-                change = _ONE / (persistence[b, i] + _FLOOR)
-                squares, steps, products = square[b, i, start:end], overlap[b, i, start:end], product[b, i, start:end]
-                for j in range(width):
-                    valid = _ONE if steps[j] > _ENOUGH else _ZERO
-                    d = max(squares[j], _ZERO) / max(steps[j], _ONE) + _FLOOR
-                    ratio, positive, tight, loose = d * change, max(products[j], _ZERO), d / _TIGHT, d / _LOOSE
-                    total[j] += valid / (_ONE + tight * tight)
-                    total[_W + j] += valid / (_ONE + loose * loose)
-                    total[2 * _W + j] = max(total[2 * _W + j], products[j])
-                    total[3 * _W + j] += positive * positive
-                    total[4 * _W + j] += valid / (_ONE + ratio * ratio * ratio)
-                    total[5 * _W + j] += valid * max(_ZERO, _ONE - ratio)
-                    total[6 * _W + j] += valid
-            for j in range(width):
-                for f in (0, 1, 4, 5):
-                    out[f, i, start + j] = total[f * _W + j] / max(total[6 * _W + j], _ONE)
-                out[2, i, start + j], out[3, i, start + j] = total[2 * _W + j], np.sqrt(total[3 * _W + j])

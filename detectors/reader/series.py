@@ -4,64 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from detectors.reader.kernels import multiply_columns, multiply_series, solve_ridges
 from usnet_env.arrays import Singles
-from usnet_env.compiling import compiled
-
-_TINY = np.float32(1e-12)
-
-
-@compiled(error_model="numpy")
-def multiply_series(x, y, lag=0):
-    """The sums over steps and axes of x(t + lag) y(t): (n,)."""
-    total = np.zeros(x.shape[2], np.float32)
-    for t in range(lag, len(x)):
-        for a in range(x.shape[1]):
-            for i in range(x.shape[2]):
-                total[i] += x[t, a, i] * y[t - lag, a, i]
-    return total
-
-
-@compiled(error_model="numpy")
-def multiply_columns(x, y):
-    """The sums over rows of x (S, k, n) times y (S, q, n): (k, q, n)."""
-    out = np.zeros((x.shape[1], y.shape[1], x.shape[2]), np.float32)
-    for s in range(len(x)):
-        for a in range(x.shape[1]):
-            for b in range(y.shape[1]):
-                for i in range(x.shape[2]):
-                    out[a, b, i] += x[s, a, i] * y[s, b, i]
-    return out
-
-
-@compiled(error_model="numpy")
-def solve_ridges(gram, right, relative, absolute, whiten=False):
-    """Solve (gram + ridge) x = right for each UAV: ``gram`` (k, k, n) and ``right`` (k, r, n) are overwritten.
-
-    If ``whiten``, stop halfway: rows with the covariance ``gram`` become orthonormal.
-    """
-    k, r, n = right.shape
-    trace = np.zeros(n, np.float32)
-    for a in range(k):
-        trace += gram[a, a]
-    for a in range(k):
-        gram[a, a] += relative * trace / np.float32(k) + absolute
-        for b in range(a + 1):
-            for c in range(b):
-                for i in range(n):
-                    gram[a, b, i] -= gram[a, c, i] * gram[b, c, i]
-            for i in range(n):
-                gram[a, b, i] = np.sqrt(max(gram[a, a, i], _TINY)) if a == b else gram[a, b, i] / gram[b, b, i]
-    for q in range(r):
-        for a in range(k):
-            for c in range(a):
-                for i in range(n):
-                    right[a, q, i] -= gram[a, c, i] * right[c, q, i]
-            right[a, q] /= gram[a, a]
-        for a in range(k - 1, -1 if not whiten else k - 1, -1):
-            for c in range(a + 1, k):
-                for i in range(n):
-                    right[a, q, i] -= gram[c, a, i] * right[c, q, i]
-            right[a, q] /= gram[a, a]
 
 
 def hold_positions(p: Singles, seen: Singles) -> Singles:
@@ -121,7 +65,8 @@ def average_series(x: Singles, m: Singles, width: int) -> tuple[Singles, Singles
         total[:rows] += x[k : k + rows] * m[k : k + rows, None]
         count[:rows] += m[k : k + rows]
     enough[count >= 2] = 1
-    return total / np.maximum(count, 1)[:, None], enough
+    total /= np.maximum(count, 1)[:, None]
+    return total, enough
 
 
 def change_series(x: Singles, m: Singles, lag: int) -> Singles:
