@@ -24,7 +24,7 @@ _OTHERS = {"clutter": (0.1, 8), "traffic": (0.15, 7), "bystanders": (0.25, 12), 
 def draw_model_swarm(
     rng: np.random.Generator, name: str, steps: int, most_uavs: int, fault: str = "", without: Collection[str] = ()
 ) -> SwarmConfig:
-    """Draw a swarm that follows by the model ``name``, seen by a sensor with the fault; if none is given, often noise."""
+    """Draw a swarm that follows by the model ``name``, seen by a sensor with the fault; without one, often by noise."""
     if not fault and rng.random() < 0.4:
         fault = "fault:noise"
     uavs = draw_whole(rng, 6, min(60, most_uavs) if rng.random() < 0.98 else most_uavs)
