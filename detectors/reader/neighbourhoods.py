@@ -45,22 +45,15 @@ def cut_swarm(velocity: Singles, seen: Mask) -> list[Neighbourhood]:
     community = _merge_links(links[strong], weight[strong], uavs)
     piece = _merge_links(links, weight, uavs)
     size = np.bincount(community, minlength=uavs)
-    groups = np.flatnonzero(size > 2)
-    torn = np.unique(community[links[strong][(community[links[strong, 0]] != community[links[strong, 1]])]])
-    possible = np.flatnonzero((uavs <= _FEW) | (size[community] < 3) | np.isin(community, torn))
+    ends = community[links[strong]]
+    divided = np.isin(community, ends[ends[:, 0] != ends[:, 1]])
+    alone = size[community] < 3
+    possible = np.flatnonzero(alone | divided | (uavs <= _FEW))
     guests: dict[int, list[int]] = {}
-    if len(groups) and len(possible) and steps > 3:
-        turns = find_turns(velocity, seen)
-        share = _explain_groups(velocity, seen, turns, community, groups, possible)
-        joins = np.zeros(share.shape, bool)
-        for group, column in enumerate(share.T):
-            joins[_choose_first(column, turns[possible]), group] = True
-        for place in np.flatnonzero(joins.any(axis=1)):
-            uav, into = possible[place], np.flatnonzero(joins[place])
-            if size[community[uav]] < 3:
-                piece[uav] = piece[groups[into[share[place, into].argmax()]]]
-            for group in into:
-                guests.setdefault(piece[groups[group]], []).append(uav)
+    for uav, group in _find_guests(velocity, seen, community, np.flatnonzero(size > 2), possible):
+        if alone[uav]:
+            piece[uav] = piece[group]
+        guests.setdefault(int(piece[group]), []).append(uav)
     return _pack_pieces(piece, guests)
 
 
@@ -70,9 +63,9 @@ def find_turns(series: Singles, seen: Mask, block: int = 1) -> Singles:
     ``series`` ``(T, n, d)`` counts where ``seen`` ``(T, n)``. The squares of each UAV sum to 1, or to 0 if it never
     turns; single large turns are bounded.
     """
-    count, uavs, width = len(seen) // block, *series.shape[1:]
-    there = seen[: count * block].reshape(count, block, uavs)
-    some = there.any(axis=1)[..., None].astype(np.float32)
+    count, (uavs, width) = len(seen) // block, series.shape[1:]
+    there: Mask = seen[: count * block].reshape(count, block, uavs)
+    some = (there.sum(axis=1) > 0)[..., None].astype(np.float32)
     summed = (series[: count * block] * seen[: count * block, :, None]).reshape(count, block, uavs, width).sum(axis=1)
     mean = summed / np.maximum(there.sum(axis=1), 1)[..., None]
     mean = (mean - (mean * some).sum(axis=0) / np.maximum(some.sum(axis=0), 1)) * some
@@ -144,16 +137,32 @@ def _merge_links(links: Indices, weight: Floats, uavs: int) -> Indices:
     return np.array([find(uav) for uav in range(uavs)])
 
 
+def _find_guests(
+    velocity: Singles, seen: Mask, community: Indices, groups: Indices, possible: Indices
+) -> list[tuple[int, int]]:
+    """Pairs of a possible head and a community that it may lead, those that explain least first."""
+    if not (len(groups) and len(possible) and len(seen) > 3):
+        return []
+    turns = find_turns(velocity, seen)
+    share = _explain_groups(velocity[:, possible], seen[:, possible], turns, community, groups, possible)
+    pairs = [(uav, group) for group in range(len(groups)) for uav in _choose_first(share[:, group], turns[possible])]
+    pairs.sort(key=lambda pair: share[pair])
+    return [(int(possible[uav]), int(groups[group])) for uav, group in pairs]
+
+
 def _explain_groups(
-    velocity: Singles, seen: Mask, turns: Singles, community: Indices, groups: Indices, possible: Indices
+    flown: Singles, seen: Mask, turns: Singles, community: Indices, groups: Indices, possible: Indices
 ) -> Floats:
-    """Share of each group's mean turns that each possible head's past explains best at one lag, ``(p, g)``; -1: own."""
+    """Share of each group's mean turns that each possible head's past explains best at one lag, ``(p, g)``; -1: own.
+
+    The past are turns and the turns of the products of velocities, by any linear map. What the group's past explains of
+    the possible head is taken off.
+    """
     steps = len(seen)
     target = np.stack([turns[community == group].mean(axis=0) for group in groups])  # (g, T, 3)
     target /= np.maximum(np.sqrt((target**2).sum(axis=(1, 2))), 1e-9)[:, None, None]
-    flown = velocity[:, possible]
     products = np.stack([flown[..., a] * flown[..., b] for a in range(3) for b in range(a, 3)], axis=-1)
-    past = np.concatenate([turns[possible], find_turns(products, seen[:, possible])], axis=2)  # (p, T, 9)
+    past = np.concatenate([turns[possible], find_turns(products, seen)], axis=2)  # (p, T, 9)
     gram = past.transpose(0, 2, 1) @ past
     gram += (1e-2 * np.trace(gram, axis1=1, axis2=2) / 9 + 1e-9)[:, None, None] * np.eye(9, dtype=np.float32)
     white = np.linalg.solve(np.linalg.cholesky(gram), past.transpose(0, 2, 1)).astype(np.float32)  # (p, 9, T)
