@@ -24,22 +24,21 @@ _DECIMALS = 6  # of a probability: smaller differences are rounding errors, and 
 
 
 class _Reading(NamedTuple):
-    """What the network reads of n UAVs; indices are among them."""
+    """What is read of n UAVs: ``(n,)`` each, ``follows`` ``(n, n)``; an own index means that a UAV follows none."""
 
-    head: Floats  #: ``(n,)`` probability of being a head
-    leader: Indices  #: ``(n,)`` the UAV that each follows directly; its own index: none
-    root: Indices  #: ``(n,)`` the head that each follows in the end
-    delay: Floats  #: ``(n,)`` steps
-    follows: Singles | None  #: ``(n, n)`` probability that i follows j directly; ``None`` of neighbourhoods
-    silent: float  #: probability that nobody leads
+    head: Floats
+    leader: Indices
+    root: Indices
+    delay: Floats
+    silent: float
+    follows: Singles | None = None
 
 
 class Reader(Detector):
     """Names heads by a network that was trained with labels on every kind of swarm that the simulator can draw.
 
-    Statistics of every ordered pair of UAVs (:mod:`detectors.reader.features`) go through a permutation-equivariant
-    network (:mod:`detectors.reader.forward`), which needs no PyTorch. More than 400 UAVs are read in neighbourhoods of
-    UAVs that move alike (:mod:`detectors.reader.neighbourhoods`).
+    It reads statistics of every ordered pair of UAVs, and needs no PyTorch. More than 400 UAVs are read in
+    neighbourhoods of UAVs that move alike.
 
     Args:
         policy: ``"cost"`` (default) names the set with the least expected cost (:func:`detectors.policy.choose`),
@@ -69,15 +68,11 @@ class Reader(Detector):
         """Name the heads of one window.
 
         Returns:
-            Candidates; scores and ``extras["probability"]``, the probabilities of being a head; ``leader``, the UAV
-            that each UAV most probably follows directly (its own index: none; -1: destroyed, or its motion not seen);
-            ``clusters``, one per root; ``attention``, the probability that UAV i follows UAV j (``None`` of more than
-            400 UAVs). In ``extras``: ``root`` ``(N,)``, the head of each UAV, like ``leader``; ``delay`` ``(N,)``, the
-            steps after which a UAV repeats its leader, 0 if it follows none; ``silent``, the probability that nobody
-            leads; ``confidence``, that the UAVs with a probability above 1/2 are exactly the heads.
-
-        Raises:
-            ArgumentError: an argument of the constructor is refused, or the window has more than 10,000 UAVs.
+            Candidates; scores and ``extras["probability"]``, of being a head; ``leader`` (direct) and ``extras["root"]``
+            (the head; own index: none; -1: destroyed or never seen to move); ``clusters``, one per root; attention, the
+            probability that UAV i follows UAV j (``None`` of more than 400). In ``extras``: ``delay`` ``(N,)``, steps
+            behind the leader; ``silent``, the probability that nobody leads; ``confidence``, that the UAVs with a
+            probability above 1/2 are exactly the heads.
         """
         arguments = self.check_arguments()
         check_pairs(window.uavs)
@@ -91,14 +86,13 @@ class Reader(Detector):
             silent = round(found.silent, _DECIMALS)
             probability[flying] = found.head.round(_DECIMALS)
             leader[flying], root[flying] = flying[found.leader], flying[found.root]
-            delay[flying] = np.where(found.leader == np.arange(len(flying)), 0.0, found.delay)
+            delay[flying] = found.delay
             clusters[flying] = np.unique(root[flying], return_inverse=True)[1]
             if found.follows is not None:
                 attention = np.zeros((window.uavs, window.uavs))
                 attention[np.ix_(flying, flying)] = found.follows
         policy = Policy(policy=arguments.policy, objective=arguments.objective, round_price=arguments.round_price)
-        tie = self.rng.random(window.uavs)
-        candidates = choose(probability, window.alive, policy, tie, silent=silent)
+        candidates = choose(probability, window.alive, policy, self.rng.random(window.uavs), silent=silent)
         confidence = float(np.maximum(probability, 1.0 - probability).prod())
         extras = {"probability": probability, "root": root, "delay": delay, "silent": silent, "confidence": confidence}
         return Detection(candidates, probability, clusters, leader, attention, extras)
@@ -107,29 +101,23 @@ class Reader(Detector):
 def _read_dense(weights: Weights, window: Window, uavs: Indices) -> _Reading:
     """Read ``uavs`` of a window at once."""
     answer = read(weights, make_features(window.position[:, uavs], window.velocity[:, uavs], window.seen[:, uavs]))
-    return _Reading(
-        expit(answer.head.astype(np.float64)),
-        answer.leader.argmax(axis=1),
-        answer.root.argmax(axis=1),
-        np.expm1(np.maximum(answer.delay, 0.0)),
-        softmax(answer.leader, axis=1),
-        float(expit(np.float64(answer.silent))),
-    )
+    head, silent = expit(answer.head.astype(np.float64)), float(expit(np.float64(answer.silent)))
+    leader, root = answer.leader.argmax(axis=1), answer.root.argmax(axis=1)
+    delay = np.where(leader == np.arange(len(uavs)), 0.0, np.expm1(answer.delay.clip(0.0)))
+    return _Reading(head, leader, root, delay, silent, softmax(answer.leader, axis=1))
 
 
 def _read_neighbourhoods(weights: Weights, window: Window, uavs: Indices) -> _Reading:
-    """Read ``uavs`` of a window by neighbourhoods. A UAV that is read in several is a head if it is one in any.
+    """Read ``uavs`` of a window by neighbourhoods.
 
-    Everything else is as read in its own neighbourhood; nobody leads as probably as in the least silent one.
+    A UAV that is read in several is a head if it is one in any; nobody leads if nobody does in the least silent one.
     """
-    head, delay = np.zeros((2, len(uavs)))
-    leader, root = np.zeros((2, len(uavs)), np.int64)
-    silent = 1.0
+    whole = _Reading(*np.zeros((4, len(uavs))), silent=1.0)
+    whole = whole._replace(leader=whole.leader.astype(np.int64), root=whole.root.astype(np.int64))
     for members, own in cut_swarm(window.velocity[:, uavs], window.velocity_seen[:, uavs]):
         found = _read_dense(weights, window, uavs[members])
-        mine = members[own]
-        head[members] = np.maximum(head[members], found.head)
-        leader[mine], root[mine] = members[found.leader[own]], members[found.root[own]]
-        delay[mine] = found.delay[own]
-        silent = min(silent, found.silent)
-    return _Reading(head, leader, root, delay, None, silent)
+        whole.head[members] = np.maximum(whole.head[members], found.head)
+        whole.leader[members[own]], whole.root[members[own]] = members[found.leader[own]], members[found.root[own]]
+        whole.delay[members[own]] = found.delay[own]
+        whole = whole._replace(silent=min(whole.silent, found.silent))
+    return whole
