@@ -1,13 +1,12 @@
 """The network of the reader without torch: the same answers from the same file, by NumPy and compiled loops.
 
-Vectors of pairs ``(n, n, w)`` are read from memory as rarely as can be: each loop does all that happens between two
-products of matrices.
+A loop does all that happens to the vectors of pairs ``(n, n, w)`` between two products of matrices.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -17,36 +16,30 @@ from usnet_env.arrays import Singles
 from usnet_env.compiling import compiled
 from usnet_env.config import ArgumentError, quote
 
+T = TypeVar("T")
 Weights = dict[str, Singles]  #: the arrays of :class:`detectors.reader.network.ReaderNetwork`, by their names
 
 _FAST = {"error_model": "numpy", "fastmath": {"contract", "reassoc"}}
-_LARGEST, _ROW_NOISE, _NORM_NOISE = np.float32(6.0), np.float32(1e-3), np.float32(1e-5)  # as in the network
+LARGEST, ROW_NOISE = np.float32(6.0), np.float32(1e-3)  #: of standardised inputs; added to a row's variance
+_NORM_NOISE = np.float32(1e-5)
 _ONE, _HALF, _TANH_LIMIT = np.float32(1.0), np.float32(0.5), np.float32(7.905)
 _SLOPE, _CUBE = np.float32(math.sqrt(2.0 / math.pi)), np.float32(0.044715)
-# tanh(x) = x P(x²) / Q(x²) to a few units in the last place of single precision (the fit of the library Eigen)
-_P = np.array(
-    [
-        -2.76076847742355e-16,
-        2.00018790482477e-13,
-        -8.60467152213735e-11,
-        5.12229709037114e-08,
-        1.48572235717979e-05,
-        6.37261928875436e-04,
-        4.89352455891786e-03,
-    ],
-    np.float32,
-)
-_Q = np.array([1.19825839466702e-06, 1.18534705686654e-04, 2.26843463243900e-03, 4.89352518554385e-03], np.float32)
+# tanh(x) = x P(x²) / Q(x²) to some units in the last place of single precision (the fit of the library Eigen)
+_P = np.array([-2.76077e-16, 2.000188e-13, -8.604672e-11, 5.1222971e-8, 1.4857224e-5, 6.3726193e-4, 4.8935246e-3], "f4")
+_Q = np.array([1.1982584e-6, 1.1853471e-4, 2.2684346e-3, 4.8935252e-3], "f4")
 
 
-class Answer(NamedTuple):
-    """What :class:`detectors.reader.network.Answer` has, for one window of n UAVs."""
+class Answer(NamedTuple, Generic[T]):
+    """What the network says of n UAVs; of arrays here, and of tensors that begin with an axis of windows in training.
 
-    head: Singles  #: ``(n,)``
-    leader: Singles  #: ``(n, n)``
-    root: Singles  #: ``(n, n)``
-    silent: Singles  #: ``()``
-    delay: Singles  #: ``(n,)``
+    All are logits but ``delay``, log(1 + steps after which i repeats its leader).
+    """
+
+    head: T  #: ``(n,)``: the UAV leads another
+    leader: T  #: ``(n, n)`` over j: i follows j directly; (i, i): nobody
+    root: T  #: ``(n, n)`` over j: the chain of i's leaders ends at j; (i, i): i follows nobody
+    silent: T  #: ``()``: nobody leads
+    delay: T  #: ``(n,)``
 
 
 def load_reader(weights: str = "shipped") -> Weights:
@@ -55,16 +48,16 @@ def load_reader(weights: str = "shipped") -> Weights:
         return packaged_arrays("detectors.reader", "reader")
     arrays = read_arrays(weights)
     counts = tuple(len(arrays.get(f"{name}_mean", ())) for name in ("pair", "uav", "context"))
-    if counts != (PAIR_FEATURES, UAV_FEATURES, CONTEXT_FEATURES) or "silent.second.bias" not in arrays:
+    if counts != (PAIR_FEATURES, UAV_FEATURES, CONTEXT_FEATURES) or "silent.2.bias" not in arrays:
         raise ArgumentError(f"weights must be a file of a reader with this version's features, got {quote(weights)}.")
     return arrays
 
 
-def read(weights: Weights, features: Features) -> Answer:
+def read(weights: Weights, features: Features) -> Answer[Singles]:
     """Answer for a window of n UAVs."""
     n, width = len(features.uav), len(weights["itself"])
     context, state = (
-        np.clip((values - weights[f"{name}_mean"]) * weights[f"{name}_scale"], -_LARGEST, _LARGEST)
+        np.clip((values - weights[f"{name}_mean"]) * weights[f"{name}_scale"], -LARGEST, LARGEST)
         for name, values in (("context", features.context), ("uav", features.uav))
     )
     state = _apply_layers(weights, "enter_uav", np.hstack([state, np.broadcast_to(context, (n, len(context)))]))
@@ -73,12 +66,11 @@ def read(weights: Weights, features: Features) -> Answer:
     row, column = np.split(state @ weights["ends.weight"].T, 2, axis=1)
     row = row + _apply(weights, "context", context)
     both = (scaled @ weights["enter.weight"].T).reshape(n, n, 2 * width)
-    entered = np.empty((n, n, 2 * width), np.float32)
+    entered = np.empty((n, n, width), np.float32)
     _meet(both, row, column, weights["itself"], entered)
-    _append_relative(entered)
-    pair = np.zeros((n * n, width), np.float32)
-    normed = np.empty_like(pair)
-    change = _apply(weights, "rows", entered.reshape(n * n, 2 * width))
+    plain, ranked = np.split(weights["rows.weight"].T, 2)
+    change = (entered @ plain + _normalise(entered, ROW_NOISE) @ ranked + weights["rows.bias"]).reshape(n * n, width)
+    pair, normed = np.zeros_like(change), np.empty_like(change)
     for block in range(sum(name.endswith(".attention.weight") for name in weights)):
         _add_and_normalise(pair, change, normed)
         change, state = _update(weights, f"blocks.{block}", normed, state)
@@ -95,24 +87,14 @@ def _update(weights: Weights, block: str, normed: Singles, state: Singles) -> tu
     n, width = state.shape
     given = (normed @ weights[f"{block}.attention.weight"].T).reshape(n, n, -1)
     known, heads = _normalise(state), given.shape[2]
-    chosen, received = np.zeros((2, n, heads, width), np.float32)
-    looked_at = np.zeros_like(state)
-    _gather(given, normed.reshape(n, n, width), known, chosen, received, looked_at)
-    gathered = [
-        (
-            np.einsum(
-                "ihc,hdc->ihd", vectors, weights[f"{block}.{name}.weight"].reshape(heads, -1, width), optimize=True
-            )
-            + total[..., None] * weights[f"{block}.{name}.bias"].reshape(heads, -1)
-        ).reshape(n, width)
-        for name, vectors, total in (
-            ("chosen", chosen, np.ones((n, heads), np.float32)),
-            ("received", received, given.sum(axis=0)),
-        )
-    ]
-    gathered[1] = np.sign(gathered[1]) * np.log1p(np.abs(gathered[1]))
+    vectors, seen = np.zeros((2, n, heads, width), np.float32), np.zeros_like(state)
+    _gather(given, normed.reshape(n, n, width), known, *vectors, seen)
+    matrix = weights[f"{block}.gathered.weight"].reshape(heads, -1, 2, width).transpose(2, 0, 3, 1)  # (2, h, w, d)
+    chosen, received = np.matmul(vectors.swapaxes(1, 2), matrix).swapaxes(1, 2).reshape(2, n, width)
+    received = np.sign(received) * np.log1p(np.abs(received))
     whole = np.broadcast_to(state.mean(axis=0), state.shape)
-    state = state + _apply_layers(weights, f"{block}.uav", np.hstack([known, *gathered, looked_at, whole]))
+    gathered = [known, chosen, received, seen, whole, np.log1p(given.sum(axis=0))]
+    state = state + _apply_layers(weights, f"{block}.uav", np.hstack(gathered))
     row, column = np.split(_normalise(state) @ weights[f"{block}.ends.weight"].T, 2, axis=1)
     forth, back = np.split(weights[f"{block}.mix.weight"], 2, axis=1)
     both = (normed @ np.vstack([forth, back]).T).reshape(n, n, 2 * width)
@@ -126,14 +108,17 @@ def _apply(weights: Weights, name: str, values: Singles) -> Singles:
 
 
 def _apply_layers(weights: Weights, name: str, values: Singles) -> Singles:
-    hidden = _apply(weights, f"{name}.first", values)
+    hidden = _apply(weights, f"{name}.0", values)
     hidden *= _HALF * (_ONE + np.tanh(_SLOPE * (hidden + _CUBE * hidden * hidden * hidden)))
-    return _apply(weights, f"{name}.second", hidden)
+    return _apply(weights, f"{name}.2", hidden)
 
 
-def _normalise(state: Singles) -> Singles:
-    centred = state - state.mean(axis=1, keepdims=True)
-    return centred / np.sqrt((centred**2).mean(axis=1, keepdims=True) + _NORM_NOISE)
+def _normalise(values: Singles, noise: Any = _NORM_NOISE) -> Singles:
+    """Values with mean 0 and variance 1 along axis 1."""
+    centred = values - values.mean(axis=1, keepdims=True)
+    square = np.einsum("ij...,ij...->i...", centred, centred)[:, None] / np.float32(values.shape[1])
+    centred *= _ONE / np.sqrt(square + noise)
+    return centred
 
 
 @compiled(**_FAST)
@@ -153,7 +138,7 @@ def _gelu(value):
 def _standardise(values, mean, scale, out):
     for pair in range(len(values)):
         for k in range(len(mean)):
-            out[pair, k] = min(max((values[pair, k] - mean[k]) * scale[k], -_LARGEST), _LARGEST)
+            out[pair, k] = min(max((values[pair, k] - mean[k]) * scale[k], -LARGEST), LARGEST)
 
 
 @compiled(**_FAST)
@@ -162,33 +147,11 @@ def _meet(both, row, column, itself, out):
     n, width = row.shape
     for i in range(n):
         for j in range(n):
+            same = np.float32(i == j)
             for c in range(width):
-                out[i, j, c] = both[i, j, c] + both[j, i, width + c] + row[i, c] + column[j, c]
-            if i == j:
-                for c in range(width):
-                    out[i, j, c] += itself[c]
-            for c in range(width):
-                out[i, j, c] = _gelu(out[i, j, c])
-
-
-@compiled(**_FAST)
-def _append_relative(pair):
-    """Write behind the first half of each pair's vector the same, standardised over the pairs of its row."""
-    n, width = len(pair), pair.shape[2] // 2
-    for i in range(n):
-        mean, square = np.zeros((2, width), np.float32)
-        for j in range(n):
-            for c in range(width):
-                mean[c] += pair[i, j, c] / np.float32(n)
-        for j in range(n):
-            for c in range(width):
-                pair[i, j, width + c] = pair[i, j, c] - mean[c]
-                square[c] += pair[i, j, width + c] ** 2 / np.float32(n)
-        for c in range(width):
-            square[c] = _ONE / math.sqrt(square[c] + _ROW_NOISE)
-        for j in range(n):
-            for c in range(width):
-                pair[i, j, width + c] *= square[c]
+                out[i, j, c] = _gelu(
+                    both[i, j, c] + both[j, i, width + c] + row[i, c] + column[j, c] + same * itself[c]
+                )
 
 
 @compiled(**_FAST)
@@ -210,7 +173,7 @@ def _add_and_normalise(pair, change, normed):
 
 
 @compiled(**_FAST)
-def _gather(given, pair, state, chosen, received, looked_at):
+def _gather(given, pair, state, chosen, received, seen):
     """Turn logits ``given`` ``(n, n, heads)`` into attention over j, and add up what each head gathers by it."""
     n, _, heads = given.shape
     part = state.shape[1] // heads
@@ -227,4 +190,4 @@ def _gather(given, pair, state, chosen, received, looked_at):
                     chosen[i, h, c] += weight * pair[i, j, c]
                     received[j, h, c] += weight * pair[i, j, c]
                 for c in range(h * part, (h + 1) * part):
-                    looked_at[i, c] += weight * state[j, c]
+                    seen[i, c] += weight * state[j, c]

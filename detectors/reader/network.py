@@ -7,7 +7,7 @@ from its reverse and from both of its UAVs. :mod:`detectors.reader.forward` comp
 
 from __future__ import annotations
 
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import torch
 from pydantic import Field
@@ -15,10 +15,8 @@ from torch import Tensor, nn
 from torch.nn.functional import gelu, layer_norm
 
 from detectors.reader.features import CONTEXT_FEATURES, PAIR_FEATURES, UAV_FEATURES
+from detectors.reader.forward import LARGEST, ROW_NOISE, Answer
 from usnet_env.config import ArgumentError, Config
-
-LARGEST = 6.0  #: a standardised input is clamped to +-LARGEST
-ROW_NOISE = 1e-3  #: added to the variance of a row of pairs
 
 
 class NetworkSizes(Config):
@@ -29,30 +27,8 @@ class NetworkSizes(Config):
     blocks: Annotated[int, Field(ge=1, le=16)] = 3
 
 
-class Answer(NamedTuple):
-    """Outputs for B windows of n UAVs: logits, but for ``delay``."""
-
-    head: Tensor  #: ``(B, n)``: the UAV leads another
-    leader: Tensor  #: ``(B, n, n)`` over j: i follows j directly; (i, i): nobody
-    root: Tensor  #: ``(B, n, n)`` over j: the chain of i's leaders ends at j; (i, i): i follows nobody
-    silent: Tensor  #: ``(B,)``: nobody leads
-    delay: Tensor  #: ``(B, n)``: log(1 + steps after which i repeats its leader)
-
-
-def apply_gelu(values: Tensor) -> Tensor:
-    """GELU in its form with the hyperbolic tangent."""
-    return gelu(values, approximate="tanh")
-
-
-class _TwoLayers(nn.Module):
-    def __init__(self, given: int, hidden: int, made: int) -> None:
-        super().__init__()
-        self.first = nn.Linear(given, hidden)
-        self.second = nn.Linear(hidden, made)
-
-    def forward(self, values: Tensor) -> Tensor:
-        made: Tensor = self.second(apply_gelu(self.first(values)))
-        return made
+def _stack_layers(given: int, hidden: int, made: int) -> nn.Sequential:
+    return nn.Sequential(nn.Linear(given, hidden), nn.GELU("tanh"), nn.Linear(hidden, made))
 
 
 class _Block(nn.Module):
@@ -62,41 +38,32 @@ class _Block(nn.Module):
         super().__init__()
         width = sizes.width
         self.attention = nn.Linear(width, sizes.attn_heads, bias=False)
-        self.chosen = nn.Linear(width, width)  # of rows (heads of attention, their values)
-        self.received = nn.Linear(width, width)
-        self.uav = _TwoLayers(5 * width, 2 * width, width)
+        self.gathered = nn.Linear(2 * width, width, bias=False)  # chosen and received, each head to its own values
+        self.uav = _stack_layers(5 * width + sizes.attn_heads, 2 * width, width)
         self.mix = nn.Linear(2 * width, width)  # of a pair and its reverse
         self.ends = nn.Linear(width, 2 * width, bias=False)
         self.out = nn.Linear(width, width, bias=False)
 
-    def _project(self, linear: nn.Linear, gathered: Tensor, weight: Tensor) -> Tensor:
-        """Values ``(B, n, w)`` of the vectors ``(B, n, heads, w)`` that heads gathered with a sum of weights."""
-        batch, n, heads, width = gathered.shape
-        matrix = linear.weight.view(heads, width // heads, width)
-        made = torch.einsum("bihc,hdc->bihd", gathered, matrix)
-        return (made + weight[..., None] * linear.bias.view(heads, -1)).reshape(batch, n, width)
-
     def forward(self, pair: Tensor, uav: Tensor) -> tuple[Tensor, Tensor]:
         """Return the updated ``pair`` ``(B, n, n, w)`` and ``uav`` ``(B, n, w)``."""
-        batch, n, width = uav.shape
-        normed = layer_norm(pair, (width,))
+        (batch, n, width), heads = uav.shape, len(self.attention.weight)
+        normed, state = layer_norm(pair, (width,)), layer_norm(uav, (width,))
         turned = normed.transpose(1, 2).contiguous()
-        logits = torch.matmul(self.attention.weight, normed.transpose(2, 3))
-        given = torch.softmax(logits, dim=3)  # (B, i, heads, j)
+        given = torch.softmax(torch.matmul(self.attention.weight, normed.transpose(2, 3)), dim=3)  # (B, i, heads, j)
         taken = given.permute(0, 3, 2, 1).contiguous()  # (B, j, heads, i)
-        state = layer_norm(uav, (width,))
-        chosen = self._project(self.chosen, torch.matmul(given, normed), torch.ones_like(given[..., 0]))
-        received = self._project(self.received, torch.matmul(taken, turned), taken.sum(dim=3))
+        gathered = torch.matmul(given, normed), torch.matmul(taken, turned)  # (B, n, heads, w)
+        own = zip(gathered, self.gathered.weight.view(heads, -1, 2, width).unbind(dim=2), strict=True)
+        chosen, received = (torch.einsum("bihc,hdc->bihd", *each).flatten(2) for each in own)
         received = torch.sign(received) * torch.log1p(received.abs())  # it grows with the number of followers
-        parts = state.view(batch, n, given.shape[2], -1)
-        looked_at = torch.einsum("bihj,bjhd->bihd", given, parts).reshape(batch, n, width)
+        seen = torch.einsum("bihj,bjhd->bihd", given, state.view(batch, n, heads, -1)).flatten(2)
         whole = uav.mean(dim=1, keepdim=True).expand(batch, n, width)
-        uav = uav + self.uav(torch.cat([state, chosen, received, looked_at, whole], dim=2))
+        known = [state, chosen, received, seen, whole, torch.log1p(taken.sum(dim=3))]
+        uav = uav + self.uav(torch.cat(known, dim=2))
         row, column = self.ends(layer_norm(uav, (width,))).chunk(2, dim=2)
         ends = (row + self.mix.bias)[:, :, None] + column[:, None]
         forth, back = self.mix.weight.chunk(2, dim=1)
         mixed = torch.addmm(ends.view(-1, width), normed.view(-1, width), forth.t())
-        mixed = apply_gelu(torch.addmm(mixed, turned.view(-1, width), back.t()))
+        mixed = gelu(torch.addmm(mixed, turned.view(-1, width), back.t()), approximate="tanh")
         return torch.addmm(pair.view(-1, width), mixed, self.out.weight.t()).view_as(pair), uav
 
 
@@ -122,21 +89,21 @@ class ReaderNetwork(nn.Module):
             self.register_buffer(f"{name}_mean", torch.zeros(count))
             self.register_buffer(f"{name}_scale", torch.ones(count))
         self.enter = nn.Linear(pairs, 2 * width, bias=False)  # of a pair, and of its reverse
-        self.enter_uav = _TwoLayers(uavs + contexts, 2 * width, width)
+        self.enter_uav = _stack_layers(uavs + contexts, 2 * width, width)
         self.ends = nn.Linear(width, 2 * width, bias=False)
         self.context = nn.Linear(contexts, width)
         self.itself = nn.Parameter(torch.zeros(width))
         self.rows = nn.Linear(2 * width, width)  # of a pair, and of the pair relative to its row
         self.blocks = nn.ModuleList(_Block(sizes) for _ in range(sizes.blocks))
         self.links = nn.Linear(width, 2)  # leader and root
-        self.head = _TwoLayers(width, width, 2)  # head and delay
-        self.silent = _TwoLayers(2 * width, width, 1)
+        self.head = _stack_layers(width, width, 2)  # head and delay
+        self.silent = _stack_layers(2 * width, width, 1)
 
     def _standardise(self, name: str, values: Tensor) -> Tensor:
         mean, scale = self.get_buffer(f"{name}_mean"), self.get_buffer(f"{name}_scale")
-        return torch.addcmul(-mean * scale, values, scale).clamp_(-LARGEST, LARGEST)
+        return torch.addcmul(-mean * scale, values, scale).clamp_(-float(LARGEST), float(LARGEST))
 
-    def forward(self, pair: Tensor, uav: Tensor, context: Tensor) -> Answer:
+    def forward(self, pair: Tensor, uav: Tensor, context: Tensor) -> Answer[Tensor]:
         """Answer for features ``pair`` ``(B, n, n, F)``, ``uav`` ``(B, n, G)`` and ``context`` ``(B, K)``."""
         n, width = uav.shape[1], len(self.itself)
         context = self._standardise("context", context)
@@ -157,9 +124,9 @@ class ReaderNetwork(nn.Module):
         forth, back = self.enter(pair).chunk(2, dim=3)
         row, column = self.ends(state).chunk(2, dim=2)
         both = forth + back.transpose(1, 2) + (row + context[:, None])[:, :, None] + column[:, None]
-        entered = apply_gelu(both + torch.eye(n, device=pair.device)[..., None] * self.itself)
+        entered = gelu(both + torch.eye(n, device=pair.device)[..., None] * self.itself, approximate="tanh")
         relative = entered - entered.mean(dim=2, keepdim=True)
-        relative = relative * torch.rsqrt(relative.square().mean(dim=2, keepdim=True) + ROW_NOISE)
+        relative = relative * torch.rsqrt(relative.square().mean(dim=2, keepdim=True) + float(ROW_NOISE))
         plain, ranked = self.rows.weight.chunk(2, dim=1)
         made = torch.addmm(self.rows.bias, entered.view(-1, width), plain.t())
         return torch.addmm(made, relative.view(-1, width), ranked.t()).view(batch, n, n, width)

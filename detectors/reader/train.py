@@ -1,8 +1,7 @@
 """Trains the reader on windows that the prior draws.
 
-A training is a list of shards. Shard k follows from the seed and k alone, and every shard is used for a few passes and
-forgotten. So a training that is resumed from its checkpoint, written after each shard, gives exactly the result of an
-uninterrupted one on a CPU.
+Shard k of windows follows from the seed and k alone; it is used for a few passes and forgotten. So a training that is
+resumed from its checkpoint, written after each shard, gives exactly the result of an uninterrupted one on a CPU.
 """
 
 from __future__ import annotations
@@ -12,6 +11,7 @@ import math
 import os
 from collections.abc import Callable, Iterator
 from copy import deepcopy
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -21,29 +21,25 @@ from pydantic import Field
 from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits, cross_entropy, huber_loss
 
-from detectors.reader.draws import Batch, Shards, draw_ahead
+from detectors.reader.draws import Batch, draw_ahead, draw_shard
 from detectors.reader.features import CONTEXT_GROUPS, PAIR_GROUPS, UAV_GROUPS
-from detectors.reader.network import Answer, NetworkSizes, ReaderNetwork, draw_network
+from detectors.reader.forward import Answer, load_reader
+from detectors.reader.network import NetworkSizes, draw_network
 from detectors.reader.prior import FAMILIES, PRIOR_VERSION
-from detectors.weights import Checkpoint, read_arrays, write_weights
+from detectors.weights import Checkpoint, write_weights
 from usnet_env.config import ArgumentError, quote, unknown_name
 from usnet_env.evaluation.run import map_tasks
 from usnet_env.evaluation.tasks import become_worker
 from usnet_env.files import reserve_folder, write_text
 
 _START, _SHARD, _ORDER = range(3)  # purpose of a seed
-_PRESETS = {"minutes": 25, "hours": 300}
-_INPUTS = ("pair", "uav", "context")
-_GROUPS = [
-    (name, part)
-    for name, groups in zip(_INPUTS, (PAIR_GROUPS, UAV_GROUPS, CONTEXT_GROUPS), strict=True)
-    for part in groups.values()
-]
+_PRESETS = {"minutes": 25, "hours": 300}  # shards
 _PASSES, _TOGETHER = 2, 3  # how often a shard is used, and the batches in a step
-_WARM = 100  # steps until the largest rate
+_WARM, _MOST_DECAY = 100, 0.996  # steps until the largest rate; decay of the average of the weights
 _DROPPED = 0.15  # share of batches in which one group of features is hidden
-_MOST_DECAY = 0.996  # of the average of the weights
 _STATE = ("step", "exp_avg", "exp_avg_sq")  # of the optimiser, for each parameter
+_INPUTS = {"pair": PAIR_GROUPS, "uav": UAV_GROUPS, "context": CONTEXT_GROUPS}
+_GROUPS = [(name, part) for name, groups in _INPUTS.items() for part in groups.values()]
 
 Count = Annotated[int, Field(ge=1, le=10_000_000)]
 
@@ -59,7 +55,7 @@ class ReaderTraining(NetworkSizes):
         device: where the network learns.
         width, attn_heads, blocks: see :class:`detectors.reader.network.NetworkSizes`.
         shards: their number; ``None``: the preset's.
-        batches, windows, most_uavs: see :class:`detectors.reader.draws.Shards`.
+        batches, windows, most_uavs: batches in a shard, windows in a batch, and the largest N.
     """
 
     preset: Literal["minutes", "hours"] = "minutes"
@@ -72,24 +68,8 @@ class ReaderTraining(NetworkSizes):
     windows: Count = 4
     most_uavs: Annotated[int, Field(ge=6, le=300)] = 82
 
-    @property
-    def count(self) -> int:
-        """The number of shards."""
-        return self.shards or _PRESETS[self.preset]
 
-    @property
-    def shard_steps(self) -> int:
-        """Steps of the optimiser for a shard."""
-        return _PASSES * -(-self.batches // _TOGETHER)
-
-    def find_rate(self, step: int) -> float:
-        """The learning rate of a step: it rises at first, and falls along a cosine."""
-        done = step / (self.count * self.shard_steps)
-        rise = min(1.0, (step + 1) / _WARM)
-        return (1e-3 if self.start else 2e-3) * rise * 0.5 * (1.0 + math.cos(math.pi * done))
-
-
-def compute_loss(answer: Answer, head: Tensor, leader: Tensor, root: Tensor, delay: Tensor) -> Tensor:
+def compute_loss(answer: Answer[Tensor], head: Tensor, leader: Tensor, root: Tensor, delay: Tensor) -> Tensor:
     """Loss of a batch: of heads, and with smaller weights of leaders, roots, silence and delays (NaN: none)."""
     truth = head.float()
     heads = binary_cross_entropy_with_logits(answer.head, truth, reduction="none").sum(dim=1).mean()
@@ -102,90 +82,100 @@ def compute_loss(answer: Answer, head: Tensor, leader: Tensor, root: Tensor, del
 
 
 class _Trainer:
-    """The state of a training: the network, the average of its weights, the optimiser and one row a shard."""
+    """The state of a training: the network, the average of its weights, the optimiser, and a row a shard."""
 
     def __init__(self, training: ReaderTraining) -> None:
         self.training = training
+        self.shards = training.shards or _PRESETS[training.preset]
         seed = int(np.random.default_rng([training.seed, _START]).integers(2**63))
         self.network = draw_network(training.part(NetworkSizes), seed).to(training.device)
         if training.start:
-            load_arrays(self.network, read_arrays(training.start), training.start)
-        self.average = deepcopy(self.network)
+            arrays = {name: torch.tensor(array) for name, array in load_reader(training.start).items()}
+            shapes = [{name: value.shape for name, value in it.items()} for it in (arrays, self.network.state_dict())]
+            if shapes[0] != shapes[1]:
+                raise ArgumentError(f"start must hold a network of these sizes, got {quote(training.start)}.")
+            self.network.load_state_dict(arrays)
+        self.both = nn.ModuleDict({"network": self.network, "average": deepcopy(self.network)})
         self.optimiser = torch.optim.AdamW(self.network.parameters(), weight_decay=0.01, fused=True)
         self.rows: list[dict[str, Any]] = []
 
-    def learn(self, shard: list[Batch]) -> dict[str, Any]:
-        """Take the steps of a shard; returns its row, measured before a batch is learned."""
-        training, number = self.training, len(self.rows)
-        if number == 0 and not training.start:
-            _standardise(self.network, shard)
-            _standardise(self.average, shard)
-        rng = np.random.default_rng([training.seed, _ORDER, number])
-        step, losses = number * training.shard_steps, list[float]()
-        families: dict[str, tuple[int, int]] = {}
-        for fresh in [True] + [False] * (_PASSES - 1):
+    def learn(self, shard: list[Batch]) -> None:
+        """Take the steps of a shard, and add its row, measured before a batch is learned."""
+        if not self.rows and not self.training.start:
+            self._standardise(shard)
+        rng = np.random.default_rng([self.training.seed, _ORDER, len(self.rows)])
+        losses, families = [], dict[str, list[int]]()
+        for number in range(_PASSES):
             order = rng.permutation(len(shard))
-            for chosen in np.split(order, range(_TOGETHER, len(order), _TOGETHER)):
-                self.optimiser.zero_grad()
-                for batch in (shard[k] for k in chosen):
+            steps = np.split(order, range(_TOGETHER, len(order), _TOGETHER))
+            for k, chosen in enumerate(steps, start=(len(self.rows) * _PASSES + number) * len(steps)):
+                for batch in (shard[index] for index in chosen):
                     dropped = _GROUPS[rng.integers(len(_GROUPS))] if rng.random() < _DROPPED else None
                     loss, exact = self._add_gradients(batch, dropped, len(chosen))
-                    if fresh and dropped is None:
+                    if number == 0 and dropped is None:
                         losses.append(loss)
-                        right, windows = families.get(batch.family, (0, 0))
-                        families[batch.family] = (right + exact, windows + len(batch.head))
-                self._step(step)
-                step += 1
-        right, windows = np.sum(list(families.values()) or [(0, 0)], axis=0).tolist()
-        row = {"shard": number + 1, "loss": float(np.mean(losses or [np.nan])), "exact": right / max(1, windows)}
-        self.rows.append({**row, "families": {name: list(families[name]) for name in sorted(families)}})
-        return row
+                        right, windows = families.get(batch[1].family, (0, 0))
+                        families[batch[1].family] = [right + exact, windows + len(batch[1].head)]
+                self._step(k, self.shards * _PASSES * len(steps))
+        share = np.divide(*np.sum([[0, 0], *families.values()], axis=0))
+        row = {"shard": len(self.rows) + 1, "loss": float(np.mean(losses)), "exact": float(share)}
+        self.rows.append({**row, "families": dict(sorted(families.items()))})
 
     def _add_gradients(self, batch: Batch, dropped: tuple[str, slice] | None, count: int) -> tuple[float, int]:
         """Add a batch's gradients over ``count``; returns its loss, and in how many windows the heads are exact."""
-        device, network = self.training.device, self.network
-        inputs = [torch.tensor(array, dtype=torch.float32, device=device) for array in batch[:3]]
-        head, leader, root, delay = (torch.tensor(array, device=device) for array in batch[3:7])
+        (features, truth), device = batch, self.training.device
+        inputs = {name: torch.tensor(array, device=device).float() for name, array in features._asdict().items()}
+        head, leader, root, delay = (torch.tensor(array, device=device) for array in truth[3:7])
         if dropped is not None:
             name, part = dropped
-            inputs[_INPUTS.index(name)][..., part] = network.get_buffer(f"{name}_mean")[part]
-        answer = network(*inputs)
+            inputs[name][..., part] = self.network.get_buffer(f"{name}_mean")[part]
+        answer = self.network(**inputs)
         loss = compute_loss(answer, head, leader, root, delay)
         (loss / count).backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
         return float(loss.detach()), int(((answer.head > 0) == head).all(dim=1).sum())
 
-    def _step(self, step: int) -> None:
-        for group in self.optimiser.param_groups:
-            group["lr"] = self.training.find_rate(step)
+    def _step(self, step: int, total: int) -> None:
+        """Take a step at a rate that rises at first and falls along a cosine."""
+        rate = (1e-3 if self.training.start else 2e-3) * min(1.0, (step + 1) / _WARM)
+        self.optimiser.param_groups[0]["lr"] = rate * 0.5 * (1.0 + math.cos(math.pi * step / total))
         nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
         self.optimiser.step()
+        self.optimiser.zero_grad()
         decay = min(_MOST_DECAY, (1 + step) / (10 + step))
         with torch.no_grad():
-            for mean, now in zip(self.average.parameters(), self.network.parameters(), strict=True):
+            for mean, now in zip(self.both["average"].parameters(), self.network.parameters(), strict=True):
                 mean.lerp_(now, 1.0 - decay)
 
-    def read(self, checkpoint: Checkpoint, history: Path) -> None:
+    def _standardise(self, shard: list[Batch]) -> None:
+        """Set means and scales of the inputs to those of a shard; a seventh of the pairs is enough."""
+        for name, every, least in (("pair", 7, 1e-3), ("uav", 1, 1e-3), ("context", 1, 1e-2)):
+            arrays = [getattr(features, name) for features, _ in shard]
+            values = np.concatenate([array.reshape(-1, array.shape[-1])[::every] for array in arrays], dtype=np.float64)
+            for network in self.both.values():
+                network.get_buffer(f"{name}_mean").copy_(torch.tensor(values.mean(axis=0)))
+                network.get_buffer(f"{name}_scale").copy_(torch.tensor(1.0 / values.std(axis=0).clip(least)))
+
+    def read(self, checkpoint: Checkpoint, folder: Path) -> None:
         """Go on from a checkpoint, if there is one."""
-        arrays, losses = checkpoint.read()
+        read, losses = checkpoint.read()
         if losses:
-            parts = (("network", self.network), ("average", self.average))
-            for name, network in parts:
-                load_arrays(network, {key: arrays[f"{name}.{key}"] for key in network.state_dict()}, name)
+            arrays = {name: torch.tensor(array) for name, array in read.items()}
+            self.both.load_state_dict({name: arrays[name] for name in self.both.state_dict()})
             count = len(list(self.network.parameters()))
-            state = {k: {key: torch.tensor(arrays[f"optimiser.{k}.{key}"]) for key in _STATE} for k in range(count)}
+            state = {k: {name: arrays[f"optimiser.{k}.{name}"] for name in _STATE} for k in range(count)}
             self.optimiser.load_state_dict({**self.optimiser.state_dict(), "state": state})
-            self.rows = [json.loads(line) for line in history.read_text().splitlines()][: len(losses)]
+            lines = (folder / "families.jsonl").read_text().splitlines()
+            self.rows = [json.loads(line) for line in lines[: len(losses)]]
 
     def write(self, checkpoint: Checkpoint, folder: Path) -> None:
         """Write ``families.jsonl``, ``losses.csv`` and the checkpoint, in this order."""
         write_text(folder / "families.jsonl", "".join(json.dumps(row) + "\n" for row in self.rows))
         lines = [f"{row['shard']},{row['loss']:.6f},{row['exact']:.4f}\n" for row in self.rows]
         write_text(folder / "losses.csv", "shard,loss,exact\n" + "".join(lines))
-        saved = {f"network.{name}": value.cpu() for name, value in self.network.state_dict().items()}
-        saved |= {f"average.{name}": value.cpu() for name, value in self.average.state_dict().items()}
+        arrays = self.both.state_dict()
         for number, state in self.optimiser.state_dict()["state"].items():
-            saved |= {f"optimiser.{number}.{name}": state[name].cpu() for name in _STATE}
-        checkpoint.write(saved, [row["loss"] for row in self.rows])
+            arrays |= {f"optimiser.{number}.{name}": state[name] for name in _STATE}
+        checkpoint.write({name: array.cpu() for name, array in arrays.items()}, [row["loss"] for row in self.rows])
 
 
 def train_reader(
@@ -200,68 +190,37 @@ def train_reader(
     """Train the network and write its weights, the running average.
 
     Files in ``out``: ``reader.safetensors`` and ``reader.json``, see :mod:`detectors.weights`; ``losses.csv`` and
-    ``families.jsonl``, a row a shard: loss and share of windows with exact heads when they were new, the latter by
-    family too; ``checkpoint.safetensors``.
-
-    Args:
-        out: the folder.
-        training: the settings.
-        progress: called with the number of finished shards and of all.
-        resume: go on from the checkpoint in ``out``.
-        workers: processes that draw shards while the network learns; the result doesn't depend on them.
-        backend: ``"serial"`` draws in this process, ``"ray"`` on a Ray cluster.
+    ``families.jsonl``, a row a shard: its loss and the share of its windows with exact heads when they were new, and
+    [exact, all] windows by family; ``checkpoint.safetensors``. ``progress`` is called with the number of finished
+    shards and of all; ``workers`` processes draw shards meanwhile, or this one (``backend="serial"``).
 
     Raises:
-        ArgumentError: ``out`` can't be written or has a checkpoint with other settings, ``start`` has other arrays, or
-            there is no such device.
+        ArgumentError: ``out`` can't be written or has a checkpoint with other settings, ``start`` has other arrays,
+            ``without`` names no family, or there is no such device.
     """
     training = ReaderTraining() if training is None else training
-    if training.device == "cuda" and not torch.cuda.is_available():
-        raise ArgumentError("device must be 'cpu' where torch finds no CUDA device, got 'cuda'.")
     for name in set(training.without) - set(FAMILIES):
         raise unknown_name("without", name, FAMILIES)
+    if training.device == "cuda" and not torch.cuda.is_available():
+        raise ArgumentError("device must be 'cpu' where torch finds no CUDA device, got 'cuda'.")
     folder = reserve_folder(Path(out))
     settings = {**training.model_dump(mode="json"), "prior": PRIOR_VERSION}
     checkpoint, trainer = Checkpoint(folder, settings), _Trainer(training)
     if resume:
-        trainer.read(checkpoint, folder / "families.jsonl")
-    for shard in _draw_shards(training, range(len(trainer.rows), training.count), workers, backend):
+        trainer.read(checkpoint, folder)
+    for shard in _draw_shards(training, range(len(trainer.rows), trainer.shards), workers, backend):
         trainer.learn(shard)
         trainer.write(checkpoint, folder)
-        progress(len(trainer.rows), training.count)
+        progress(len(trainer.rows), trainer.shards)
     last = trainer.rows[-5:]
-    metrics: dict[str, Any] = {
-        "windows": training.count * training.batches * training.windows,
-        "last_shards": len(last),
-    }
-    metrics |= {name: float(np.mean([row[name] for row in last])) for name in ("loss", "exact")}
-    arrays = {name: value.cpu() for name, value in trainer.average.state_dict().items()}
-    return write_weights(folder / "reader.safetensors", arrays, settings, metrics)
+    metrics = {f"last_{name}": float(np.mean([row[name] for row in last])) for name in ("loss", "exact")}
+    arrays = {name: array.cpu() for name, array in trainer.both["average"].state_dict().items()}
+    return write_weights(folder / "reader.safetensors", arrays, settings, {"shards_averaged": len(last), **metrics})
 
 
 def _draw_shards(training: ReaderTraining, numbers: range, workers: int, backend: str | None) -> Iterator[list[Batch]]:
-    seed = (training.seed, _SHARD)
-    shards = Shards(seed, training.batches, training.windows, training.without, training.most_uavs)
+    settings = training.model_dump(include={"batches", "windows", "without", "most_uavs"})
+    draw = partial(draw_shard, seed=(training.seed, _SHARD), **settings)
     if backend in ("serial", "ray"):
-        return map_tasks(shards.draw, numbers, workers=workers, backend=backend)
-    return draw_ahead(shards.draw, numbers, workers, become_worker)
-
-
-def _standardise(network: ReaderNetwork, shard: list[Batch]) -> None:
-    """Set means and scales of the inputs to those of a shard; a seventh of the pairs is enough."""
-    for name, every, least in (("pair", 7, 1e-3), ("uav", 1, 1e-3), ("context", 1, 1e-2)):
-        arrays = [getattr(batch, name) for batch in shard]
-        values = np.concatenate([array.reshape(-1, array.shape[-1])[::every] for array in arrays]).astype(np.float64)
-        network.get_buffer(f"{name}_mean").copy_(torch.tensor(values.mean(axis=0)))
-        network.get_buffer(f"{name}_scale").copy_(torch.tensor(1.0 / values.std(axis=0).clip(least)))
-
-
-def load_arrays(network: ReaderNetwork, arrays: dict[str, Any], path: str) -> None:
-    """Set the arrays of a network; those of another network are an ``ArgumentError``."""
-    try:
-        network.load_state_dict({name: torch.tensor(array) for name, array in arrays.items()})
-    except RuntimeError as error:
-        reason = " ".join(str(error).split())
-        raise ArgumentError(
-            f"start must hold the arrays of a reader of these sizes, got {quote(path)}: {reason}"
-        ) from None
+        return map_tasks(draw, numbers, workers=workers, backend=backend)
+    return draw_ahead(draw, numbers, workers, become_worker)

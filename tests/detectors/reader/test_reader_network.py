@@ -1,0 +1,94 @@
+"""The network of the reader: NumPy answers as torch does, UAVs have no order, and foreign weights are refused."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+
+from detectors.reader.features import CONTEXT_FEATURES, PAIR_FEATURES, UAV_FEATURES, Features
+from detectors.reader.forward import load_reader, read
+from detectors.reader.network import NetworkSizes, draw_network
+from detectors.weights import write_weights
+from usnet_env.config import ArgumentError
+
+SMALL = NetworkSizes(width=8, attn_heads=2, blocks=2)
+
+
+def draw_features(n, seed=0):
+    rng = np.random.default_rng(seed)
+    shapes = (n, n, PAIR_FEATURES), (n, UAV_FEATURES), (CONTEXT_FEATURES,)
+    return Features(*(rng.normal(scale=4.0, size=shape).astype(np.float32) for shape in shapes))
+
+
+def draw_trained_network(sizes):
+    """A network of which no array is trivial, and whose logits are as large as after a training."""
+    network, generator = draw_network(sizes, 1), torch.Generator().manual_seed(2)
+    with torch.no_grad():
+        for array in network.state_dict().values():
+            array += 0.1 * torch.randn(array.shape, generator=generator)
+    return network
+
+
+def answer(network, *windows):
+    with torch.no_grad():
+        return network(*(torch.from_numpy(np.stack(arrays)) for arrays in zip(*windows, strict=True)))
+
+
+@pytest.mark.parametrize(("n", "sizes"), [(1, SMALL), (2, SMALL), (7, SMALL), (40, NetworkSizes())])
+def test_answers_without_torch_are_those_of_torch(tmp_path, n, sizes):
+    network, windows = draw_trained_network(sizes), [draw_features(n, seed) for seed in range(2)]
+    path = write_weights(tmp_path / "reader.safetensors", network.state_dict(), {}, {})
+    wanted, weights = answer(network, *windows), load_reader(str(path))
+    assert n == 1 or np.ptp(wanted.leader.numpy()) > 1
+    for k, features in enumerate(windows):
+        for name, got in read(weights, features)._asdict().items():
+            assert got.dtype == np.float32
+            want = getattr(wanted, name)[k].numpy()
+            assert got.shape == want.shape
+            np.testing.assert_allclose(got, want, rtol=0, atol=1e-5, err_msg=name)
+
+
+def test_a_permutation_of_uavs_permutes_the_answer():
+    weights = {name: array.numpy() for name, array in draw_trained_network(SMALL).state_dict().items()}
+    features, order = draw_features(9), np.random.default_rng(3).permutation(9)
+    mixed = Features(features.pair[np.ix_(order, order)], features.uav[order], features.context)
+    whole, turned = read(weights, features), read(weights, mixed)
+    for name in ("head", "delay"):
+        np.testing.assert_allclose(getattr(turned, name), getattr(whole, name)[order], atol=1e-5)
+    for name in ("leader", "root"):
+        np.testing.assert_allclose(getattr(turned, name), getattr(whole, name)[np.ix_(order, order)], atol=1e-5)
+    np.testing.assert_allclose(turned.silent, whole.silent, atol=1e-5)
+    assert np.ptp(whole.head) > 0.1
+
+
+def test_one_outlier_among_inputs_has_a_bound():
+    network, features = draw_trained_network(SMALL), draw_features(5)
+    far, further = features.pair.copy(), features.pair.copy()
+    far[1, 2], further[1, 2] = 1e3, 1e6
+    answers = [answer(network, features._replace(pair=pair)) for pair in (far, further)]
+    assert torch.equal(answers[0].head, answers[1].head)
+
+
+def test_gradients_reach_every_parameter():
+    network, features = draw_trained_network(SMALL), draw_features(6)
+    sum(part.square().sum() for part in network(*(torch.from_numpy(array)[None] for array in features))).backward()
+    assert [name for name, array in network.named_parameters() if not array.grad.abs().max() > 0] == []
+
+
+def test_foreign_weights_are_refused(tmp_path):
+    with pytest.raises(ArgumentError, match=r"^path must be a safetensors file, got .*none'"):
+        load_reader(str(tmp_path / "none"))
+    arrays = {"pair_mean": np.zeros(3, np.float32), "uav_mean": np.zeros(2, np.float32)}
+    path = write_weights(tmp_path / "other.safetensors", arrays, {}, {})
+    with pytest.raises(ArgumentError, match=r"^weights must be a file of a reader with this version's features, got"):
+        load_reader(str(path))
+    with pytest.raises(ArgumentError, match=r"^attn_heads must divide width \(32\), got 3"):
+        draw_network(NetworkSizes(attn_heads=3), 0)
+
+
+def test_answers_need_no_torch():
+    text = "import sys; sys.modules['torch'] = None; import detectors.reader.forward; print('fine')"
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, timeout=120)
+    assert done.stdout == "fine\n", done.stderr
