@@ -18,17 +18,8 @@ def share_with_head(parts, root):
     return met[follows].mean()
 
 
-@pytest.mark.parametrize(
-    ("follow", "clusters", "least"),
-    [
-        ("f1", 30, 0.97),
-        ("f2", 30, 0.97),
-        ("f4", 30, 0.97),
-        ("pigeons", 30, 0.97),
-        ("f2", 2, 0.9),
-        ("unequal_delays", 2, 0.8),
-    ],
-)
+@pytest.mark.parametrize("follow", ["f1", "f4", "pigeons"])
+@pytest.mark.parametrize(("clusters", "least"), [(30, 0.97), (4, 0.8)])
 def test_followers_are_read_with_their_head(follow, clusters, least):
     window, truth = swarm_window(3, follow=follow, clusters=clusters, uavs=450, **SLOW_TURNS)
     parts = cut_swarm(window.velocity, window.velocity_seen)

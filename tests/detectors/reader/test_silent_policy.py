@@ -34,16 +34,8 @@ def test_no_set_of_eight_uavs_has_a_lower_expected_cost(seed, silent, price, was
 
 
 def test_nobody_is_named_where_nobody_leads():
-    p, tie = np.full(8, 0.01), np.arange(8.0)
-    assert not choose(p, ALIVE, Policy(round_price=1.0), tie, silent=0.99).any()
-    assert not choose(p, ALIVE, Policy(objective="P1"), tie, silent=0.99).any()
-    assert choose(p, ALIVE, Policy(round_price=1.0), tie).any()
-    assert choose(np.append(0.9, p[1:]), ALIVE, Policy(round_price=1.0), tie, silent=0.05).tolist() == [True] + 7 * [
-        False
-    ]
-    assert choose(np.append(0.9, p[1:]), ALIVE, Policy(objective="P1"), tie, silent=0.05).sum() == 1
-
-
-def test_map_asks_the_probability_of_each_uav_only():
-    p = np.array([0.6, 0.4, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    assert choose(p, ALIVE, Policy(policy="map"), np.zeros(8), silent=0.9).tolist() == [True] + 7 * [False]
+    none, one, tie = np.full(8, 0.01), np.append(0.9, np.full(7, 0.01)), np.arange(8.0)
+    for policy in (Policy(round_price=1.0), Policy(objective="P1")):
+        assert not choose(none, ALIVE, policy, tie, silent=0.99).any()
+        assert choose(none, ALIVE, policy, tie).any()
+        assert choose(one, ALIVE, policy, tie, silent=0.05).tolist() == [True] + 7 * [False]
