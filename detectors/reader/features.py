@@ -1,25 +1,26 @@
 """The numbers that the reader knows of a window: of every ordered pair, of every UAV, and of the whole.
 
-They don't depend on the axes, the origin or the unit of length. Time is told in steps and length in steps of flight: the
-root mean square of the window's velocities is 1. Entry (i, j) of a pair says what speaks for "i follows j". Where data
-are missing, what is left counts; what can't be told is 0.
+They don't depend on the axes, the origin or the unit of length. Time is told in steps, and length in steps of flight:
+the root mean square of the window's velocities is 1. Entry (i, j) of a pair says what speaks for "i follows j". Where
+data are missing, what is left counts; what can't be told is 0.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from detectors.reader import flock, kernels, series
-from detectors.reader.kernels import BLOCK, STRIDE
 from usnet_env.arrays import Mask, Singles
 
+_BLOCK, _STRIDE = 8, 2  # steps of a block in which one leader is supposed; steps between two bearings
 _LAGS = tuple(range(13))
 _PLACES = (1, 2, 4, 8, 16, 32)
 _LONG = (4, 8, 16, 24, 32)
-_SLACK, _TINY = np.float32(1e-5), np.float32(1e-4)
+_CROWDS = (3, 4)  # of the bank of radii, those in which UAVs are compared with their neighbours
 _BLOCK_LAGS, _BLOCK_FEATURES = (0, 1, 2, 3), 22
 _SHARES = (  # components of j (velocity, its squares), axes of i (innovations, velocity), lag
     ("plain", "innovation", 1), ("plain", "innovation", 2), ("plain", "innovation", 3), ("squared", "innovation", 1),
@@ -50,7 +51,7 @@ def _slice_groups(lengths: Mapping[str, int]) -> dict[str, slice]:
 
 PAIR_GROUPS = _slice_groups({
     **_CORRELATION_LENGTHS, "halves": 4, "raw": 2, "tops": 5, "net": 5, "shares": len(_SHARES),
-    "local": _BLOCK_FEATURES, "geo": 6 + len(flock.RADII), "pc": 16, "force": 5, "places": 13,
+    "local": _BLOCK_FEATURES, "geo": 6 + flock.BANK, "force": 5, "pc": 16, "places": 13,
 })  # fmt: skip
 UAV_GROUPS = _slice_groups({"track": 20, "nearest": 4, "neighbours": 26, "rule": 13})
 CONTEXT_GROUPS = _slice_groups({"size": 3, "motion": 6})
@@ -82,11 +83,11 @@ class _Window(NamedTuple):
     m: Singles
 
 
-class _Flock(NamedTuple):
-    """Answers of :func:`flock.survey_neighbours` and :func:`flock.fit_flock`."""
+class _Rule(NamedTuple):
+    """Answers of :func:`flock.survey_neighbours` (alignment in two radii) and :func:`flock.fit_flock`."""
 
-    align: Singles
-    count: Singles
+    align: list[Singles]
+    crowd: Singles
     nearest: Singles
     coefficients: Singles
     error: Singles
@@ -107,17 +108,16 @@ def make_features(position: Singles, velocity: Singles, seen: Mask) -> Features:
     n = w.m.shape[1]
     pair = _make_array((PAIR_FEATURES, n, n))
     _fill_correlations(pair, w, signals)
-    _fill_shares(pair, w, signals)
+    _fill_shares(pair, signals)
     _fill_blocks(pair[PAIR_GROUPS["local"]], w, signals)
     _fill_own_past(pair[PAIR_GROUPS["pc"]], w, signals)
-    own = _fill_places(pair, w, signals)
+    _fill_places(pair[PAIR_GROUPS["places"]], w)
+    own = _fill_bearings(pair, w)
     uav = _describe_uavs(w, signals, rule, own)
     for x in pair:
         np.fill_diagonal(x, 0)
-    never = ~(w.m > 0).any(0)
-    if never.any():
-        pair[:, never] = 0
-        pair[:, :, never] = 0
+    never = w.m.sum(0) == 0
+    pair[:, never], pair[:, :, never], uav[:, never] = 0, 0, 0
     context = _describe_window(w, uav, never)
     return Features(pair.transpose(1, 2, 0), np.ascontiguousarray(uav.T), context)
 
@@ -130,7 +130,7 @@ def _make_array(shape: tuple[int, ...]) -> Singles:
     return memory[start : start + 4 * size].view(np.float32).reshape(shape)
 
 
-def _align(x: Singles) -> Singles:
+def _align(x: NDArray[Any]) -> Singles:
     """A copy that begins at a multiple of 64 bytes."""
     out = _make_array(x.shape)
     out[...] = x
@@ -142,52 +142,45 @@ def _scale_window(position: Singles, velocity: Singles, seen: Mask) -> _Window:
     s = _align(seen)
     m = _align(s[1:] * s[:-1])
     v = np.where(m[..., None] > 0, velocity, 0).astype(np.float64)
-    rms = max(float(np.sqrt((v**2).sum() / max(float(m.sum()), 1))), 1e-9)
+    rms = float(np.sqrt((v**2).sum() / max(float(m.sum()), 1)))
+    rms = rms if rms > 1e-9 else 1.0
     p = np.where(seen[..., None], position, 0).astype(np.float64)
     middle = p.sum((0, 1)) / max(float(s.sum()), 1)
     p = (p - middle) * s[..., None] / rms
-    places = _align(p.transpose(0, 2, 1))
-    series.hold_positions(places, s)
+    places = _align(series.hold_positions(p.transpose(0, 2, 1), s))
     return _Window(places, s, _align((v / rms).transpose(0, 2, 1)), m)
 
 
-def _make_signals(w: _Window) -> tuple[dict[str, Singles], _Flock]:
-    """Series of each UAV, (T, 3, n), by name; those that are correlated have the sum of squares 1."""
+def _make_signals(w: _Window) -> tuple[dict[str, Singles], _Rule]:
+    """Series of each UAV, (T, p, n), by name; those that are correlated have the sum of squares 1."""
     v, m = w.v, w.m
-    c = v.copy()
-    series.centre_series(c, m)
-    complete = np.zeros_like(m)
-    complete[2:] = m[2:] * m[1:-1] * m[:-2]
+    c = series.centre_series(v, m)
+    complete = m * series.delay_series(m, 1) * series.delay_series(m, 2)
     e = series.find_innovations(c, complete)
     smooth, enough = series.average_series(v, m, 5)
-    turn = series.change_series(smooth, enough, 5)
-    series.centre_series(smooth, enough)
-    slow, _ = series.average_series(c, m, 4)
-    slow_innovation, _ = series.average_series(e, complete, 4)
-    force = series.change_series(v, m, 1)
-    align, attract, count, repel, nearest = flock.survey_neighbours(w.p, w.seen, v, m, flock.RADII)
-    residual, *fit = flock.fit_flock(v, complete, align, attract, repel)
-    near, far = (flock.leave_crowd(v, m, align[k], count[k]) for k in (3, 4))
-    rest, first, second = series.remove_past(c, complete)
-    raw = {"velocity": c, "innovation": e, "turn": turn, "smooth": smooth, "slow": slow, "force": force, "near": near,
-           "slow_innovation": slow_innovation, "far": far, "residual": residual}  # fmt: skip
-    signals = {name: _align(series.scale_series(x, _SLACK)) for name, x in raw.items()}
-    squared = series.square_series(v)
-    series.centre_series(squared, m)
-    for name, x in (("plain", c), ("squared", squared)):
-        signals[name] = _align(series.whiten_series(x, np.float32(3e-3), np.float32(1e-6)))
-    signals |= {"rest": rest, "first": first, "second": second, "complete": complete, "raw_turn": turn, "raw_c": c,
-                "raw_innovation": e, "raw_force": force, "raw_near": near, "raw_far": far}  # fmt: skip
-    return signals, _Flock(align, count, nearest, *fit)
+    bank, count, nearest = flock.survey_neighbours(w.p, w.seen, v, m)
+    align = [np.ascontiguousarray(bank[:, :, 1 + k]) for k in _CROWDS]
+    near, far = (flock.leave_crowd(v, m, x, count[:, k]) for x, k in zip(align, _CROWDS, strict=True))
+    residual, *fit = flock.fit_flock(v, complete, bank)
+    raw = {"velocity": c, "innovation": e, "turn": series.change_series(smooth, enough, 5), "near": near, "far": far,
+           "smooth": series.centre_series(smooth, enough), "slow": series.average_series(c, m, 4)[0],
+           "slow_innovation": series.average_series(e, complete, 4)[0], "force": series.change_series(v, m, 1),
+           "residual": residual}  # fmt: skip
+    signals = {name: _align(series.scale_series(x)) for name, x in raw.items()}
+    signals |= {"plain": _align(series.whiten_series(c)), "complete": complete}
+    signals["squared"] = _align(series.whiten_series(series.centre_series(series.square_series(v), m)))
+    signals |= zip(("rest", "first", "second"), series.remove_past(c, complete), strict=True)
+    return signals | {"raw_" + name: x for name, x in raw.items()}, _Rule(align, count, nearest, *fit)
 
 
 def _correlate(later: Singles, earlier: Singles, lags: Sequence[int], out: Singles) -> None:
-    """Out (L, n, n): the product of i's series with j's, each lag earlier."""
-    steps = len(later)
+    """Out (L, n, n): the product of i's series with j's, each lag earlier; all lags are one product of matrices."""
+    (steps, axes, n), count = later.shape, len(lags)
+    stack = _make_array((steps, axes, count, n))
     for k, lag in enumerate(lags):
-        if lag < steps:
-            x, y = later[lag:], earlier[: steps - lag]
-            np.matmul(x.reshape(-1, x.shape[-1]).T, y.reshape(-1, y.shape[-1]), out=out[k])
+        stack[: max(steps - lag, 0), :, k] = later[lag:]
+    rows, columns = stack.reshape(steps * axes, count * n).T, earlier.reshape(steps * axes, earlier.shape[-1])
+    np.matmul(rows, columns, out=out[:count].reshape(count * n, columns.shape[1]))
 
 
 def _fill_correlations(pair: Singles, w: _Window, signals: Mapping[str, Singles]) -> None:
@@ -201,8 +194,7 @@ def _fill_correlations(pair: Singles, w: _Window, signals: Mapping[str, Singles]
             _correlate(signals[later], signals[earlier], used, pair[start : start + len(lags)])
             start += len(lags)
     halves = _make_array((2, 2, n, n))
-    for half, part in zip((slice(0, steps // 2), slice(steps // 2, steps)), halves, strict=True):
-        x = signals["innovation"][half]
+    for x, part in zip(np.split(signals["innovation"], [steps // 2]), halves, strict=True):
         _correlate(x, x, (1, 2), part)
     target = pair[PAIR_GROUPS["halves"]]
     target[:2], target[2:] = 2 * halves.min(0), 2 * halves.max(0)
@@ -216,155 +208,190 @@ def _fill_correlations(pair: Singles, w: _Window, signals: Mapping[str, Singles]
     _correlate(direction, direction, (0,), raw)
     raw[0] /= np.maximum(both, 1)
     raw[1] = overlap
-    tops, net, found = pair[PAIR_GROUPS["tops"]], pair[PAIR_GROUPS["net"]], _make_array((3, 3, n, n))
-    for k, name in enumerate(("ee", "cc", "gg")):
-        lags = np.array(_CORRELATIONS[name][0][2])
-        first = 1 if k < 2 else 0
-        kernels.summarise_lags(pair[PAIR_GROUPS[name]][first:], lags[first:], found[k])
-    tops[0:2], tops[2:4], tops[4] = found[0, :2], found[1, :2], found[2, 0]
-    for k, x in enumerate((found[0, 0], found[1, 0], found[0, 2], found[1, 2], found[2, 2])):
+    tops, net = pair[PAIR_GROUPS["tops"]], pair[PAIR_GROUPS["net"]]
+    (e, e_lag, e_sum), (c, c_lag, c_sum), (g, _, g_sum) = (
+        _summarise_lags(pair[PAIR_GROUPS[name]][first:], _CORRELATIONS[name][0][2][first:])
+        for name, first in (("ee", 1), ("cc", 1), ("gg", 0))
+    )
+    for k, x in enumerate((e, e_lag, c, c_lag, g)):
+        tops[k] = x
+    for k, x in enumerate((e, c, e_sum, c_sum, g_sum)):
         net[k] = x - x.T
 
 
-def _fill_shares(pair: Singles, w: _Window, signals: Mapping[str, Singles]) -> None:
+def _summarise_lags(x: Singles, lags: Sequence[int]) -> tuple[Singles, Singles, Singles]:
+    """Of correlations (L, n, n): the greatest, the mean place of its lag (0 to 1), and the sum."""
+    weight = np.maximum(x, 0)
+    weight *= weight
+    weight *= weight * weight
+    total, place = weight.sum(0) + np.float32(1e-9), np.zeros_like(x[0])
+    for w, lag in zip(weight, lags, strict=True):
+        place += np.float32(lag / lags[-1]) * w
+    return x.max(0), place / total, x.sum(0)
+
+
+def _fill_shares(pair: Singles, signals: Mapping[str, Singles]) -> None:
     """Fill the shares of i's motion that linear maps of j's velocity, or of its squares, explain."""
-    steps, n = w.m.shape
     for k, (source, target, lag) in enumerate(_SHARES):
         x, y = signals[source], signals[target]
-        p = x.shape[1]
-        if steps - lag < p + 6:
-            continue
-        product = _make_array((3 * n, p * n))
-        np.matmul(y[lag:].reshape(-1, 3 * n).T, x[: steps - lag].reshape(-1, p * n), out=product)
-        kernels.sum_shares(product, p, np.float32(p / steps), pair[PAIR_GROUPS["shares"].start + k])
+        steps, p, n = x.shape
+        if steps - lag >= p + 6:
+            product = _make_array((3, n, p, n))
+            later, earlier = y[lag:].reshape(-1, 3 * n).T, x[: steps - lag].reshape(-1, p * n)
+            np.matmul(later, earlier, out=product.reshape(3 * n, p * n))
+            product *= product
+            pair[PAIR_GROUPS["shares"].start + k] = product.sum(0).sum(1) - np.float32(p / steps)
+
+
+def _cut_blocks(x: Singles, lag: int = 0) -> Singles:
+    """The series some steps later in blocks of 8 steps: (blocks, 8 p, n)."""
+    blocks = len(x) // _BLOCK
+    return series.delay_series(x, lag)[: blocks * _BLOCK].reshape(blocks, -1, x.shape[-1])
 
 
 def _fill_blocks(out: Singles, w: _Window, signals: Mapping[str, Singles]) -> None:
     """Fill what is seen in blocks of 8 steps, for j's motion 0 to 3 steps before."""
     steps, n = w.m.shape
-    blocks = steps // BLOCK
+    blocks = steps // _BLOCK
     if blocks < 2:
         return
-    used = blocks * BLOCK
     e, power = signals["innovation"] * np.float32(np.sqrt(blocks)), (w.v**2).sum(1)
-    delayed = [_delay(x, 1) for x in (w.v, w.m)]
-    seen = w.m * delayed[1]
-    change = (((w.v - delayed[0]) ** 2).sum(1) * seen)[:used].reshape(blocks, BLOCK, n).sum(1)
-    persistence = change / np.maximum(seen[:used].reshape(blocks, BLOCK, n).sum(1), 1)
-    cut = lambda x: x[:used].reshape(blocks, -1, n)  # noqa: E731
-    left = _align(np.concatenate([-2 * cut(w.v), cut(power), cut(w.m)], 1)).transpose(0, 2, 1)
-    mi, ei = _align(cut(w.m)).transpose(0, 2, 1), _align(cut(e)).transpose(0, 2, 1)
-    product = _make_array((3, blocks, n, n))
-    found = _make_array((6, n, n))
-    start = 0
+    seen = w.m * series.delay_series(w.m, 1)
+    change = ((w.v - series.delay_series(w.v, 1)) ** 2).sum(1) * seen
+    persistence = _cut_blocks(change).sum(1) / np.maximum(_cut_blocks(seen).sum(1), 1)
+    mine = [np.concatenate([_cut_blocks(x) for x in (-2 * w.v, power, w.m)], 1), _cut_blocks(w.m), _cut_blocks(e)]
+    mine = [_align(x).transpose(0, 2, 1) for x in mine]
+    product, found, start = _make_array((3, blocks, n, n)), _make_array((6, n, n)), 0
     for lag in _BLOCK_LAGS:
-        vj, mj, pj, ej = (cut(_delay(x, lag)) for x in (w.v, w.m, power, e))
-        np.matmul(left, _align(np.concatenate([vj, mj, pj], 1)), out=product[0])
-        np.matmul(mi, _align(mj), out=product[1])
-        np.matmul(ei, _align(ej), out=product[2])
-        kernels.judge_blocks(product[0], product[1], product[2], persistence, found)
+        v, m, p, x = (_cut_blocks(y, lag) for y in (w.v, w.m, power, e))
+        for k, other in enumerate((np.concatenate([v, m, p], 1), m, x)):
+            np.matmul(mine[k], _align(other), out=product[k])
+        kernels.judge_blocks(*product, persistence, found)
         count = 6 if lag else 4  # nobody's own change is compared with an undelayed copy
         out[start : start + count] = found[:count]
         start += count
 
 
-def _delay(x: Singles, lag: int) -> Singles:
-    """The series ``lag`` steps later, with zeros before."""
-    out = np.zeros_like(x)
-    out[lag:] = x[: len(x) - lag] if lag < len(x) else 0
-    return out
-
-
 def _fill_own_past(out: Singles, w: _Window, signals: Mapping[str, Singles]) -> None:
     """Fill the partial correlations of i's velocity with j's 1 to 12 steps before, given i's own last two."""
-    steps, n = w.m.shape
-    lags = [lag for lag in _LAGS[1:] if lag < steps]
-    stack = _align(np.concatenate([signals[name] for name in ("rest", "first", "second")], 2))
+    n, lags, count = w.m.shape[1], _LAGS[1:], len(_LAGS) - 1
+    mine = np.concatenate([signals[name] for name in ("rest", "first", "second")], 2)
+    x, length = _make_array((count, 3, n, n)), _make_array((count, n, n))
+    _correlate(mine, signals["velocity"], lags, x.reshape(count, 3 * n, n))
     power = _align((signals["velocity"] ** 2).sum(1, keepdims=True))
-    products, length = _make_array((12, 3 * n, n)), _make_array((12, n, n))
-    _correlate(stack, signals["velocity"], lags, products)
-    _correlate(_align(signals["complete"][:, None]), power, lags, length)
-    kernels.add_own_past(products.reshape(12, 3, n, n), length, w.m.sum(0), out)
-    out[14] = out[12] - out[12].T
+    _correlate(signals["complete"][:, None], power, lags, length)
+    left = np.maximum(length - x[:, 1] ** 2 - x[:, 2] ** 2, 0) + np.float32(1e-3) * length + np.float32(1e-5)
+    out[:count] = x[:, 0] / np.sqrt(left)
+    top, place, _ = _summarise_lags(np.abs(out[:count]), lags)
+    gain = -np.log(np.maximum(1 - top**2, np.float32(1e-3))) * np.maximum(w.m.sum(0), 4)[:, None]
+    out[count], out[count + 1], out[count + 2], out[count + 3] = top, place, top - top.T, np.log(gain + np.float32(0.5))
 
 
-def _fill_places(pair: Singles, w: _Window, signals: Mapping[str, Singles]) -> Singles:
-    """Fill geometry, forces and places; return what a UAV's bearings say of itself, (4, n)."""
+def _fill_bearings(pair: Singles, w: _Window) -> list[Singles]:
+    """Fill bearings and forces; return what a UAV's bearings say of itself, (n,) each."""
     steps, n = w.m.shape
-    instants = max(1, steps // STRIDE)
-    used = min(instants * STRIDE, steps)
-    count = w.m[:used].reshape(instants, -1, n).sum(1)
-    mean = w.v[:used].reshape(instants, -1, 3, n).sum(1) / np.maximum(count, 1)[:, None]
-    places = w.p[: instants * STRIDE : STRIDE][:instants].copy()
-    moving = (count > 0).astype(np.float32)
-    own = np.zeros((4, n), np.float32)
-    kernels.measure_geometry(places, mean, moving, flock.RADII, pair[PAIR_GROUPS["geo"]], own)
-    pushed = np.zeros_like(w.m)
-    pushed[:-1] = w.m[1:] * w.m[:-1]
-    kernels.measure_forces(w.p[1:].copy(), w.v, signals["raw_force"], pushed, pair[PAIR_GROUPS["force"]])
-    lags = np.array([0, *(lag for lag in _PLACES if lag <= steps // 3)])
-    near = _make_array((len(lags) + 3, n, n))
-    kernels.measure_places(w.p, w.seen, lags, max(1, steps // 50), near)
-    out, k = pair[PAIR_GROUPS["places"]], len(lags)
-    size = np.log(near[: k + 1] + np.float32(0.5))
+    instants = -(-steps // _STRIDE)
+    spare = np.zeros((instants * _STRIDE - steps, 3, n), np.float32)
+    known = np.concatenate([w.m, spare[:, 0]]).reshape(instants, _STRIDE, n).sum(1)
+    v = np.concatenate([w.v, spare]).reshape(instants, _STRIDE, 3, n).sum(1) / np.maximum(known, 1)[:, None]
+    moving, turns, a = np.minimum(known, 1), np.zeros_like(known), np.zeros_like(v)
+    turns[:-1] = moving[:-1] * moving[1:]
+    a[:-1] = (v[1:] - v[:-1]) * turns[:-1, None]
+    s, nearest = kernels.measure_bearings(w.p[:steps:_STRIDE].copy(), v, a, moving, turns)
+    geo, force, count, turned = (
+        pair[PAIR_GROUPS["geo"]],
+        pair[PAIR_GROUPS["force"]],
+        np.maximum(s[4], 1),
+        np.maximum(s[12], 1),
+    )
+    geo[:3] = s[:3] / count
+    geo[3], geo[4] = _log_distance(s[3] / count), np.minimum(_log_distance(s[7]), 4)
+    late, early = s[5] / np.maximum(s[6], 1), (s[3] - s[5]) / np.maximum(s[4] - s[6], 1)
+    geo[5] = (_log_distance(late) - _log_distance(early)) * ((s[6] > 0) & (s[4] > s[6]))
+    geo[6:] = s[18 : 18 + flock.BANK] / count
+    pull = s[9] - (s[13:16] * a.sum(0)[:, :, None]).sum(0) / turned
+    spread = np.maximum(s[10] - (s[13:16] ** 2).sum(0) / turned, 0) + np.float32(1e-3) * s[10]
+    for k, (x, size) in enumerate(((s[2], turned), (s[8], turned), (s[9], s[10]), (pull, spread), (s[16], s[17]))):
+        force[k] = x / (np.sqrt(s[11] * size) + np.float32(1e-3))
+    met = nearest[0] < 1e5
+    often, cosine = np.maximum(met.sum(0), 1), nearest[1] * met
+    for x in s[-2:]:
+        np.fill_diagonal(x, 0)
+    ahead = s[-1].sum(1) / np.maximum(s[-2].sum(1), np.float32(0.5))
+    return [*(x.sum(0) / often for x in (cosine, np.abs(cosine), _log_distance(nearest[0]) * met)), ahead]
+
+
+def _log_distance(x: Singles) -> Singles:
+    """Distances in steps of flight as logarithms near 0."""
+    return _log(x / 20, 0.05)
+
+
+def _fill_places(out: Singles, w: _Window) -> None:
+    """Fill how close i comes to where j was, and who was there first."""
+    steps, n = w.m.shape
+    lags = [0, *(lag for lag in _PLACES if lag <= steps // 3)]
+    k, last, near = len(lags), len(_PLACES), _make_array((len(lags) + 3, n, n))
+    kernels.measure_places(w.p, w.seen, np.array(lags), max(1, steps // 50), near)
+    size = _log(near[: k + 1], 0.5)
     out[: k - 1] = size[1:k] - size[0]
     for slot, lag in enumerate((2, 8, 32)):
         if lag in lags:
-            x = size[lags.tolist().index(lag)]
-            out[6 + slot] = x - x.T
-    out[9], out[10], out[11] = size[k] - size[0], near[k + 1], near[k + 2]
-    out[12] = near[k + 1] - near[k + 1].T
-    return own
+            x = size[lags.index(lag)]
+            out[last + slot] = x - x.T
+    out[last + 3], out[last + 4 : last + 6] = size[k] - size[0], near[k + 1 :]
+    out[last + 6] = near[k + 1] - near[k + 1].T
 
 
-def _log(x: Singles, least: np.float32 = _TINY) -> Singles:
+def _log(x: Singles, least: float = 1e-4) -> Singles:
     """Logarithm of a power that may be 0."""
-    return np.log(x + least)
+    out: Singles = np.log(x + np.float32(least))
+    return out
 
 
-def _describe_uavs(w: _Window, signals: Mapping[str, Singles], rule: _Flock, own: Singles) -> Singles:
+def _describe_uavs(w: _Window, signals: Mapping[str, Singles], rule: _Rule, own: list[Singles]) -> Singles:
     """What single tracks and neighbourhoods say of each UAV: (G, n)."""
-    steps, n = w.m.shape
-    multiply = series.multiply_series
+    steps, multiply = len(w.m), series.multiply_series
     count, rows = np.maximum(w.m.sum(0), 1), np.maximum(signals["complete"].sum(0), 1)
-    kinds = (("velocity", (1, 2, 4, 8, 12)), ("innovation", (1, 2, 4)), ("turn", (2, 6)))
-    echoes = [multiply(signals[name], signals[name], lag) for name, lags in kinds for lag in lags]
-    powers = [multiply(signals[name], signals[name], 0) for name in ("raw_innovation", "raw_c", "raw_turn")]
-    tail = ((signals["raw_innovation"] ** 2).sum(1) ** 2).sum(0) / rows / ((powers[0] / rows) ** 2 + np.float32(1e-6))
+
+    def echo(name: str, *lags: int) -> list[Singles]:
+        """Autocorrelations of a series."""
+        return [multiply(signals[name], signals[name], lag) for lag in lags]
+
+    e, c, g = (multiply(signals[name], signals[name]) for name in ("raw_innovation", "raw_velocity", "raw_turn"))
+    tail = ((signals["raw_innovation"] ** 2).sum(1) ** 2).sum(0) / rows / ((e / rows) ** 2 + np.float32(1e-6))
     speed = np.sqrt((w.v**2).sum(1))
     typical = speed.sum(0) / count
     spread = ((speed - typical) ** 2 * w.m).sum(0) / count
     straight = np.sqrt((w.v.sum(0) ** 2).sum(0)) / count
-    ends = [w.seen.argmax(0) / np.float32(steps), 1 - w.seen[::-1].argmax(0) / np.float32(steps)]
-    track = [*echoes, *(_log(x / y) for x, y in zip(powers, (rows, count, count), strict=True)),
-             np.log1p(np.minimum(tail, 20)), typical, _log(spread), straight, w.m.mean(0), *ends]  # fmt: skip
+    track = [*echo("velocity", 1, 2, 4, 8, 12), *echo("innovation", 1, 2, 4), *echo("turn", 2, 6),
+             _log(e / rows), _log(c / count), _log(g / count), np.log1p(np.minimum(tail, 20)), typical, _log(spread),
+             straight, w.m.mean(0), w.seen.argmax(0) / steps, 1 - w.seen[::-1].argmax(0) / steps]  # fmt: skip
     neighbours = []
-    for k, name in ((3, "near"), (4, "far")):
-        turns, deviation = flock.compare_turns(w.v, w.m, rule.align[k], np.array([2, 4, 8, 12]))
-        neighbours += [_log(multiply(signals["raw_" + name], signals["raw_" + name], 0) / count, np.float32(1e-3))]
-        neighbours += [multiply(signals[name], signals[name], lag) for lag in (1, 4)]
-        neighbours += [np.log(rule.count[k].mean(0) + np.float32(0.1)), *turns]
-        neighbours += [_log(deviation / count, np.float32(1e-3))]
-    residual = signals["residual"]
-    length = np.sqrt((residual**2).sum(1))
-    direction = (residual / np.maximum(length, np.float32(1e-6))[:, None]).sum(0)
-    seen = signals["complete"] > 0
-    ordered = np.sort(np.where(seen, length * np.sqrt(rows), np.float32(30)), 0)
-    near = rule.nearest[1:] if steps > 1 else rule.nearest
-    rules = [_log(rule.error), _log(rule.persistence) - _log(rule.error), _log(rule.least) - _log(rule.error),
-             _log(ordered[steps // 4]), *np.clip(rule.coefficients, -3, 3), np.log(np.minimum(near, 400) + 1).mean(0),
-             *(multiply(residual, residual, lag) for lag in (1, 4, 16)),
-             np.sqrt((direction**2).sum(0)) / rows]  # fmt: skip
-    out = np.stack([*track, *own, *neighbours, *rules]).astype(np.float32)
-    out[:, ~(w.m > 0).any(0)] = 0
-    return out
+    for align, k, name in zip(rule.align, _CROWDS, ("near", "far"), strict=True):
+        turns, deviation = flock.compare_turns(w.v, w.m, align, (2, 4, 8, 12))
+        x = signals["raw_" + name]
+        neighbours += [
+            _log(multiply(x, x) / count, 1e-3),
+            *echo(name, 1, 4),
+            _log(rule.crowd[:, k].mean(0), 0.1),
+            *turns,
+        ]
+        neighbours += [_log(deviation / count, 1e-3)]
+    length = np.sqrt((signals["raw_residual"] ** 2).sum(1))
+    direction = (signals["raw_residual"] / np.maximum(length, np.float32(1e-6))[:, None]).sum(0)
+    least = np.sort(np.where(signals["complete"] > 0, length, 4), 0)[steps // 4]
+    error = _log(rule.error)
+    rules = [error, _log(rule.persistence) - error, _log(rule.least) - error, _log(least**2),
+             *np.clip(rule.coefficients, -3, 3), np.log1p(np.minimum(rule.nearest[-max(steps - 1, 1) :], 400)).mean(0),
+             *echo("residual", 1, 4, 16), np.sqrt((direction**2).sum(0)) / rows]  # fmt: skip
+    return np.stack([*track, *own, *neighbours, *rules]).astype(np.float32)
 
 
 def _describe_window(w: _Window, uav: Singles, never: Mask) -> Singles:
     """Sizes of the window and means over its UAVs: (K,)."""
-    present = uav[:, ~never] if (~never).any() else uav
-    steps, n = w.m.shape
-    spread = np.linalg.svd(w.v.transpose(0, 2, 1).reshape(-1, 3).astype(np.float64), compute_uv=False)
-    flat = float(spread[-1] / max(spread[0], 1e-9)) if len(spread) == 3 else 0.0
-    sizes = [np.log(n) - 3.4, np.log(steps) - 4.6, 1 - w.m.mean()]
-    return np.array([*sizes, *(present[k].mean() for k in (5, 0, 15, 10, 12)), flat], np.float32)
+    some = ~never if not never.all() else never
+    v = _align(w.v.transpose(1, 0, 2).reshape(3, -1))
+    spread = np.linalg.eigvalsh((v @ v.T).astype(np.float64))
+    sizes = [np.log(some.sum()) - 3.4, np.log(len(w.m)) - 4.6, 1 - w.m[:, some].mean()]
+    flat = np.sqrt(max(spread[0], 0) / max(spread[2], 1e-9))
+    return np.array([*sizes, *(uav[k, some].mean() for k in (5, 0, 15, 10, 12)), flat], np.float32)

@@ -1,0 +1,211 @@
+"""The reader's features: a plain reference, what they must not depend on, and odd windows."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from detectors.reader.features import (
+    CONTEXT_FEATURES,
+    CONTEXT_GROUPS,
+    PAIR_FEATURES,
+    PAIR_GROUPS,
+    UAV_FEATURES,
+    UAV_GROUPS,
+    Features,
+    make_features,
+)
+
+STEPS = 48
+
+
+def draw_window(uavs=6, steps=STEPS, missed=0.0, seed=0):
+    """Random walks of velocity; each odd UAV repeats the one before it 3 steps later."""
+    rng = np.random.default_rng(seed)
+    velocity = rng.normal(size=(uavs, 3)) + np.cumsum(0.2 * rng.normal(size=(steps, uavs, 3)), 0)
+    velocity[3:, 1::2] = velocity[:-3, : uavs - uavs % 2 : 2] + 0.02 * rng.normal(size=velocity[3:, 1::2].shape)
+    start = 15 * rng.normal(size=(1, uavs, 3))
+    position = np.concatenate([start, start + np.cumsum(velocity, 0)])
+    seen = rng.random((steps + 1, uavs)) >= missed
+    return hide(position, velocity, seen)
+
+
+def hide(position, velocity, seen):
+    flown = (seen[1:] & seen[:-1])[..., None]
+    return np.where(seen[..., None], position, 0).astype("f4"), np.where(flown, velocity, 0).astype("f4"), seen
+
+
+def group(features, name):
+    return features.pair[..., PAIR_GROUPS[name]]
+
+
+def assert_close(one, other, tolerance=2e-3):
+    for x, y in zip(one, other, strict=True):
+        np.testing.assert_allclose(x, y, atol=tolerance)
+
+
+class Reference:
+    """Loops over pairs in double precision, where everything is seen."""
+
+    def __init__(self, position, velocity, seen):
+        scale = np.sqrt((velocity.astype(float) ** 2).sum(2).mean())
+        self.p, self.v = position / scale, velocity / scale
+        self.c = self.v - self.v.mean(0)
+        self.mean = (self.v[::2] + self.v[1::2]) / 2  # of the steps that follow each second instant
+        self.far = np.linalg.norm(self.p[:, None] - self.p[:, :, None], axis=-1)  # (T + 1, i, j)
+
+    def innovate(self, i):
+        c = self.c[:, i]
+        past = np.concatenate([c[1:-1], c[:-2]], 1)
+        gram = past.T @ past
+        ridge = (1e-2 * np.trace(gram) / 6 + 1e-4) * np.eye(6)
+        e = c[2:] - past @ np.linalg.solve(gram + ridge, past.T @ c[2:])
+        length = np.linalg.norm(e, axis=1, keepdims=True)
+        return np.concatenate([np.zeros((2, 3)), e * np.minimum(1, 2 * np.sqrt((length**2).mean()) / length)])
+
+    def correlate(self, x, y, lag):
+        return (x[lag:] * y[: len(y) - lag]).sum() / np.sqrt((x**2).sum() * (y**2).sum())
+
+    def cc(self, i, j):
+        return [self.correlate(self.c[:, i], self.c[:, j], lag) for lag in range(13)]
+
+    def ee(self, i, j):
+        return [self.correlate(self.innovate(i), self.innovate(j), lag) for lag in range(13)]
+
+    def pc(self, i, j):
+        c, found = self.c, []
+        past = np.stack([c[1:-1, i].ravel(), c[:-2, i].ravel()], 1)
+
+        def remove(x):
+            return x - past @ np.linalg.lstsq(past, x, rcond=None)[0]
+
+        for lag in range(1, 13):
+            x = np.concatenate([np.zeros((lag, 3)), c[:-lag, j]])[2:].ravel()
+            mine, other = remove(c[2:, i].ravel()), remove(x)
+            found.append(mine @ other / np.sqrt((mine @ mine) * (other @ other)))
+        return found
+
+    def geo(self, i, j):
+        gap, d = self.p[:-1:2, j] - self.p[:-1:2, i], self.far[:-1:2, i, j]
+        ahead = (gap * self.mean[:, i]).sum(1) / d
+        turn = (gap[:-1] * np.diff(self.mean[:, i], axis=0)).sum(1) / d[:-1]
+        half = len(d) // 2
+        slope = np.log((d[half:].mean() / 20 + 0.05) / (d[:half].mean() / 20 + 0.05))
+        near = [np.clip((1.1 * r - d) / (0.2 * r), 0, 1).mean() for r in (6, 12, 25, 50, 100)]
+        distance = np.log(np.array([d.mean(), d.min()]) / 20 + 0.05)
+        return [ahead.mean(), np.abs(ahead).mean(), turn.sum() / len(d), *distance, slope, *near]
+
+    def force(self, i, j):
+        gap, a = (self.p[:-1:2, j] - self.p[:-1:2, i])[:-1], np.diff(self.mean[:, i], axis=0)
+        drift = (self.mean[:, j] - self.mean[:, i])[:-1]
+        pull = (gap * a).sum(1) / np.linalg.norm(gap, axis=1)
+        power = np.sqrt((a**2).sum())
+        along = [(a * x).sum() / np.linalg.norm(x) / power for x in (gap, gap - gap.mean(0), drift)]
+        return [pull.sum() / power / np.sqrt(len(a)), np.abs(pull).sum() / power / np.sqrt(len(a)), *along]
+
+    def places(self, i, j):
+        def miss(a, b, lag):  # mean distance from a to where b was
+            return np.linalg.norm(self.p[lag:, a] - self.p[: len(self.p) - lag, b], axis=1)
+
+        lags = (0, 1, 2, 4, 8, 16)
+        now = np.log(miss(i, j, 0).mean() + 0.5)
+        relative = [np.log(miss(i, j, lag).mean() + 0.5) - now for lag in lags[1:]]
+        reverse = [np.log((miss(i, j, lag).mean() + 0.5) / (miss(j, i, lag).mean() + 0.5)) for lag in (2, 8)]
+        track = [np.stack([miss(*pair, lag)[16 - lag :] for lag in lags]) for pair in ((i, j), (j, i))]
+        best = [x.argmin(0) for x in track]
+        behind = [(x > 0).mean() for x in best]
+        nearest = np.log(track[0].min(0).mean() + 0.5) - now
+        return [*relative, 0, *reverse, 0, nearest, behind[0], (best[0] / 5).mean(), behind[0] - behind[1]]
+
+
+@pytest.mark.parametrize("name", ["cc", "ee", "pc", "geo", "force", "places"])
+def test_pairs_agree_with_a_plain_reference(name):
+    window = draw_window()
+    reference, found = Reference(*window), group(make_features(*window), name)
+    for i in range(3):
+        for j in range(4, 6):
+            expected = np.array(getattr(reference, name)(i, j))
+            np.testing.assert_allclose(found[i, j, : len(expected)], expected, atol=3e-3, err_msg=f"{i} {j}")
+
+
+@pytest.mark.parametrize(("uavs", "steps", "missed"), [(7, 60, 0.0), (12, 30, 0.2), (3, 9, 0.1)])
+def test_axes_origin_unit_and_order_do_not_matter(uavs, steps, missed):
+    position, velocity, seen = draw_window(uavs, steps, missed)
+    told = make_features(position, velocity, seen)
+    turn = Rotation.from_rotvec([0.3, 1.0, -2.0]).as_matrix()
+    assert_close(told, make_features(*hide(position @ turn.T + [300, -20, 5], velocity @ turn.T, seen)))
+    assert_close(told, make_features(8 * position, 8 * velocity, seen), 0)
+    order = np.random.default_rng(1).permutation(uavs)
+    other = make_features(position[:, order], velocity[:, order], seen[:, order])
+    assert_close(Features(told.pair[order][:, order], told.uav[order], told.context), other)
+
+
+def test_what_is_not_seen_has_no_influence():
+    position, velocity, seen = draw_window(9, 50, 0.2)
+    told = make_features(position, velocity, seen)
+    junk = np.where(seen[..., None], position, 1e5), np.where((seen[1:] & seen[:-1])[..., None], velocity, -77)
+    assert_close(told, make_features(junk[0].astype("f4"), junk[1].astype("f4"), seen), 0)
+    wider = [np.concatenate([x, np.zeros_like(x[:, :1])], 1) for x in (position, velocity, seen)]
+    pair, uav, context = make_features(*wider)
+    assert_close(told, (pair[:-1, :-1], uav[:-1], context), 1e-4)
+    assert not pair[-1].any()
+    assert not pair[:, -1].any()
+    assert not uav[-1].any()
+
+
+def test_bits_do_not_depend_on_where_the_memory_lies():
+    window = draw_window(11, 70, 0.1)
+    told = make_features(*window)
+    for offset in (1, 3, 7):
+        copies, kept = [], [np.empty(1000 * offset + 13, np.uint8)]  # moves what is allocated next
+        for x in window:
+            memory = np.empty(x.nbytes + 64, np.uint8)
+            start = -memory.ctypes.data % 64 + offset * x.itemsize
+            copies.append(memory[start : start + x.nbytes].view(x.dtype).reshape(x.shape))
+            copies[-1][...] = x
+            kept.append(memory)
+        for x, y in zip(told, make_features(*copies), strict=True):
+            np.testing.assert_array_equal(x, y)
+
+
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(
+    st.integers(1, 4), st.integers(1, 20), st.integers(0, 99), st.sampled_from([0.0, 1e-20, 1.0, 1e5]),
+    st.sampled_from([0.0, 0.4, 1.0]), st.booleans(),
+)  # fmt: skip
+def test_odd_windows_give_finite_numbers(uavs, steps, seed, speed, missed, planar):
+    position, velocity, seen = (
+        draw_window(uavs, steps, missed, seed) if steps > 3 else draw_window(uavs, 4, missed, seed)
+    )
+    position, velocity, seen = position[: steps + 1] * speed, velocity[:steps] * speed, seen[: steps + 1]
+    if planar:
+        position[..., 2], velocity[..., 2] = 0, 0
+    told = make_features(position, velocity, seen)
+    assert told.pair.shape == (uavs, uavs, PAIR_FEATURES)
+    assert told.uav.shape == (uavs, UAV_FEATURES)
+    assert told.context.shape == (CONTEXT_FEATURES,)
+    assert all(np.isfinite(x).all() and x.dtype == np.float32 for x in told)
+
+
+@pytest.mark.parametrize("groups", [PAIR_GROUPS, UAV_GROUPS, CONTEXT_GROUPS])
+def test_groups_follow_each_other(groups):
+    slices = list(groups.values())
+    assert [0, *(x.stop for x in slices[:-1])] == [x.start for x in slices]
+
+
+def test_followers_are_told_from_leaders():
+    told = make_features(*draw_window())
+    assert (group(told, "ee")[1::2, ::2].argmax(2).diagonal() == 3).all()  # 1 follows 0, 3 follows 2, 5 follows 4
+    net = group(told, "net")[..., 0]
+    assert (net[1::2, ::2].diagonal() > 0.5).all()
+    assert (net[::2, 1::2].diagonal() < -0.5).all()
+
+
+def test_who_comes_later_to_the_same_places_is_told():
+    position, velocity, _ = draw_window(1, 60)
+    both = [np.concatenate([x[:-8], x[8:]], 1) for x in (position, velocity)]  # UAV 0 is 8 steps behind UAV 1
+    behind = group(make_features(*both, np.ones(both[0].shape[:2], bool)), "places")[0, 1]
+    assert behind[3] == behind[:6].min()  # the lag of 8 steps
+    assert behind[10] == 1
+    assert behind[12] > 0.5
