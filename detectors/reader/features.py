@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detectors.reader import flock, kernels, series
-from detectors.reader.kernels import STRIDE
 from usnet_env.arrays import Mask, Singles
 
-BLOCK = 8  # steps of a block in which one leader is supposed
+_BLOCK, _STRIDE = 8, 2  # steps of a block in which one leader is supposed; steps between two bearings
 _LAGS = tuple(range(13))
 _PLACES = (1, 2, 4, 8, 16, 32)
 _LONG = (4, 8, 16, 24, 32)
@@ -112,7 +111,8 @@ def make_features(position: Singles, velocity: Singles, seen: Mask) -> Features:
     _fill_shares(pair, signals)
     _fill_blocks(pair[PAIR_GROUPS["local"]], w, signals)
     _fill_own_past(pair[PAIR_GROUPS["pc"]], w, signals)
-    own = _fill_places(pair, w)
+    _fill_places(pair[PAIR_GROUPS["places"]], w)
+    own = _fill_bearings(pair, w)
     uav = _describe_uavs(w, signals, rule, own)
     for x in pair:
         np.fill_diagonal(x, 0)
@@ -160,7 +160,7 @@ def _make_signals(w: _Window) -> tuple[dict[str, Singles], _Rule]:
     smooth, enough = series.average_series(v, m, 5)
     bank, count, nearest = flock.survey_neighbours(w.p, w.seen, v, m)
     align = [np.ascontiguousarray(bank[:, :, 1 + k]) for k in _CROWDS]
-    near, far = (flock.leave_crowd(v, m, x, count[k]) for x, k in zip(align, _CROWDS, strict=True))
+    near, far = (flock.leave_crowd(v, m, x, count[:, k]) for x, k in zip(align, _CROWDS, strict=True))
     residual, *fit = flock.fit_flock(v, complete, bank)
     raw = {"velocity": c, "innovation": e, "turn": series.change_series(smooth, enough, 5), "near": near, "far": far,
            "smooth": series.centre_series(smooth, enough), "slow": series.average_series(c, m, 4)[0],
@@ -245,14 +245,14 @@ def _fill_shares(pair: Singles, signals: Mapping[str, Singles]) -> None:
 
 def _cut_blocks(x: Singles, lag: int = 0) -> Singles:
     """The series some steps later in blocks of 8 steps: (blocks, 8 p, n)."""
-    blocks = len(x) // BLOCK
-    return series.delay_series(x, lag)[: blocks * BLOCK].reshape(blocks, -1, x.shape[-1])
+    blocks = len(x) // _BLOCK
+    return series.delay_series(x, lag)[: blocks * _BLOCK].reshape(blocks, -1, x.shape[-1])
 
 
 def _fill_blocks(out: Singles, w: _Window, signals: Mapping[str, Singles]) -> None:
     """Fill what is seen in blocks of 8 steps, for j's motion 0 to 3 steps before."""
     steps, n = w.m.shape
-    blocks = steps // BLOCK
+    blocks = steps // _BLOCK
     if blocks < 2:
         return
     e, power = signals["innovation"] * np.float32(np.sqrt(blocks)), (w.v**2).sum(1)
@@ -287,31 +287,59 @@ def _fill_own_past(out: Singles, w: _Window, signals: Mapping[str, Singles]) -> 
     out[count], out[count + 1], out[count + 2], out[count + 3] = top, place, top - top.T, np.log(gain + np.float32(0.5))
 
 
-def _fill_places(pair: Singles, w: _Window) -> Singles:
-    """Fill bearings, forces and places; return what a UAV's bearings say of itself, (4, n)."""
+def _fill_bearings(pair: Singles, w: _Window) -> list[Singles]:
+    """Fill bearings and forces; return what a UAV's bearings say of itself, (n,) each."""
     steps, n = w.m.shape
-    instants = -(-steps // STRIDE)
-    spare = np.zeros((instants * STRIDE - steps, 3, n), np.float32)
-    count = np.concatenate([w.m, spare[:, 0]]).reshape(instants, STRIDE, n).sum(1)
-    mean = np.concatenate([w.v, spare]).reshape(instants, STRIDE, 3, n).sum(1) / np.maximum(count, 1)[:, None]
-    own = np.zeros((4, n), np.float32)
-    bearings = pair[PAIR_GROUPS["geo"].start : PAIR_GROUPS["force"].stop]
-    kernels.measure_bearings(w.p[:steps:STRIDE].copy(), mean, np.minimum(count, 1), bearings, own)
+    instants = -(-steps // _STRIDE)
+    spare = np.zeros((instants * _STRIDE - steps, 3, n), np.float32)
+    known = np.concatenate([w.m, spare[:, 0]]).reshape(instants, _STRIDE, n).sum(1)
+    v = np.concatenate([w.v, spare]).reshape(instants, _STRIDE, 3, n).sum(1) / np.maximum(known, 1)[:, None]
+    moving, turns, a = np.minimum(known, 1), np.zeros_like(known), np.zeros_like(v)
+    turns[:-1] = moving[:-1] * moving[1:]
+    a[:-1] = (v[1:] - v[:-1]) * turns[:-1, None]
+    s, nearest = kernels.measure_bearings(w.p[:steps:_STRIDE].copy(), v, a, moving, turns)
+    geo, force, count, turned = (
+        pair[PAIR_GROUPS["geo"]],
+        pair[PAIR_GROUPS["force"]],
+        np.maximum(s[4], 1),
+        np.maximum(s[12], 1),
+    )
+    geo[:3] = s[:3] / count
+    geo[3], geo[4] = _log_distance(s[3] / count), np.minimum(_log_distance(s[7]), 4)
+    late, early = s[5] / np.maximum(s[6], 1), (s[3] - s[5]) / np.maximum(s[4] - s[6], 1)
+    geo[5] = (_log_distance(late) - _log_distance(early)) * ((s[6] > 0) & (s[4] > s[6]))
+    geo[6:] = s[18 : 18 + flock.BANK] / count
+    pull = s[9] - (s[13:16] * a.sum(0)[:, :, None]).sum(0) / turned
+    spread = np.maximum(s[10] - (s[13:16] ** 2).sum(0) / turned, 0) + np.float32(1e-3) * s[10]
+    for k, (x, size) in enumerate(((s[2], turned), (s[8], turned), (s[9], s[10]), (pull, spread), (s[16], s[17]))):
+        force[k] = x / (np.sqrt(s[11] * size) + np.float32(1e-3))
+    met = nearest[0] < 1e5
+    often, cosine = np.maximum(met.sum(0), 1), nearest[1] * met
+    for x in s[-2:]:
+        np.fill_diagonal(x, 0)
+    ahead = s[-1].sum(1) / np.maximum(s[-2].sum(1), np.float32(0.5))
+    return [*(x.sum(0) / often for x in (cosine, np.abs(cosine), _log_distance(nearest[0]) * met)), ahead]
+
+
+def _log_distance(x: Singles) -> Singles:
+    """Distances in steps of flight as logarithms near 0."""
+    return _log(x / 20, 0.05)
+
+
+def _fill_places(out: Singles, w: _Window) -> None:
+    """Fill how close i comes to where j was, and who was there first."""
+    steps, n = w.m.shape
     lags = [0, *(lag for lag in _PLACES if lag <= steps // 3)]
-    out, k, near = pair[PAIR_GROUPS["places"]], len(lags), _make_array((len(lags) + 3, n, n))
+    k, last, near = len(lags), len(_PLACES), _make_array((len(lags) + 3, n, n))
     kernels.measure_places(w.p, w.seen, np.array(lags), max(1, steps // 50), near)
-    size, last = np.log(near[: k + 1] + np.float32(0.5)), len(_PLACES)
+    size = _log(near[: k + 1], 0.5)
     out[: k - 1] = size[1:k] - size[0]
     for slot, lag in enumerate((2, 8, 32)):
         if lag in lags:
             x = size[lags.index(lag)]
             out[last + slot] = x - x.T
-    out[last + 3], out[last + 4 : last + 6], out[last + 6] = (
-        size[k] - size[0],
-        near[k + 1 :],
-        near[k + 1] - near[k + 1].T,
-    )
-    return own
+    out[last + 3], out[last + 4 : last + 6] = size[k] - size[0], near[k + 1 :]
+    out[last + 6] = near[k + 1] - near[k + 1].T
 
 
 def _log(x: Singles, least: float = 1e-4) -> Singles:
@@ -320,7 +348,7 @@ def _log(x: Singles, least: float = 1e-4) -> Singles:
     return out
 
 
-def _describe_uavs(w: _Window, signals: Mapping[str, Singles], rule: _Rule, own: Singles) -> Singles:
+def _describe_uavs(w: _Window, signals: Mapping[str, Singles], rule: _Rule, own: list[Singles]) -> Singles:
     """What single tracks and neighbourhoods say of each UAV: (G, n)."""
     steps, multiply = len(w.m), series.multiply_series
     count, rows = np.maximum(w.m.sum(0), 1), np.maximum(signals["complete"].sum(0), 1)
@@ -342,7 +370,12 @@ def _describe_uavs(w: _Window, signals: Mapping[str, Singles], rule: _Rule, own:
     for align, k, name in zip(rule.align, _CROWDS, ("near", "far"), strict=True):
         turns, deviation = flock.compare_turns(w.v, w.m, align, (2, 4, 8, 12))
         x = signals["raw_" + name]
-        neighbours += [_log(multiply(x, x) / count, 1e-3), *echo(name, 1, 4), _log(rule.crowd[k].mean(0), 0.1), *turns]
+        neighbours += [
+            _log(multiply(x, x) / count, 1e-3),
+            *echo(name, 1, 4),
+            _log(rule.crowd[:, k].mean(0), 0.1),
+            *turns,
+        ]
         neighbours += [_log(deviation / count, 1e-3)]
     length = np.sqrt((signals["raw_residual"] ** 2).sum(1))
     direction = (signals["raw_residual"] / np.maximum(length, np.float32(1e-6))[:, None]).sum(0)

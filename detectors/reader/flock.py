@@ -17,14 +17,61 @@ _RULES = np.array([(0, 1, 2 + a, 2 + BANK + b) for a, b in itertools.product(ran
 _ZERO, _ONE, _TINY, _FAR = np.float32(0.0), np.float32(1.0), np.float32(1e-12), np.float32(1e6)
 _OUTER, _STEEP = np.float32(1.1), np.float32(5.0)  # a neighbour's weight falls from 1 to 0 between .9 and 1.1 radii
 _REACH = np.float32(1.0 / 9.0)  # repulsion halves at 3 steps of flight
-_WIDTH = 64  # UAVs side by side; rows a constant apart are known not to overlap, so that loops become vector code
-_D, _UX, _UY, _UZ = range(0, 4 * _WIDTH, _WIDTH)
-_COUNT, _VX, _VY, _VZ, _AX, _AY, _AZ, _SUMS = range(0, 8 * _WIDTH, _WIDTH)
+_W = 64  # UAVs side by side; rows a constant apart are known not to overlap, so that loops become vector code
+_ROWS = 7  # sums of a radius: weight, velocity, direction; one more radius holds the nearest distance and the repulsion
 
 
 @compiled(error_model="numpy")
-def survey_neighbours(p, seen, v, m):
-    """Sum up the neighbours of each UAV at the beginning of each step; their velocity is that of the step before.
+def _sum_neighbours(p, seen, v, m):
+    """Weighted sums over the neighbours in each radius at the beginning of each step: (T, R + 1, 7, n)."""
+    steps, _, n = v.shape
+    out = np.zeros((steps, (BANK + 1) * _ROWS, n), np.float32)
+    sums, one, here = (
+        np.empty((BANK + 1) * _ROWS * _W, np.float32),
+        np.empty(4 * _W, np.float32),
+        np.empty(3 * _W, np.float32),
+    )
+    last = BANK * _ROWS * _W
+    for start in range(0, n, _W):
+        width = min(_W, n - start)
+        for t in range(1, steps):
+            sums[:] = _ZERO
+            sums[last : last + _W] = _FAR
+            for a in range(3):
+                here[a * _W : a * _W + width] = p[t, a, start : start + width]
+            for j in range(n):
+                if seen[t, j] * m[t - 1, j] == _ZERO:
+                    continue
+                x, y, z, vx, vy, vz = p[t, 0, j], p[t, 1, j], p[t, 2, j], v[t - 1, 0, j], v[t - 1, 1, j], v[t - 1, 2, j]
+                for i in range(width):
+                    dx, dy, dz = x - here[i], y - here[_W + i], z - here[2 * _W + i]
+                    d = np.sqrt(dx * dx + dy * dy + dz * dz) + _TINY
+                    one[i], one[_W + i], one[2 * _W + i], one[3 * _W + i] = d, dx / d, dy / d, dz / d
+                if start <= j < start + width:
+                    one[j - start] = _FAR
+                for i in range(width):
+                    push = _ONE / (_ONE + one[i] * one[i] * _REACH)
+                    sums[last + i] = min(sums[last + i], one[i])
+                    sums[last + _W + i] -= push * one[_W + i]
+                    sums[last + 2 * _W + i] -= push * one[2 * _W + i]
+                    sums[last + 3 * _W + i] -= push * one[3 * _W + i]
+                for r in range(BANK):
+                    steep, outer, k = _STEEP / RADII[r], _OUTER * RADII[r], r * _ROWS * _W
+                    for i in range(width):
+                        w = min(_ONE, max(_ZERO, (outer - one[i]) * steep))
+                        sums[k + i] += w
+                        sums[k + _W + i] += w * vx
+                        sums[k + 2 * _W + i] += w * vy
+                        sums[k + 3 * _W + i] += w * vz
+                        sums[k + 4 * _W + i] += w * one[_W + i]
+                        sums[k + 5 * _W + i] += w * one[2 * _W + i]
+                        sums[k + 6 * _W + i] += w * one[3 * _W + i]
+            out[t, :, start : start + width] = sums.reshape(-1, _W)[:, :width]
+    return out.reshape(steps, BANK + 1, _ROWS, n)
+
+
+def survey_neighbours(p: Singles, seen: Singles, v: Singles, m: Singles) -> tuple[Singles, Singles, Singles]:
+    """What surrounds each UAV at the beginning of each step; a neighbour's velocity is that of the step before.
 
     Args:
         p: places ``(T + 1, 3, n)``, in steps of flight.
@@ -34,64 +81,15 @@ def survey_neighbours(p, seen, v, m):
 
     Returns:
         ``(T, 3, 1 + 2 R, n)``: repulsion; mean velocity and mean direction of the neighbours within each radius. Their
-        number ``(R, T, n)``. The distance of the nearest ``(T, n)``.
+        number ``(T, R, n)``. The distance of the nearest ``(T, n)``.
     """
-    steps, _, n = v.shape
-    out, count = np.zeros((steps, 3, 1 + 2 * BANK, n), np.float32), np.zeros((BANK, steps, n), np.float32)
-    nearest, sums, one = (
-        np.full((steps, n), _FAR),
-        np.empty((BANK + 1) * _SUMS, np.float32),
-        np.empty(_UZ + _WIDTH, np.float32),
-    )
-    here = np.empty(3 * _WIDTH, np.float32)
-    for start in range(0, n, _WIDTH):
-        width = min(_WIDTH, n - start)
-        for t in range(1, steps):
-            sums[:] = _ZERO
-            sums[BANK * _SUMS : BANK * _SUMS + _WIDTH] = _FAR
-            for a in range(3):
-                here[a * _WIDTH : a * _WIDTH + width] = p[t, a, start : start + width]
-            for j in range(n):
-                if seen[t, j] * m[t - 1, j] == _ZERO:
-                    continue
-                x, y, z, vx, vy, vz = p[t, 0, j], p[t, 1, j], p[t, 2, j], v[t - 1, 0, j], v[t - 1, 1, j], v[t - 1, 2, j]
-                for i in range(width):
-                    dx, dy, dz = x - here[i], y - here[_WIDTH + i], z - here[2 * _WIDTH + i]
-                    square = dx * dx + dy * dy + dz * dz
-                    d = np.sqrt(square) + _TINY
-                    one[_D + i], one[_UX + i], one[_UY + i], one[_UZ + i] = d, dx / d, dy / d, dz / d
-                if start <= j < start + width:
-                    one[_D + j - start] = _FAR
-                last = BANK * _SUMS
-                for i in range(width):
-                    d = one[_D + i]
-                    push = _ONE / (_ONE + d * d * _REACH)
-                    sums[last + i] = min(sums[last + i], d)
-                    sums[last + _VX + i] -= push * one[_UX + i]
-                    sums[last + _VY + i] -= push * one[_UY + i]
-                    sums[last + _VZ + i] -= push * one[_UZ + i]
-                for r in range(BANK):
-                    steep, outer, k = _STEEP / RADII[r], _OUTER * RADII[r], r * _SUMS
-                    for i in range(width):
-                        w = min(_ONE, max(_ZERO, (outer - one[_D + i]) * steep))
-                        sums[k + _COUNT + i] += w
-                        sums[k + _VX + i] += w * vx
-                        sums[k + _VY + i] += w * vy
-                        sums[k + _VZ + i] += w * vz
-                        sums[k + _AX + i] += w * one[_UX + i]
-                        sums[k + _AY + i] += w * one[_UY + i]
-                        sums[k + _AZ + i] += w * one[_UZ + i]
-            for i in range(width):
-                nearest[t, start + i] = sums[BANK * _SUMS + i]
-                for a in range(3):
-                    out[t, a, 0, start + i] = sums[BANK * _SUMS + (1 + a) * _WIDTH + i]
-                for r in range(BANK):
-                    k = r * _SUMS + i
-                    count[r, t, start + i] = sums[k]
-                    for a in range(3):
-                        out[t, a, 1 + r, start + i] = sums[k + (1 + a) * _WIDTH] / max(sums[k], np.float32(0.3))
-                        out[t, a, 1 + BANK + r, start + i] = sums[k + (4 + a) * _WIDTH] / max(sums[k], np.float32(0.5))
-    return out, count, nearest
+    sums = _sum_neighbours(p, seen, v, m)
+    count, bank = sums[:, :BANK, 0], np.empty((len(v), 3, 1 + 2 * BANK, v.shape[2]), np.float32)
+    bank[:, :, 0] = sums[:, BANK, 1:4]
+    for axis in range(3):
+        bank[:, axis, 1 : 1 + BANK] = sums[:, :BANK, 1 + axis] / np.maximum(count, np.float32(0.3))
+        bank[:, axis, 1 + BANK :] = sums[:, :BANK, 4 + axis] / np.maximum(count, np.float32(0.5))
+    return bank, count, sums[:, BANK, 0]
 
 
 def fit_flock(v: Singles, complete: Singles, bank: Singles) -> tuple[Singles, Singles, Singles, Singles, Singles]:

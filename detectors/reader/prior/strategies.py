@@ -1,7 +1,5 @@
 """Follow strategies of the prior: random ones, and the field models with their constants varied."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -9,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from usnet_env.swarm import FOLLOW_STRATEGIES, FollowInputs, FollowStrategy, kernels
-from usnet_env.swarm.field_follow import Chain, FieldStrategy, Frontness, Hierarchy, Kinds, Links, Slots
+from usnet_env.swarm.field_follow import Chain, Hierarchy, Kinds, Links, Slots
 from usnet_env.swarm.random_follow import RandomFollowStrategy, random_follow_strategy
 from usnet_env.swarm.strategy import TrajectoryBatch
 
@@ -25,73 +23,54 @@ class RandomStrategy(RandomFollowStrategy):
         position, velocity = trajectories.position, trajectories.velocity
         swarm, follower = np.nonzero(trajectories.motion == kernels.FOLLOWS)
         head, noise = trajectories.root[swarm, follower], np.float32(self.noise) * trajectories.noise
-        for s in range(trajectories.steps):
-            t = trajectories.start + s
-            newest = np.arange(t - 1, t - 1 - self.lags, -1)
+        for t in range(trajectories.start, velocity.shape[1]):
+            past = np.arange(t - 1, t - 1 - self.lags, -1)
             inputs = FollowInputs(
-                own_position=position[swarm[:, None], newest + 1, follower[:, None]],
-                head_velocity=velocity[swarm[:, None], newest, head[:, None]],
-                head_position=position[swarm[:, None], newest + 1, head[:, None]],
+                own_position=position[swarm[:, None], past + 1, follower[:, None]],
+                head_velocity=velocity[swarm[:, None], past, head[:, None]],
+                head_position=position[swarm[:, None], past + 1, head[:, None]],
                 parameters=trajectories.parameters[0],
             )
-            total = self.direction(inputs) + noise[swarm, s, follower]
+            total = self.direction(inputs) + noise[swarm, t - trajectories.start, follower]
             length = np.sqrt((total * total).sum(axis=-1, keepdims=True))
             velocity[swarm, t, follower] = total / np.maximum(length, np.float32(1e-6))
             position[:, t + 1] = position[:, t] + velocity[:, t]
 
 
-def draw_random(rng: np.random.Generator) -> RandomStrategy:
+def _draw_random(rng: np.random.Generator) -> RandomStrategy:
     """Draw a random strategy; of a third all terms are linear, and half of these turn nothing."""
-    linear = rng.random() < 1 / 3
-    alike = linear and rng.random() < 0.5
-    drawn = random_follow_strategy(rng)
-    while linear and (
-        any(term.kind != "linear" for term in drawn.terms)
-        or (alike and all(term.weight > 0 and term.lag == 0 for term in drawn.terms))  # that is f1
-    ):
-        drawn = random_follow_strategy(rng)
+    linear, alike, drawn = rng.random() < 1 / 3, rng.random() < 0.5, random_follow_strategy(rng)
+    while linear and any(term.kind != "linear" or (term.lag == 0 and term.weight > 0) for term in drawn.terms):
+        drawn = random_follow_strategy(rng)  # without the second condition f1, f2 and f3 could be drawn
     parts: dict[str, Any] = {field.name: getattr(drawn, field.name) for field in fields(drawn)}
-    if alike:
-        parts["rotation"] = None
-    return RandomStrategy(**{**parts, "noise": drawn.noise * float(rng.choice([0.5, 1.0, 2.0, 4.0]))})
+    rotation = None if linear and alike else drawn.rotation
+    return RandomStrategy(**{**parts, "rotation": rotation, "noise": drawn.noise * float(2.0 ** rng.integers(-1, 3))})
 
 
 def draw_strategy(rng: np.random.Generator, name: str) -> str | FollowStrategy:
     """Draw the strategy of a family; half of the field models have other constants than their own."""
     if name == "random":
-        return draw_random(rng)
+        return _draw_random(rng)
     if name == "none" or rng.random() < 0.5:
         return name
-    strategy = FOLLOW_STRATEGIES.find(name)
-    assert isinstance(strategy, FieldStrategy)
+    strategy: Any = FOLLOW_STRATEGIES.find(name)
     spread = 0.3 if rng.random() < 0.7 else 0.7
-    changed: dict[str, Any] = {}
-    for field in fields(strategy):
-        value = getattr(strategy, field.name)
-        if isinstance(value, float):
-            changed[field.name] = value * math.exp(spread * rng.standard_normal())
+    numbers = {field.name: getattr(strategy, field.name) for field in fields(strategy)}
+    changed: dict[str, Any] = {
+        key: value * math.exp(spread * rng.standard_normal()) for key, value in numbers.items() if type(value) is float
+    }
     if "share" in changed:
         changed["share"] = min(changed["share"], 0.95)
-    changed.update(_draw_structure(rng, strategy))
-    return replace(strategy, **changed)
-
-
-def _draw_structure(rng: np.random.Generator, strategy: FieldStrategy) -> dict[str, Any]:
-    """Draw delays, gains, links, blocks and places, those that the strategy has."""
-    drawn: dict[str, Any] = {}
     if isinstance(strategy, Links | Kinds):
-        drawn["block"] = int(rng.integers(6, 41))
+        changed["block"] = int(rng.integers(6, 41))
     if isinstance(strategy, Links) and not strategy.strength:
         links = int(rng.integers(1, 5)) if isinstance(strategy, Hierarchy) else 1
         latest = int(rng.integers(1, MEMORY // links + 1))
         low, high = np.sort(rng.uniform(0.1 if rng.random() < 0.2 else 0.4, 1.0, 2)).tolist()
-        drawn.update(links=links, delays=(int(rng.integers(1, latest + 1)), latest), gains=(low, high))
-        drawn["noises"] = (0.5, float(rng.uniform(1.0, 4.0)))
+        changed.update(links=links, delays=(int(rng.integers(1, latest + 1)), latest), gains=(low, high))
+        changed["noises"] = (0.5, float(rng.uniform(1.0, 4.0)))
     if isinstance(strategy, Chain):
-        drawn["depth"] = int(rng.integers(1, 6))
+        changed["depth"] = int(rng.integers(1, 6))
     if isinstance(strategy, Slots):
-        drawn["delays"] = (1, int(rng.integers(1, MEMORY + 1)))
-        drawn["smoothing"] = int(rng.integers(3, MEMORY + 1))
-    if isinstance(strategy, Frontness):
-        drawn["place"] = None
-    return drawn
+        changed.update(delays=(1, int(rng.integers(1, MEMORY + 1))), smoothing=int(rng.integers(3, MEMORY + 1)))
+    return replace(strategy, **changed)

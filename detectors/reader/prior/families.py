@@ -1,0 +1,47 @@
+"""The families of the prior with their weights, none of them one of f1 to f7; and how names and numbers are drawn."""
+
+from collections.abc import Collection, Mapping
+
+import numpy as np
+
+from usnet_env.arrays import Floats
+
+PRIOR_VERSION = 1  # increases when a draw changes
+
+MODELS = {  # follow strategies; flocks are the hardest, and come twice as often; two hold f1 to f6 as parts
+    "random": 2.5,
+    **dict.fromkeys(("unequal_delays", "mixed", "switching", "chain", "pigeons", "cucker_smale"), 1.0),
+    **dict.fromkeys(("frontness", "part_time", "partial_turns"), 1.0),
+    **dict.fromkeys(("vicsek", "couzin", "informed", "predator"), 2.0),
+    **dict.fromkeys(("shepherd", "reference", "independent", "shifted", "none"), 0.75),  # nobody leads
+}
+FAULTS = {  # what the sensor does to a swarm that follows by one of the models
+    **dict.fromkeys(("fault:noise", "fault:correlated", "fault:swaps", "fault:mix"), 1.4),
+    **dict.fromkeys(("fault:course", "fault:missed", "fault:bursts", "fault:partial"), 0.9),
+    **dict.fromkeys(("fault:jumps", "fault:rounding"), 0.5),
+}
+WORLDS = {  # without the simulator
+    **dict.fromkeys(("star", "path"), 2.0),
+    **dict.fromkeys(("people", "springs", "initiators"), 1.4),
+    **dict.fromkeys(("graded", "set_off", "file", "cars", "boids_signed"), 1.0),
+    **dict.fromkeys(("changes", "fission", "convoy"), 0.7),
+    **dict.fromkeys(("driver", "leaderless"), 2.0),  # in these and the next ones nobody leads
+    **dict.fromkeys(("herd", "route", "walkers", "ring_road", "springs_unseen"), 1.0),
+}
+SHARES = (0.33, MODELS), (0.18, FAULTS), (0.32, WORLDS), (0.17, {"field": 1.0})  # the last: the field environment
+
+
+def draw_name(rng: np.random.Generator, weights: Mapping[str, float], without: Collection[str] = ()) -> str:
+    """Draw a name by its weight, but none of ``without``."""
+    left = {name: weight for name, weight in weights.items() if name not in without}
+    return list(left)[int(rng.choice(len(left), p=np.array(list(left.values())) / sum(left.values())))]
+
+
+def draw_log(rng: np.random.Generator, low: float, high: float, *shape: int) -> Floats:
+    """Draw log-uniform numbers of a shape, by default one."""
+    return np.exp(rng.uniform(np.log(low), np.log(high), shape))
+
+
+def draw_whole(rng: np.random.Generator, low: int, high: int) -> int:
+    """Draw one log-uniform whole number, both ends included."""
+    return int(np.clip(np.rint(draw_log(rng, low - 0.49, high + 0.49)), low, high))

@@ -1,0 +1,181 @@
+"""Worlds in which UAVs copy the velocities of a leader some steps late, go to its places, or share a way."""
+
+import numpy as np
+
+from detectors.reader.prior.families import draw_log
+from detectors.reader.prior.worlds.stage import Flight, Stage, draw_groups, draw_ways, keep_noise, place_groups, travel
+from usnet_env.arrays import Floats, Indices
+
+
+def _copy(rng: np.random.Generator, stage: Stage, source: Indices, delay: Indices, least: float) -> Floats:
+    """Positions ``(B, T + 1, n, 3)`` of UAVs that copy ``source`` ``(T, n)``; who is its own flies its way.
+
+    v_i(t) = g v_L(t - d_i) + (1 - g) u_i(t), u the last velocity of the UAV, or a way of its own, g ``least`` to 1.
+    """
+    source = np.concatenate([np.tile(source[:1], (int(delay.max()) + 5, 1)), source])
+    velocity = draw_ways(rng, stage, len(source), stage.uavs)
+    lone, gain = rng.random() < 0.4, stage.draw_each(rng, least, 1.0)[..., None]
+    shake = draw_log(rng, 0.005, 0.3, stage.windows, 1, 1)
+    window, own = np.arange(stage.windows)[:, None], np.arange(stage.uavs)
+    for t in range(1, len(source)):
+        led = np.flatnonzero(source[t] != own)
+        copied = velocity[window, np.maximum(t - delay[:, led], 0), source[t, led]]
+        base = velocity[:, t if lone else t - 1, led] + shake * stage.draw_normals(rng, len(led))
+        velocity[:, t, led] = gain[:, led] * copied + (1.0 - gain[:, led]) * base
+    return travel(place_groups(rng, stage, source[-1][source[-1]]), velocity[:, -stage.steps :])
+
+
+def draw_star(rng: np.random.Generator, stage: Stage, groups: int = 4) -> Flight:
+    """Up to so many groups whose UAVs all copy one leader."""
+    leader, delay = draw_groups(rng, stage.uavs, groups), stage.draw_delays(rng)
+    return Flight(_copy(rng, stage, np.tile(leader, (stage.steps, 1)), delay, 0.1), leader, delay)
+
+
+def draw_graded(rng: np.random.Generator, stage: Stage) -> Flight:
+    """A graded order: each UAV copies the one before it, or any before it, or one of the two before it."""
+    later = np.arange(1, stage.uavs)
+    low = [later - 1, np.zeros_like(later), np.maximum(later - 2, 0)][int(rng.integers(3))]
+    leader = np.append(0, rng.integers(low, later))
+    delay = stage.draw_delays(rng, stage.steps // (3 * min(stage.uavs, 8)))
+    return Flight(_copy(rng, stage, np.tile(leader, (stage.steps, 1)), delay, 0.4), leader, delay)
+
+
+def draw_changes(rng: np.random.Generator, stage: Stage) -> Flight:
+    """Others take the lead in turn; the leader is who leads longest, for at least half of the window."""
+    leaders = int(rng.integers(2, min(4, stage.uavs - 1) + 1))
+    longest = rng.uniform(0.5, 0.8)
+    share = np.append(longest, (1.0 - longest) * rng.dirichlet(np.ones(leaders - 1)))
+    order = rng.permutation(leaders)
+    ends, delay = np.cumsum(share[order])[:-1] * stage.steps, stage.draw_delays(rng, stage.steps // 10)
+    source = order[np.searchsorted(ends, np.arange(stage.steps), side="right")][:, None].repeat(stage.uavs, axis=1)
+    return Flight(_copy(rng, stage, source, delay, 0.3), np.zeros(stage.uavs, np.int64), delay)
+
+
+def draw_cars(rng: np.random.Generator, stage: Stage) -> Flight:
+    """Traffic in lanes: each car takes on the speed of the one before it after a delay; the first of a lane leads."""
+    lanes, own = int(rng.integers(min(4, stage.uavs // 2))) + 1, np.arange(stage.uavs)
+    leader, delay = np.where(own < lanes, own, own - lanes), stage.draw_delays(rng, 12)
+    road = stage._replace(axes=np.array([1.0, 0.0, 0.0]))
+    position = _copy(rng, road, np.tile(leader, (stage.steps, 1)), delay, 0.3)
+    position += rng.uniform(1.5, 4.0) * np.arange(stage.steps + 1)[:, None, None] * road.axes - position[:, :1]
+    position[..., 0] -= draw_log(rng, 5.0, 50.0) * (own // lanes + rng.uniform(0.0, 0.5, stage.uavs))
+    position[..., 1] += own % lanes * rng.uniform(1.0, 4.0) + rng.normal(0.0, 0.02, position.shape[:3])
+    return Flight(position, leader, delay)
+
+
+def draw_fission(rng: np.random.Generator, stage: Stage) -> Flight:
+    """Some followers leave a leader for another one, so that two groups become one, or one becomes two."""
+    leader = np.append([0, 1, 0, 1], rng.integers(2, size=stage.uavs - 4))
+    movers = np.flatnonzero(rng.random(stage.uavs - 4) < rng.uniform(0.2, 1.0)) + 4
+    source, delay = np.tile(leader, (stage.steps, 1)), stage.draw_delays(rng, stage.steps // 10)
+    source[: int(rng.uniform(0.15, 0.45) * stage.steps), movers] = 1 - leader[movers]
+    return Flight(_copy(rng, stage, source[:: int(rng.choice([-1, 1]))], delay, 0.3), leader, delay)
+
+
+def _go_after(
+    rng: np.random.Generator, stage: Stage, track: Floats, leader: Indices, delay: Indices, wide: float = 10.0
+) -> Floats:
+    """Positions ``(B, T + 1, n, 3)`` of m leaders with the ``track (B, S + T + 1, m, 3)`` and of those who go there."""
+    led, last = leader[track.shape[2] :], track.shape[1] - 1
+    window, one = np.arange(stage.windows)[:, None, None], (stage.windows, 1, 1, 1)
+    late = np.maximum(np.arange(last - stage.steps, last + 1)[:, None] - delay[:, None, track.shape[2] :], 0)
+    way = np.linalg.norm(np.diff(track, axis=1), axis=-1).mean((1, 2)).reshape(one) + 1e-9
+    course = track[window, np.minimum(late + 4, last), led] - track[window, np.maximum(late - 4, 0), led]
+    side = course[..., [1, 0, 2]] * [-1.0, 1.0, 0.0] / (np.linalg.norm(course, axis=-1, keepdims=True) + way)
+    aside = draw_log(rng, 0.002 * wide, wide, *one) * rng.standard_normal((stage.windows, 1, len(led), 1))
+    sway = keep_noise(stage.draw_normals(rng, *late.shape[1:]), rng.uniform(0.3, 0.98, stage.windows))
+    sway *= draw_log(rng, 0.02, 1.0, *one)
+    place = track[window, late, led] + way * (aside * side + sway)
+    return np.concatenate([track[:, -stage.steps - 1 :], place], axis=2)
+
+
+def _track(rng: np.random.Generator, stage: Stage, leader: Indices, delay: Indices, rest: bool) -> Floats:
+    """Draw places ``(B, S + T + 1, m, 3)`` of m leaders, S the longest delay; some ``rest`` until they set off."""
+    before, leaders, walks = int(delay.max()), int(leader.max()) + 1, np.array(1.0)
+    way = draw_ways(rng, stage, before + stage.steps, leaders, 0.1 if rest else 0.5)
+    if rest:
+        time = (np.arange(-before, stage.steps)[:, None, None] + 0.5) / stage.steps
+        start = rng.uniform(0.05, 0.4, (stage.windows, 1, leaders, 1))
+        walks = np.clip((time - start) * stage.steps / rng.uniform(1.0, 10.0), 0.0, 1.0)
+        for _ in range(int(rng.integers(3))):
+            walks = walks * (np.abs(time - start - rng.uniform(0.1, 0.6)) > rng.uniform(0.02, 0.1))
+    return travel(place_groups(rng, stage, np.arange(leaders)), way * walks)
+
+
+def draw_path(rng: np.random.Generator, stage: Stage, groups: int = 4) -> Flight:
+    """Followers go to the places of their leader, side by side."""
+    leader, delay = draw_groups(rng, stage.uavs, groups), stage.draw_delays(rng)
+    track = _track(rng, stage, leader, delay, bool(rng.random() < 0.2))
+    return Flight(_go_after(rng, stage, track, leader, delay), leader, delay)
+
+
+def draw_set_off(rng: np.random.Generator, stage: Stage, groups: int = 3) -> Flight:
+    """UAVs at rest set off one after another, on ways that are parallel to the leader's, and stop so."""
+    leader = draw_groups(rng, stage.uavs, groups)
+    delay = 1 + np.sort(rng.integers(stage.steps // 3, size=(stage.windows, stage.uavs)), axis=1)
+    track = _track(rng, stage, leader, delay, True)
+    fan = 1.0 + draw_log(rng, 0.01, 0.2) * rng.standard_normal((stage.windows, 1, stage.uavs, 1))
+    flown = _go_after(rng, stage, track, leader, delay, 1e-3) - track[:, :1, leader]
+    return Flight(place_groups(rng, stage, leader)[:, None] + fan * flown, leader, delay)
+
+
+def draw_file(rng: np.random.Generator, stage: Stage, closed: bool = False) -> Flight:
+    """A file: each UAV goes to the places of the one before it, with ``closed`` on a part of a circle."""
+    gap = 1 + rng.integers(stage.steps // (2 * stage.uavs) + 1, size=(stage.windows, stage.uavs))
+    total, lead = np.cumsum(gap, axis=1) - gap[:, :1], np.zeros(stage.uavs, np.int64)
+    track = _track(rng, stage, lead, total, not closed and bool(rng.random() < 0.3))
+    if closed:
+        angle = np.cumsum(np.linalg.norm(np.diff(track[:, :, 0], axis=1, prepend=track[:, :1, 0]), axis=-1), axis=1)
+        angle *= rng.uniform(0.5, 0.95) * 2.0 * np.pi / (angle[:, -1:] + 1e-9)
+        track = stage.steps / 6.0 * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=-1)[:, :, None]
+    return Flight(_go_after(rng, stage, track, lead, total), np.maximum(np.arange(stage.uavs) - 1, 0), gap)
+
+
+def draw_ring_road(rng: np.random.Generator, stage: Stage) -> Flight:
+    """Cars on a closed ring, each behind another (optimal velocities, Bando et al. 1995): nobody leads."""
+    shape, length = (stage.windows, stage.uavs), 2.0 * stage.uavs
+    along, speed, places = 2.0 * np.arange(stage.uavs) + rng.normal(0.0, 0.2, shape), np.full(shape, 0.5), []
+    step, eager = draw_log(rng, 0.2, 1.0), draw_log(rng, 0.2, 1.5, stage.windows, 1)
+    for _ in range(50 + stage.steps + 1):
+        wanted = np.tanh(np.mod(np.roll(along, -1, axis=1) - along, length) - 2.0) / 2.0 + 0.5
+        speed = np.maximum(speed + step * eager * (wanted - speed) + rng.normal(0.0, 0.02, shape), 0.0)
+        along = along + step * speed
+        places.append(along)
+    angle = np.stack(places[50:], axis=1) * 2.0 * np.pi / length
+    radius = length / (2.0 * np.pi) + rng.normal(0.0, 0.05, (stage.windows, 1, stage.uavs))
+    return Flight(np.stack([radius * np.cos(angle), radius * np.sin(angle), 0.0 * angle], -1), np.arange(stage.uavs))
+
+
+def draw_route(rng: np.random.Generator, stage: Stage) -> Flight:
+    """UAVs on one winding way, from their own places on it, at their own paces, some backwards: nobody leads."""
+    shape = stage.windows, stage.steps + 1, stage.uavs
+    road = travel(stage.draw_normals(rng, 1), draw_ways(rng, stage, 3 * stage.steps, 1, 0.1))[:, :, 0]
+    vary = keep_noise(rng.standard_normal(shape), rng.uniform(0.5, 0.98, stage.windows))
+    gone = np.cumsum(stage.draw_each(rng, 0.3, 1.0)[:, None] * np.exp(rng.uniform(0.0, 0.4) * vary), axis=1)
+    along = rng.uniform(0.0, 1.2 * stage.steps, (stage.windows, 1, stage.uavs)) + np.minimum(gone, 1.7 * stage.steps)
+    along = np.where(rng.random(stage.uavs) < rng.choice([0.0, 0.5]), 3 * stage.steps - along, along)
+    before, part, window = along.astype(np.int64), along[..., None] % 1.0, np.arange(stage.windows)[:, None, None]
+    place = (1.0 - part) * road[window, before] + part * road[window, before + 1]
+    sway = keep_noise(stage.draw_normals(rng, *shape[1:]), np.full(stage.windows, 0.9))
+    return Flight(place + draw_log(rng, 0.02, 1.0) * sway, np.arange(stage.uavs))
+
+
+def draw_initiators(rng: np.random.Generator, stage: Stage) -> Flight:
+    """UAVs rest or mill about; one sets off, others join late and go to its places; another has a shorter trip."""
+    swap = float(rng.choice([0.0, 0.0, 0.35, 0.65]))  # when the other trip ends, or this one
+    own, window = np.arange(stage.uavs), np.arange(stage.windows)[:, None]
+    delay = rng.integers(5, max(7, min(41, stage.steps // 3)), (stage.windows, stage.uavs))
+    step = rng.choice([0.02, 0.1, 0.3]) * stage.draw_normals(rng, stage.steps, stage.uavs)
+    step = keep_noise(step, rng.uniform(0.0, 0.9, stage.windows))
+    position = np.empty((stage.windows, stage.steps + 1, stage.uavs, 3))
+    position[:, 0] = draw_log(rng, 2.0, 15.0) * stage.draw_normals(rng, stage.uavs)
+    ways, far = draw_ways(rng, stage, stage.steps, 1, 0.1), draw_log(rng, 1.0, 6.0)
+    for t in range(stage.steps):
+        who = int((t < swap * stage.steps) == (swap < 0.5)) if swap else 0
+        since = t - ((swap if t >= swap * stage.steps else 0.0) + 0.1) * stage.steps
+        target = position[window, np.maximum(t - delay, 0), who] - position[:, t]
+        pull = 1.3 * target / np.maximum(np.linalg.norm(target, axis=-1, keepdims=True), far)
+        step[:, t] += np.where(((since >= delay) & (own != who))[..., None], pull, 0.0)
+        step[:, t, who] += ways[:, t, 0] * (since >= 0)
+        position[:, t + 1] = position[:, t] + step[:, t]
+    return Flight(position, np.zeros(stage.uavs, np.int64), delay)
