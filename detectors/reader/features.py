@@ -20,7 +20,7 @@ _BLOCK, _STRIDE = 8, 2  # steps of a block in which one leader is supposed; step
 _LAGS = tuple(range(13))
 _PLACES = (1, 2, 4, 8, 16, 32)
 _LONG = (4, 8, 16, 24, 32)
-_CROWDS = (3, 4)  # of the bank of radii, those in which UAVs are compared with their neighbours
+_CROWDS = {"near": 3, "far": 4}  # of the bank of radii, those in which UAVs are compared with their neighbours
 _BLOCK_LAGS, _BLOCK_FEATURES = (0, 1, 2, 3), 22
 _SHARES = (  # components of j (velocity, its squares), axes of i (innovations, velocity), lag
     ("plain", "innovation", 1), ("plain", "innovation", 2), ("plain", "innovation", 3), ("squared", "innovation", 1),
@@ -74,25 +74,7 @@ class Features(NamedTuple):
     context: Singles
 
 
-class _Window(NamedTuple):
-    """A window in steps of flight: places (T + 1, 3, n), seen (T + 1, n), velocities (T, 3, n), seen steps (T, n)."""
-
-    p: Singles
-    seen: Singles
-    v: Singles
-    m: Singles
-
-
-class _Rule(NamedTuple):
-    """Answers of :func:`flock.survey_neighbours` (alignment in two radii) and :func:`flock.fit_flock`."""
-
-    align: list[Singles]
-    crowd: Singles
-    nearest: Singles
-    coefficients: Singles
-    error: Singles
-    least: Singles
-    persistence: Singles
+_Signals = dict[str, Singles]  # series of each UAV, (T, p, n) or (T, n), by name
 
 
 def make_features(position: Singles, velocity: Singles, seen: Mask) -> Features:
@@ -103,22 +85,21 @@ def make_features(position: Singles, velocity: Singles, seen: Mask) -> Features:
         velocity: ``(T, n, 3)``, metres a step.
         seen: ``(T + 1, n)``; what isn't seen has no influence.
     """
-    w = _scale_window(position, velocity, seen)
-    signals, rule = _make_signals(w)
-    n = w.m.shape[1]
+    s = _make_signals(*_scale_window(position, velocity, seen))
+    n = s["m"].shape[1]
     pair = _make_array((PAIR_FEATURES, n, n))
-    _fill_correlations(pair, w, signals)
-    _fill_shares(pair, signals)
-    _fill_blocks(pair[PAIR_GROUPS["local"]], w, signals)
-    _fill_own_past(pair[PAIR_GROUPS["pc"]], w, signals)
-    _fill_places(pair[PAIR_GROUPS["places"]], w)
-    own = _fill_bearings(pair, w)
-    uav = _describe_uavs(w, signals, rule, own)
+    _fill_correlations(pair, s)
+    _fill_shares(pair[PAIR_GROUPS["shares"]], s)
+    _fill_blocks(pair[PAIR_GROUPS["local"]], s)
+    _fill_own_past(pair[PAIR_GROUPS["pc"]], s)
+    _fill_places(pair[PAIR_GROUPS["places"]], s)
+    own = _fill_bearings(pair[PAIR_GROUPS["geo"]], pair[PAIR_GROUPS["force"]], s)
+    uav = _describe_uavs(s, own)
     for x in pair:
         np.fill_diagonal(x, 0)
-    never = w.m.sum(0) == 0
+    never = s["m"].sum(0) == 0
     pair[:, never], pair[:, :, never], uav[:, never] = 0, 0, 0
-    context = _describe_window(w, uav, never)
+    context = _describe_window(s, uav, never)
     return Features(pair.transpose(1, 2, 0), np.ascontiguousarray(uav.T), context)
 
 
@@ -137,8 +118,8 @@ def _align(x: NDArray[Any]) -> Singles:
     return out
 
 
-def _scale_window(position: Singles, velocity: Singles, seen: Mask) -> _Window:
-    """Put the axis of the UAVs last, the origin in the middle of the swarm, and the typical speed to 1."""
+def _scale_window(position: Singles, velocity: Singles, seen: Mask) -> tuple[Singles, ...]:
+    """Places (T + 1, 3, n) and velocities (T, 3, n) in steps of flight; what is seen of both, (T + 1, n), (T, n)."""
     s = _align(seen)
     m = _align(s[1:] * s[:-1])
     v = np.where(m[..., None] > 0, velocity, 0).astype(np.float64)
@@ -147,30 +128,33 @@ def _scale_window(position: Singles, velocity: Singles, seen: Mask) -> _Window:
     p = np.where(seen[..., None], position, 0).astype(np.float64)
     middle = p.sum((0, 1)) / max(float(s.sum()), 1)
     p = (p - middle) * s[..., None] / rms
-    places = _align(series.hold_positions(p.transpose(0, 2, 1), s))
-    return _Window(places, s, _align((v / rms).transpose(0, 2, 1)), m)
+    return _align(series.hold_positions(p.transpose(0, 2, 1), s)), _align((v / rms).transpose(0, 2, 1)), s, m
 
 
-def _make_signals(w: _Window) -> tuple[dict[str, Singles], _Rule]:
-    """Series of each UAV, (T, p, n), by name; those that are correlated have the sum of squares 1."""
-    v, m = w.v, w.m
+def _make_signals(p: Singles, v: Singles, seen: Singles, m: Singles) -> _Signals:
+    """All series. Those that are correlated have the sum of squares 1, and their own lengths as ``raw_…``."""
     c = series.centre_series(v, m)
     complete = m * series.delay_series(m, 1) * series.delay_series(m, 2)
     e = series.find_innovations(c, complete)
     smooth, enough = series.average_series(v, m, 5)
-    bank, count, nearest = flock.survey_neighbours(w.p, w.seen, v, m)
-    align = [np.ascontiguousarray(bank[:, :, 1 + k]) for k in _CROWDS]
-    near, far = (flock.leave_crowd(v, m, x, count[:, k]) for x, k in zip(align, _CROWDS, strict=True))
-    residual, *fit = flock.fit_flock(v, complete, bank)
-    raw = {"velocity": c, "innovation": e, "turn": series.change_series(smooth, enough, 5), "near": near, "far": far,
+    bank, count, nearest = flock.survey_neighbours(p, seen, v, m)
+    rule = dict(
+        zip(("residual", "coefficients", "error", "least", "last"), flock.fit_flock(v, complete, bank), strict=True)
+    )
+    raw = {"velocity": c, "innovation": e, "turn": series.change_series(smooth, enough, 5),
            "smooth": series.centre_series(smooth, enough), "slow": series.average_series(c, m, 4)[0],
            "slow_innovation": series.average_series(e, complete, 4)[0], "force": series.change_series(v, m, 1),
-           "residual": residual}  # fmt: skip
-    signals = {name: _align(series.scale_series(x)) for name, x in raw.items()}
-    signals |= {"plain": _align(series.whiten_series(c)), "complete": complete}
-    signals["squared"] = _align(series.whiten_series(series.centre_series(series.square_series(v), m)))
-    signals |= zip(("rest", "first", "second"), series.remove_past(c, complete), strict=True)
-    return signals | {"raw_" + name: x for name, x in raw.items()}, _Rule(align, count, nearest, *fit)
+           "residual": rule["residual"]}  # fmt: skip
+    s = {"p": p, "v": v, "seen": seen, "m": m, "complete": complete, "nearest": nearest, **rule}
+    for name, k in _CROWDS.items():
+        s["align_" + name], s["count_" + name] = np.ascontiguousarray(bank[:, :, 1 + k]), count[:, k]
+        raw[name] = flock.leave_crowd(v, m, s["align_" + name], count[:, k])
+    for name, x in raw.items():
+        s[name], s["raw_" + name] = _align(series.scale_series(x)), x
+    s["plain"] = _align(series.whiten_series(c))
+    s["squared"] = _align(series.whiten_series(series.centre_series(series.square_series(v), m)))
+    s["rest"], s["first"], s["second"] = series.remove_past(c, complete)
+    return s
 
 
 def _correlate(later: Singles, earlier: Singles, lags: Sequence[int], out: Singles) -> None:
@@ -183,27 +167,27 @@ def _correlate(later: Singles, earlier: Singles, lags: Sequence[int], out: Singl
     np.matmul(rows, columns, out=out[:count].reshape(count * n, columns.shape[1]))
 
 
-def _fill_correlations(pair: Singles, w: _Window, signals: Mapping[str, Singles]) -> None:
+def _fill_correlations(pair: Singles, s: _Signals) -> None:
     """Fill all groups of lagged products, and what is seen in their lags."""
-    steps, n = w.m.shape
+    steps, n = s["m"].shape
     for name, kinds in _CORRELATIONS.items():
         start = PAIR_GROUPS[name].start
         for later, earlier, lags in kinds:
             cap = steps // 3 if name == "long" else steps
             used = [lag for lag in lags if lag <= cap]
-            _correlate(signals[later], signals[earlier], used, pair[start : start + len(lags)])
+            _correlate(s[later], s[earlier], used, pair[start : start + len(lags)])
             start += len(lags)
     halves = _make_array((2, 2, n, n))
-    for x, part in zip(np.split(signals["innovation"], [steps // 2]), halves, strict=True):
+    for x, part in zip(np.split(s["innovation"], [steps // 2]), halves, strict=True):
         _correlate(x, x, (1, 2), part)
     target = pair[PAIR_GROUPS["halves"]]
     target[:2], target[2:] = 2 * halves.min(0), 2 * halves.max(0)
     both = _make_array((n, n))
-    np.matmul(w.m.T, w.m, out=both)
-    share = np.maximum(w.m.mean(0), np.float32(0.02))
+    np.matmul(s["m"].T, s["m"], out=both)
+    share = np.maximum(s["m"].mean(0), np.float32(0.02))
     overlap = both / (steps * np.sqrt(share[:, None] * share))
     pair[: PAIR_GROUPS["halves"].stop] *= 1 / np.maximum(overlap, np.float32(0.3))
-    direction = _align(w.v / np.maximum(np.sqrt((w.v**2).sum(1, keepdims=True)), np.float32(1e-6)))
+    direction = _align(s["v"] / np.maximum(np.sqrt((s["v"] ** 2).sum(1, keepdims=True)), np.float32(1e-6)))
     raw = pair[PAIR_GROUPS["raw"]]
     _correlate(direction, direction, (0,), raw)
     raw[0] /= np.maximum(both, 1)
@@ -230,17 +214,17 @@ def _summarise_lags(x: Singles, lags: Sequence[int]) -> tuple[Singles, Singles, 
     return x.max(0), place / total, x.sum(0)
 
 
-def _fill_shares(pair: Singles, signals: Mapping[str, Singles]) -> None:
+def _fill_shares(out: Singles, s: _Signals) -> None:
     """Fill the shares of i's motion that linear maps of j's velocity, or of its squares, explain."""
     for k, (source, target, lag) in enumerate(_SHARES):
-        x, y = signals[source], signals[target]
+        x, y = s[source], s[target]
         steps, p, n = x.shape
         if steps - lag >= p + 6:
             product = _make_array((3, n, p, n))
             later, earlier = y[lag:].reshape(-1, 3 * n).T, x[: steps - lag].reshape(-1, p * n)
             np.matmul(later, earlier, out=product.reshape(3 * n, p * n))
             product *= product
-            pair[PAIR_GROUPS["shares"].start + k] = product.sum(0).sum(1) - np.float32(p / steps)
+            out[k] = product.sum(0).sum(1) - np.float32(p / steps)
 
 
 def _cut_blocks(x: Singles, lag: int = 0) -> Singles:
@@ -249,21 +233,25 @@ def _cut_blocks(x: Singles, lag: int = 0) -> Singles:
     return series.delay_series(x, lag)[: blocks * _BLOCK].reshape(blocks, -1, x.shape[-1])
 
 
-def _fill_blocks(out: Singles, w: _Window, signals: Mapping[str, Singles]) -> None:
+def _fill_blocks(out: Singles, s: _Signals) -> None:
     """Fill what is seen in blocks of 8 steps, for j's motion 0 to 3 steps before."""
-    steps, n = w.m.shape
+    steps, n = s["m"].shape
     blocks = steps // _BLOCK
     if blocks < 2:
         return
-    e, power = signals["innovation"] * np.float32(np.sqrt(blocks)), (w.v**2).sum(1)
-    seen = w.m * series.delay_series(w.m, 1)
-    change = ((w.v - series.delay_series(w.v, 1)) ** 2).sum(1) * seen
+    e, power = s["innovation"] * np.float32(np.sqrt(blocks)), (s["v"] ** 2).sum(1)
+    seen = s["m"] * series.delay_series(s["m"], 1)
+    change = ((s["v"] - series.delay_series(s["v"], 1)) ** 2).sum(1) * seen
     persistence = _cut_blocks(change).sum(1) / np.maximum(_cut_blocks(seen).sum(1), 1)
-    mine = [np.concatenate([_cut_blocks(x) for x in (-2 * w.v, power, w.m)], 1), _cut_blocks(w.m), _cut_blocks(e)]
+    mine = [
+        np.concatenate([_cut_blocks(x) for x in (-2 * s["v"], power, s["m"])], 1),
+        _cut_blocks(s["m"]),
+        _cut_blocks(e),
+    ]
     mine = [_align(x).transpose(0, 2, 1) for x in mine]
     product, found, start = _make_array((3, blocks, n, n)), _make_array((6, n, n)), 0
     for lag in _BLOCK_LAGS:
-        v, m, p, x = (_cut_blocks(y, lag) for y in (w.v, w.m, power, e))
+        v, m, p, x = (_cut_blocks(y, lag) for y in (s["v"], s["m"], power, e))
         for k, other in enumerate((np.concatenate([v, m, p], 1), m, x)):
             np.matmul(mine[k], _align(other), out=product[k])
         kernels.judge_blocks(*product, persistence, found)
@@ -272,52 +260,49 @@ def _fill_blocks(out: Singles, w: _Window, signals: Mapping[str, Singles]) -> No
         start += count
 
 
-def _fill_own_past(out: Singles, w: _Window, signals: Mapping[str, Singles]) -> None:
+def _fill_own_past(out: Singles, s: _Signals) -> None:
     """Fill the partial correlations of i's velocity with j's 1 to 12 steps before, given i's own last two."""
-    n, lags, count = w.m.shape[1], _LAGS[1:], len(_LAGS) - 1
-    mine = np.concatenate([signals[name] for name in ("rest", "first", "second")], 2)
+    n, lags, count = s["m"].shape[1], _LAGS[1:], len(_LAGS) - 1
+    mine = np.concatenate([s[name] for name in ("rest", "first", "second")], 2)
     x, length = _make_array((count, 3, n, n)), _make_array((count, n, n))
-    _correlate(mine, signals["velocity"], lags, x.reshape(count, 3 * n, n))
-    power = _align((signals["velocity"] ** 2).sum(1, keepdims=True))
-    _correlate(signals["complete"][:, None], power, lags, length)
+    _correlate(mine, s["velocity"], lags, x.reshape(count, 3 * n, n))
+    power = _align((s["velocity"] ** 2).sum(1, keepdims=True))
+    _correlate(s["complete"][:, None], power, lags, length)
     left = np.maximum(length - x[:, 1] ** 2 - x[:, 2] ** 2, 0) + np.float32(1e-3) * length + np.float32(1e-5)
     out[:count] = x[:, 0] / np.sqrt(left)
     top, place, _ = _summarise_lags(np.abs(out[:count]), lags)
-    gain = -np.log(np.maximum(1 - top**2, np.float32(1e-3))) * np.maximum(w.m.sum(0), 4)[:, None]
+    gain = -np.log(np.maximum(1 - top**2, np.float32(1e-3))) * np.maximum(s["m"].sum(0), 4)[:, None]
     out[count], out[count + 1], out[count + 2], out[count + 3] = top, place, top - top.T, np.log(gain + np.float32(0.5))
 
 
-def _fill_bearings(pair: Singles, w: _Window) -> list[Singles]:
+def _fill_bearings(geo: Singles, force: Singles, s: _Signals) -> list[Singles]:
     """Fill bearings and forces; return what a UAV's bearings say of itself, (n,) each."""
-    steps, n = w.m.shape
+    steps, n = s["m"].shape
     instants = -(-steps // _STRIDE)
     spare = np.zeros((instants * _STRIDE - steps, 3, n), np.float32)
-    known = np.concatenate([w.m, spare[:, 0]]).reshape(instants, _STRIDE, n).sum(1)
-    v = np.concatenate([w.v, spare]).reshape(instants, _STRIDE, 3, n).sum(1) / np.maximum(known, 1)[:, None]
+    known = np.concatenate([s["m"], spare[:, 0]]).reshape(instants, _STRIDE, n).sum(1)
+    v = np.concatenate([s["v"], spare]).reshape(instants, _STRIDE, 3, n).sum(1) / np.maximum(known, 1)[:, None]
     moving, turns, a = np.minimum(known, 1), np.zeros_like(known), np.zeros_like(v)
     turns[:-1] = moving[:-1] * moving[1:]
     a[:-1] = (v[1:] - v[:-1]) * turns[:-1, None]
-    s, nearest = kernels.measure_bearings(w.p[:steps:_STRIDE].copy(), v, a, moving, turns)
-    geo, force, count, turned = (
-        pair[PAIR_GROUPS["geo"]],
-        pair[PAIR_GROUPS["force"]],
-        np.maximum(s[4], 1),
-        np.maximum(s[12], 1),
-    )
-    geo[:3] = s[:3] / count
-    geo[3], geo[4] = _log_distance(s[3] / count), np.minimum(_log_distance(s[7]), 4)
-    late, early = s[5] / np.maximum(s[6], 1), (s[3] - s[5]) / np.maximum(s[4] - s[6], 1)
-    geo[5] = (_log_distance(late) - _log_distance(early)) * ((s[6] > 0) & (s[4] > s[6]))
-    geo[6:] = s[18 : 18 + flock.BANK] / count
-    pull = s[9] - (s[13:16] * a.sum(0)[:, :, None]).sum(0) / turned
-    spread = np.maximum(s[10] - (s[13:16] ** 2).sum(0) / turned, 0) + np.float32(1e-3) * s[10]
-    for k, (x, size) in enumerate(((s[2], turned), (s[8], turned), (s[9], s[10]), (pull, spread), (s[16], s[17]))):
-        force[k] = x / (np.sqrt(s[11] * size) + np.float32(1e-3))
+    sums, nearest = kernels.measure_bearings(s["p"][:steps:_STRIDE].copy(), v, a, moving, turns)
+    count, turned = np.maximum(sums[4], 1), np.maximum(sums[12], 1)
+    geo[:3] = sums[:3] / count
+    geo[3], geo[4] = _log_distance(sums[3] / count), np.minimum(_log_distance(sums[7]), 4)
+    late, early = sums[5] / np.maximum(sums[6], 1), (sums[3] - sums[5]) / np.maximum(sums[4] - sums[6], 1)
+    geo[5] = (_log_distance(late) - _log_distance(early)) * ((sums[6] > 0) & (sums[4] > sums[6]))
+    geo[6:] = sums[18 : 18 + flock.BANK] / count
+    pull = sums[9] - (sums[13:16] * a.sum(0)[:, :, None]).sum(0) / turned
+    spread = np.maximum(sums[10] - (sums[13:16] ** 2).sum(0) / turned, 0) + np.float32(1e-3) * sums[10]
+    for k, (x, size) in enumerate(
+        ((sums[2], turned), (sums[8], turned), (sums[9], sums[10]), (pull, spread), (sums[16], sums[17]))
+    ):
+        force[k] = x / (np.sqrt(sums[11] * size) + np.float32(1e-3))
     met = nearest[0] < 1e5
     often, cosine = np.maximum(met.sum(0), 1), nearest[1] * met
-    for x in s[-2:]:
+    for x in sums[-2:]:
         np.fill_diagonal(x, 0)
-    ahead = s[-1].sum(1) / np.maximum(s[-2].sum(1), np.float32(0.5))
+    ahead = sums[-1].sum(1) / np.maximum(sums[-2].sum(1), np.float32(0.5))
     return [*(x.sum(0) / often for x in (cosine, np.abs(cosine), _log_distance(nearest[0]) * met)), ahead]
 
 
@@ -326,12 +311,12 @@ def _log_distance(x: Singles) -> Singles:
     return _log(x / 20, 0.05)
 
 
-def _fill_places(out: Singles, w: _Window) -> None:
+def _fill_places(out: Singles, s: _Signals) -> None:
     """Fill how close i comes to where j was, and who was there first."""
-    steps, n = w.m.shape
+    steps, n = s["m"].shape
     lags = [0, *(lag for lag in _PLACES if lag <= steps // 3)]
     k, last, near = len(lags), len(_PLACES), _make_array((len(lags) + 3, n, n))
-    kernels.measure_places(w.p, w.seen, np.array(lags), max(1, steps // 50), near)
+    kernels.measure_places(s["p"], s["seen"], np.array(lags), max(1, steps // 50), near)
     size = _log(near[: k + 1], 0.5)
     out[: k - 1] = size[1:k] - size[0]
     for slot, lag in enumerate((2, 8, 32)):
@@ -348,50 +333,50 @@ def _log(x: Singles, least: float = 1e-4) -> Singles:
     return out
 
 
-def _describe_uavs(w: _Window, signals: Mapping[str, Singles], rule: _Rule, own: list[Singles]) -> Singles:
+def _describe_uavs(s: _Signals, own: list[Singles]) -> Singles:
     """What single tracks and neighbourhoods say of each UAV: (G, n)."""
-    steps, multiply = len(w.m), series.multiply_series
-    count, rows = np.maximum(w.m.sum(0), 1), np.maximum(signals["complete"].sum(0), 1)
+    steps, multiply = len(s["m"]), series.multiply_series
+    count, rows = np.maximum(s["m"].sum(0), 1), np.maximum(s["complete"].sum(0), 1)
 
     def echo(name: str, *lags: int) -> list[Singles]:
         """Autocorrelations of a series."""
-        return [multiply(signals[name], signals[name], lag) for lag in lags]
+        return [multiply(s[name], s[name], lag) for lag in lags]
 
-    e, c, g = (multiply(signals[name], signals[name]) for name in ("raw_innovation", "raw_velocity", "raw_turn"))
-    tail = ((signals["raw_innovation"] ** 2).sum(1) ** 2).sum(0) / rows / ((e / rows) ** 2 + np.float32(1e-6))
-    speed = np.sqrt((w.v**2).sum(1))
+    e, c, g = (multiply(s[name], s[name]) for name in ("raw_innovation", "raw_velocity", "raw_turn"))
+    tail = ((s["raw_innovation"] ** 2).sum(1) ** 2).sum(0) / rows / ((e / rows) ** 2 + np.float32(1e-6))
+    speed = np.sqrt((s["v"] ** 2).sum(1))
     typical = speed.sum(0) / count
-    spread = ((speed - typical) ** 2 * w.m).sum(0) / count
-    straight = np.sqrt((w.v.sum(0) ** 2).sum(0)) / count
+    spread = ((speed - typical) ** 2 * s["m"]).sum(0) / count
+    straight = np.sqrt((s["v"].sum(0) ** 2).sum(0)) / count
     track = [*echo("velocity", 1, 2, 4, 8, 12), *echo("innovation", 1, 2, 4), *echo("turn", 2, 6),
              _log(e / rows), _log(c / count), _log(g / count), np.log1p(np.minimum(tail, 20)), typical, _log(spread),
-             straight, w.m.mean(0), w.seen.argmax(0) / steps, 1 - w.seen[::-1].argmax(0) / steps]  # fmt: skip
+             straight, s["m"].mean(0), s["seen"].argmax(0) / steps, 1 - s["seen"][::-1].argmax(0) / steps]  # fmt: skip
     neighbours = []
-    for align, k, name in zip(rule.align, _CROWDS, ("near", "far"), strict=True):
-        turns, deviation = flock.compare_turns(w.v, w.m, align, (2, 4, 8, 12))
-        x = signals["raw_" + name]
+    for name in _CROWDS:
+        turns, deviation = flock.compare_turns(s["v"], s["m"], s["align_" + name], (2, 4, 8, 12))
+        x = s["raw_" + name]
         neighbours += [
             _log(multiply(x, x) / count, 1e-3),
             *echo(name, 1, 4),
-            _log(rule.crowd[:, k].mean(0), 0.1),
+            _log(s["count_" + name].mean(0), 0.1),
             *turns,
         ]
         neighbours += [_log(deviation / count, 1e-3)]
-    length = np.sqrt((signals["raw_residual"] ** 2).sum(1))
-    direction = (signals["raw_residual"] / np.maximum(length, np.float32(1e-6))[:, None]).sum(0)
-    least = np.sort(np.where(signals["complete"] > 0, length, 4), 0)[steps // 4]
-    error = _log(rule.error)
-    rules = [error, _log(rule.persistence) - error, _log(rule.least) - error, _log(least**2),
-             *np.clip(rule.coefficients, -3, 3), np.log1p(np.minimum(rule.nearest[-max(steps - 1, 1) :], 400)).mean(0),
+    length = np.sqrt((s["raw_residual"] ** 2).sum(1))
+    direction = (s["raw_residual"] / np.maximum(length, np.float32(1e-6))[:, None]).sum(0)
+    least = np.sort(np.where(s["complete"] > 0, length, 4), 0)[steps // 4]
+    error = _log(s["error"])
+    rules = [error, _log(s["last"]) - error, _log(s["least"]) - error, _log(least**2),
+             *np.clip(s["coefficients"], -3, 3), np.log1p(np.minimum(s["nearest"][-max(steps - 1, 1) :], 400)).mean(0),
              *echo("residual", 1, 4, 16), np.sqrt((direction**2).sum(0)) / rows]  # fmt: skip
     return np.stack([*track, *own, *neighbours, *rules]).astype(np.float32)
 
 
-def _describe_window(w: _Window, uav: Singles, never: Mask) -> Singles:
+def _describe_window(s: _Signals, uav: Singles, never: Mask) -> Singles:
     """Sizes of the window and means over its UAVs: (K,)."""
     some = ~never if not never.all() else never
-    v = _align(w.v.transpose(1, 0, 2).reshape(3, -1))
+    v = _align(s["v"].transpose(1, 0, 2).reshape(3, -1))
     spread = np.linalg.eigvalsh((v @ v.T).astype(np.float64))
-    sizes = [np.log(some.sum()) - 3.4, np.log(len(w.m)) - 4.6, 1 - w.m[:, some].mean()]
+    sizes = [np.log(some.sum()) - 3.4, np.log(len(s["m"])) - 4.6, 1 - s["m"][:, some].mean()]
     flat = np.sqrt(max(spread[0], 0) / max(spread[2], 1e-9))
     return np.array([*sizes, *(uav[k, some].mean() for k in (5, 0, 15, 10, 12)), flat], np.float32)
