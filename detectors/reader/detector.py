@@ -61,24 +61,27 @@ class Reader(Detector):
             (own index: none; -1: destroyed or never seen to move); ``clusters``, one per root; attention, the
             probability that UAV i follows UAV j (``None`` of more than 400). In ``extras``: ``root`` ``(N,)``, the head
             of each UAV; ``delay`` ``(N,)``, steps behind the leader; ``silent``, the probability that nobody leads;
-            ``confidence``, that the UAVs with a probability above 1/2 are exactly the heads. A UAV of several
-            neighbourhoods is a head if it is one in any, and nobody leads if nobody does in the least silent one.
+            ``confidence``, that the UAVs with a probability above 1/2 are exactly the heads. A UAV that follows nobody
+            in its own neighbourhood may be a head in another one. Nobody leads if nobody does in any.
         """
         arguments = self.check_arguments()
         check_pairs(window.uavs)
         flying = np.flatnonzero(window.velocity_seen.any(axis=0))
-        probability, delay = np.zeros((2, window.uavs))
+        probability, away, free, delay = np.zeros((4, window.uavs))
         leader, root, clusters = np.full((3, window.uavs), -1, np.int64)
         attention = np.zeros((window.uavs, window.uavs)) if len(flying) <= _DENSE else None
         silent, position, velocity, seen = 1.0, window.position, window.velocity, window.seen
         for uavs, own in _divide_uavs(window, flying):
             answer = read(self._weights, make_features(position[:, uavs], velocity[:, uavs], seen[:, uavs]))
-            probability[uavs] = np.maximum(probability[uavs], expit(answer.head.astype(np.float64)).round(_DECIMALS))
+            head, follows = expit(answer.head.astype(np.float64)), softmax(answer.leader, axis=1)
+            probability[uavs[own]], free[uavs[own]] = head[own], follows.diagonal()[own]
+            away[uavs[~own]] = np.maximum(away[uavs[~own]], head[~own])
             silent = min(silent, round(float(expit(np.float64(answer.silent))), _DECIMALS))
             leader[uavs[own]], root[uavs[own]] = (uavs[to.argmax(axis=1)[own]] for to in (answer.leader, answer.root))
             delay[uavs[own]] = np.expm1(answer.delay[own].clip(0.0))
             if attention is not None:
-                attention[np.ix_(uavs, uavs)] = softmax(answer.leader, axis=1)
+                attention[np.ix_(uavs, uavs)] = follows
+        probability = np.maximum(probability, free * away).round(_DECIMALS)
         delay[leader == np.arange(window.uavs)] = 0.0
         clusters[root >= 0] = np.unique(root[root >= 0], return_inverse=True)[1]
         policy = Policy(policy=arguments.policy, objective=arguments.objective, round_price=arguments.round_price)
