@@ -19,14 +19,14 @@ from usnet_env.arrays import Indices, Mask
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
-_DENSE = 400  # UAVs that are read as one window; a larger swarm is read in neighbourhoods
+_DENSE = 200  # UAVs that are read as one window; a larger swarm is read in neighbourhoods
 _DECIMALS = 6  # of a probability: smaller differences are rounding errors, and count as ties
 
 
 class Reader(Detector):
     """Names heads by a network that was trained with labels on every kind of swarm that the simulator can draw.
 
-    It reads statistics of every ordered pair of UAVs, and needs no PyTorch. More than 400 UAVs are read in
+    It reads statistics of every ordered pair of UAVs, and needs no PyTorch. More than 200 UAVs are read in
     neighbourhoods of UAVs that move alike.
 
     Args:
@@ -59,7 +59,7 @@ class Reader(Detector):
         Returns:
             Candidates; scores and ``extras["probability"]``, of being a head; ``leader``, the one followed directly
             (own index: none; -1: destroyed or never seen to move); ``clusters``, one per root; attention, the
-            probability that UAV i follows UAV j (``None`` of more than 400). In ``extras``: ``root`` ``(N,)``, the head
+            probability that UAV i follows UAV j (``None`` of more than 200). In ``extras``: ``root`` ``(N,)``, the head
             of each UAV; ``delay`` ``(N,)``, steps behind the leader; ``silent``, the probability that nobody leads;
             ``confidence``, that the UAVs with a probability above 1/2 are exactly the heads. A UAV that follows nobody
             in its own neighbourhood may be a head in another one. Nobody leads if nobody does in any.

@@ -64,7 +64,7 @@ def test_nothing_seen_means_nobody_leads(reader):
 
 
 def test_a_large_swarm_is_read_in_neighbourhoods(reader):
-    window, _ = swarm_window(1, **SIMPLE | {"clusters": 30, "uavs": 410, "observation_steps": 30})
+    window, _ = swarm_window(1, **SIMPLE | {"clusters": 14, "uavs": 210, "observation_steps": 30})
     answer = reader.detect(window)
     assert answer.attention is None
     assert (answer.leader >= 0).all()
