@@ -2,8 +2,7 @@
 
 Two UAVs are alike if the turns of one resemble those of the other, at the same time or some steps later. Links between
 the most alike are merged, the strongest first, into communities. Heads may move like none of their followers, or have
-more followers than a neighbourhood holds. So each community is joined by the UAVs whose past turns, and whose products
-of velocities, explain its mean turns best.
+more followers than a neighbourhood holds. So each community is joined by the UAVs whose past explains its turns best.
 """
 
 from __future__ import annotations
@@ -60,10 +59,8 @@ def find_turns(series: Singles, seen: Mask, block: int = 1) -> Singles:
     some = np.minimum(there.sum(axis=1), 1).astype(np.float32)
     mean = (series[: count * block].reshape(count, block, uavs, width) * there).sum(axis=1) / there.sum(axis=1).clip(1)
     mean = (mean - (mean * some).sum(axis=0) / some.sum(axis=0).clip(1)) * some
-    known = some.copy()
-    known[1:] *= some[:-1]
-    known[2:] *= some[:-2]
-    known[:2] = 0.0
+    known = np.zeros_like(some)
+    known[2:] = some[2:] * some[1:-1] * some[:-2]
     past = np.zeros((2, *mean.shape), np.float32)
     past[0, 1:], past[1, 2:] = mean[:-1], mean[:-2]
     gram = np.einsum("atnd,btnd->nab", past * known, past)
