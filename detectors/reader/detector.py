@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
@@ -15,31 +15,19 @@ from detectors.reader.features import make_features
 from detectors.reader.forward import Weights, load_reader, read
 from detectors.reader.neighbourhoods import cut_swarm
 from detectors.series.designs import check_pairs
-from usnet_env.arrays import Floats, Indices, Singles
+from usnet_env.arrays import Indices, Mask
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
-_DENSE = 400  # UAVs that are read as one window; a larger swarm is read in neighbourhoods
+_DENSE = 200  # UAVs that are read as one window; a larger swarm is read in neighbourhoods
 _DECIMALS = 6  # of a probability: smaller differences are rounding errors, and count as ties
-
-
-class _Reading(NamedTuple):
-    """What the network reads of n UAVs; indices are among them."""
-
-    head: Floats  #: ``(n,)`` probability of being a head
-    leader: Indices  #: ``(n,)`` the UAV that each follows directly; its own index: none
-    root: Indices  #: ``(n,)`` the head that each follows in the end
-    delay: Floats  #: ``(n,)`` steps
-    follows: Singles | None  #: ``(n, n)`` probability that i follows j directly; ``None`` of neighbourhoods
-    silent: float  #: probability that nobody leads
 
 
 class Reader(Detector):
     """Names heads by a network that was trained with labels on every kind of swarm that the simulator can draw.
 
-    Statistics of every ordered pair of UAVs (:mod:`detectors.reader.features`) go through a permutation-equivariant
-    network (:mod:`detectors.reader.forward`), which needs no PyTorch. More than 400 UAVs are read in neighbourhoods of
-    UAVs that move alike (:mod:`detectors.reader.neighbourhoods`).
+    It reads statistics of every ordered pair of UAVs, and needs no PyTorch. More than 200 UAVs are read in
+    neighbourhoods of UAVs that move alike.
 
     Args:
         policy: ``"cost"`` (default) names the set with the least expected cost (:func:`detectors.policy.choose`),
@@ -69,67 +57,44 @@ class Reader(Detector):
         """Name the heads of one window.
 
         Returns:
-            Candidates; scores and ``extras["probability"]``, the probabilities of being a head; ``leader``, the UAV
-            that each UAV most probably follows directly (its own index: none; -1: destroyed, or its motion not seen);
-            ``clusters``, one per root; ``attention``, the probability that UAV i follows UAV j (``None`` of more than
-            400 UAVs). In ``extras``: ``root`` ``(N,)``, the head of each UAV, like ``leader``; ``delay`` ``(N,)``, the
-            steps after which a UAV repeats its leader, 0 if it follows none; ``silent``, the probability that nobody
-            leads; ``confidence``, that the UAVs with a probability above 1/2 are exactly the heads.
-
-        Raises:
-            ArgumentError: an argument of the constructor is refused, or the window has more than 10,000 UAVs.
+            Candidates; scores and ``extras["probability"]``, of being a head; ``leader``, the one followed directly
+            (own index: none; -1: destroyed or never seen to move); ``clusters``, one per root; attention, the
+            probability that UAV i follows UAV j (``None`` of more than 200). In ``extras``: ``root`` ``(N,)``, the head
+            of each UAV; ``delay`` ``(N,)``, steps behind the leader; ``silent``, the probability that nobody leads;
+            ``confidence``, that the UAVs with a probability above 1/2 are exactly the heads. A UAV that follows nobody
+            in its own neighbourhood may be a head in another one. Nobody leads if nobody does in any.
         """
         arguments = self.check_arguments()
         check_pairs(window.uavs)
         flying = np.flatnonzero(window.velocity_seen.any(axis=0))
-        probability, delay = np.zeros((2, window.uavs))
+        probability, away, free, delay = np.zeros((4, window.uavs))
         leader, root, clusters = np.full((3, window.uavs), -1, np.int64)
-        attention, silent = None, 1.0
-        if len(flying) > 1:
-            read_some = _read_dense if len(flying) <= _DENSE else _read_neighbourhoods
-            found = read_some(self._weights, window, flying)
-            silent = round(found.silent, _DECIMALS)
-            probability[flying] = found.head.round(_DECIMALS)
-            leader[flying], root[flying] = flying[found.leader], flying[found.root]
-            delay[flying] = np.where(found.leader == np.arange(len(flying)), 0.0, found.delay)
-            clusters[flying] = np.unique(root[flying], return_inverse=True)[1]
-            if found.follows is not None:
-                attention = np.zeros((window.uavs, window.uavs))
-                attention[np.ix_(flying, flying)] = found.follows
+        attention = np.zeros((window.uavs, window.uavs)) if len(flying) <= _DENSE else None
+        silent, position, velocity, seen = 1.0, window.position, window.velocity, window.seen
+        for uavs, own in _divide_uavs(window, flying):
+            answer = read(self._weights, make_features(position[:, uavs], velocity[:, uavs], seen[:, uavs]))
+            head, follows = expit(answer.head.astype(np.float64)), softmax(answer.leader, axis=1)
+            probability[uavs[own]], free[uavs[own]] = head[own], follows.diagonal()[own]
+            away[uavs[~own]] = np.maximum(away[uavs[~own]], head[~own])
+            silent = min(silent, round(float(expit(np.float64(answer.silent))), _DECIMALS))
+            leader[uavs[own]], root[uavs[own]] = (uavs[to.argmax(axis=1)[own]] for to in (answer.leader, answer.root))
+            delay[uavs[own]] = np.expm1(answer.delay[own].clip(0.0))
+            if attention is not None:
+                attention[np.ix_(uavs, uavs)] = follows
+        probability = np.maximum(probability, free * away).round(_DECIMALS)
+        delay[leader == np.arange(window.uavs)] = 0.0
+        clusters[root >= 0] = np.unique(root[root >= 0], return_inverse=True)[1]
         policy = Policy(policy=arguments.policy, objective=arguments.objective, round_price=arguments.round_price)
-        tie = self.rng.random(window.uavs)
-        candidates = choose(probability, window.alive, policy, tie, silent=silent)
+        candidates = choose(probability, window.alive, policy, self.rng.random(window.uavs), silent=silent)
         confidence = float(np.maximum(probability, 1.0 - probability).prod())
         extras = {"probability": probability, "root": root, "delay": delay, "silent": silent, "confidence": confidence}
         return Detection(candidates, probability, clusters, leader, attention, extras)
 
 
-def _read_dense(weights: Weights, window: Window, uavs: Indices) -> _Reading:
-    """Read ``uavs`` of a window at once."""
-    answer = read(weights, make_features(window.position[:, uavs], window.velocity[:, uavs], window.seen[:, uavs]))
-    return _Reading(
-        expit(answer.head.astype(np.float64)),
-        answer.leader.argmax(axis=1),
-        answer.root.argmax(axis=1),
-        np.expm1(np.maximum(answer.delay, 0.0)),
-        softmax(answer.leader, axis=1),
-        float(expit(np.float64(answer.silent))),
-    )
-
-
-def _read_neighbourhoods(weights: Weights, window: Window, uavs: Indices) -> _Reading:
-    """Read ``uavs`` of a window by neighbourhoods. A UAV that is read in several is a head if it is one in any.
-
-    Everything else is as read in its own neighbourhood; nobody leads as probably as in the least silent one.
-    """
-    head, delay = np.zeros((2, len(uavs)))
-    leader, root = np.zeros((2, len(uavs)), np.int64)
-    silent = 1.0
-    for members, own in cut_swarm(window.velocity[:, uavs], window.velocity_seen[:, uavs]):
-        found = _read_dense(weights, window, uavs[members])
-        mine = members[own]
-        head[members] = np.maximum(head[members], found.head)
-        leader[mine], root[mine] = members[found.leader[own]], members[found.root[own]]
-        delay[mine] = found.delay[own]
-        silent = min(silent, found.silent)
-    return _Reading(head, leader, root, delay, None, silent)
+def _divide_uavs(window: Window, flying: Indices) -> list[tuple[Indices, Mask]]:
+    """The sets of UAVs that are read at once, and for which of them the answer counts."""
+    if len(flying) < 2:
+        return []
+    if len(flying) <= _DENSE:
+        return [(flying, np.ones(len(flying), bool))]
+    return [(flying[uavs], own) for uavs, own in cut_swarm(window.velocity[:, flying], window.velocity_seen[:, flying])]

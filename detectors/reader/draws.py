@@ -14,7 +14,6 @@ from detectors.reader.features import Features, make_features
 from detectors.reader.prior import draw_examples
 
 Batch = tuple[Features, Examples]  #: B windows: features with a leading axis, pairs in half precision; truth, no tracks
-_LARGEST = 60.0  # of a feature of a pair in half precision
 
 
 def draw_shard(
@@ -28,7 +27,7 @@ def draw_shard(
 def _describe(drawn: Examples) -> Batch:
     tracks = zip(drawn.position, drawn.velocity, drawn.seen, strict=True)
     pair, uav, context = map(np.stack, zip(*(make_features(*window) for window in tracks), strict=True))
-    pair = np.clip(pair, -_LARGEST, _LARGEST).astype(np.float16)
+    pair = np.clip(pair, -60.0, 60.0).astype(np.float16)
     none = {name: getattr(drawn, name)[:, :0] for name in ("position", "velocity", "seen")}
     return Features(pair, uav, context), drawn._replace(**none)
 

@@ -20,8 +20,7 @@ T = TypeVar("T")
 Weights = dict[str, Singles]  #: the arrays of :class:`detectors.reader.network.ReaderNetwork`, by their names
 
 _FAST = {"error_model": "numpy", "fastmath": {"contract", "reassoc"}}
-LARGEST, ROW_NOISE = np.float32(6.0), np.float32(1e-3)  #: of standardised inputs; added to a row's variance
-_NORM_NOISE = np.float32(1e-5)
+LARGEST, ROW_NOISE, _NORM_NOISE = np.float32(6.0), np.float32(1e-3), np.float32(1e-5)  #: the first of inputs
 _ONE, _HALF, _TANH_LIMIT = np.float32(1.0), np.float32(0.5), np.float32(7.905)
 _SLOPE, _CUBE = np.float32(math.sqrt(2.0 / math.pi)), np.float32(0.044715)
 # tanh(x) = x P(x²) / Q(x²) to some units in the last place of single precision (the fit of the library Eigen)
@@ -61,11 +60,12 @@ def read(weights: Weights, features: Features) -> Answer[Singles]:
         for name, values in (("context", features.context), ("uav", features.uav))
     )
     state = _apply_layers(weights, "enter_uav", np.hstack([state, np.broadcast_to(context, (n, len(context)))]))
-    scaled = np.empty((n * n, features.pair.shape[2]), np.float32)
-    _standardise(features.pair.reshape(scaled.shape), weights["pair_mean"], weights["pair_scale"], scaled)
-    row, column = np.split(state @ weights["ends.weight"].T, 2, axis=1)
+    row, column = (state @ half.T for half in np.split(weights["ends.weight"], 2))
     row = row + _apply(weights, "context", context)
-    both = (scaled @ weights["enter.weight"].T).reshape(n, n, 2 * width)
+    both, scaled = np.empty((n, n, 2 * width), np.float32), np.empty(features.pair.shape[1:], np.float32)
+    for pairs, out in zip(features.pair, both, strict=True):  # of one UAV each, which stay in the cache
+        _standardise(pairs, weights["pair_mean"], weights["pair_scale"], scaled)
+        np.matmul(scaled, weights["enter.weight"].T, out=out)
     entered = np.empty((n, n, width), np.float32)
     _meet(both, row, column, weights["itself"], entered)
     plain, ranked = np.split(weights["rows.weight"].T, 2)
@@ -95,7 +95,7 @@ def _update(weights: Weights, block: str, normed: Singles, state: Singles) -> tu
     whole = np.broadcast_to(state.mean(axis=0), state.shape)
     gathered = [known, chosen, received, seen, whole, np.log1p(given.sum(axis=0))]
     state = state + _apply_layers(weights, f"{block}.uav", np.hstack(gathered))
-    row, column = np.split(_normalise(state) @ weights[f"{block}.ends.weight"].T, 2, axis=1)
+    row, column = (_normalise(state) @ half.T for half in np.split(weights[f"{block}.ends.weight"], 2))
     forth, back = np.split(weights[f"{block}.mix.weight"], 2, axis=1)
     both = (normed @ np.vstack([forth, back]).T).reshape(n, n, 2 * width)
     mixed = np.empty((n, n, width), np.float32)

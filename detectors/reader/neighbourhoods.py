@@ -2,13 +2,10 @@
 
 Two UAVs are alike if the turns of one resemble those of the other, at the same time or some steps later. Links between
 the most alike are merged, the strongest first, into communities. Heads may move like none of their followers, or have
-more followers than a neighbourhood holds. So each community is joined by the UAVs whose past turns, and whose products
-of velocities, explain its mean turns best.
+more followers than a neighbourhood holds. So each community is joined by the UAVs whose past explains its turns best.
 """
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -27,40 +24,27 @@ _WORK = 3e10  # products in a comparison of all pairs; in a larger swarm, steps 
 _CHUNK = 512  # UAVs whose pairs are compared at once
 
 
-class Neighbourhood(NamedTuple):
-    """The UAVs that are read as one window: ``members`` ``(m,)``, and for which of them it counts, ``own`` ``(m,)``."""
-
-    members: Indices
-    own: Mask
-
-
-def cut_swarm(velocity: Singles, seen: Mask) -> list[Neighbourhood]:
+def cut_swarm(velocity: Singles, seen: Mask) -> list[tuple[Indices, Mask]]:
     """Cut a swarm with ``velocity`` ``(T, n, 3)``, valid where ``seen`` ``(T, n)``, into neighbourhoods.
 
-    Each UAV is in its own neighbourhood, and in others if it may lead UAVs there. Time grows with n², memory with n.
+    Of each neighbourhood: its UAVs ``(m,)``, and whose own one it is ``(m,)``; each UAV has one, and is in others if it
+    may lead UAVs there. Time grows with n², memory with n.
     """
-    steps, uavs = seen.shape
+    uavs = seen.shape[1]
     links, weight = link_alike(velocity, seen)
     strong = weight > _STRONG
     community = _merge_links(links[strong], weight[strong], uavs)
     piece = _merge_links(links, weight, uavs)
     size = np.bincount(community, minlength=uavs)
-    groups = np.flatnonzero(size > 2)
-    torn = np.unique(community[links[strong][(community[links[strong, 0]] != community[links[strong, 1]])]])
-    possible = np.flatnonzero((uavs <= _FEW) | (size[community] < 3) | np.isin(community, torn))
-    guests: dict[int, list[int]] = {}
-    if len(groups) and len(possible) and steps > 3:
-        turns = find_turns(velocity, seen)
-        share = _explain_groups(velocity, seen, turns, community, groups, possible)
-        joins = np.zeros(share.shape, bool)
-        for group, column in enumerate(share.T):
-            joins[_choose_first(column, turns[possible]), group] = True
-        for place in np.flatnonzero(joins.any(axis=1)):
-            uav, into = possible[place], np.flatnonzero(joins[place])
-            if size[community[uav]] < 3:
-                piece[uav] = piece[groups[into[share[place, into].argmax()]]]
-            for group in into:
-                guests.setdefault(piece[groups[group]], []).append(uav)
+    ends = community[links[strong]]
+    divided = np.isin(community, ends[ends[:, 0] != ends[:, 1]])
+    alone = size[community] < 3
+    possible = np.flatnonzero(alone | divided | (uavs <= _FEW))
+    guests: dict[int, set[int]] = {}
+    for uav, group in _find_guests(velocity, seen, community, np.flatnonzero(size > 2), possible):
+        if alone[uav]:
+            piece[uav] = piece[group]
+        guests.setdefault(int(piece[group]), set()).add(uav)
     return _pack_pieces(piece, guests)
 
 
@@ -70,27 +54,24 @@ def find_turns(series: Singles, seen: Mask, block: int = 1) -> Singles:
     ``series`` ``(T, n, d)`` counts where ``seen`` ``(T, n)``. The squares of each UAV sum to 1, or to 0 if it never
     turns; single large turns are bounded.
     """
-    count, uavs, width = len(seen) // block, *series.shape[1:]
-    there = seen[: count * block].reshape(count, block, uavs)
-    some = there.any(axis=1)[..., None].astype(np.float32)
-    summed = (series[: count * block] * seen[: count * block, :, None]).reshape(count, block, uavs, width).sum(axis=1)
-    mean = summed / np.maximum(there.sum(axis=1), 1)[..., None]
-    mean = (mean - (mean * some).sum(axis=0) / np.maximum(some.sum(axis=0), 1)) * some
-    known = some.copy()
-    known[1:] *= some[:-1]
-    known[2:] *= some[:-2]
-    known[:2] = 0
+    count, (uavs, width) = len(seen) // block, series.shape[1:]
+    there = seen[: count * block].reshape(count, block, uavs, 1)
+    some = np.minimum(there.sum(axis=1), 1).astype(np.float32)
+    mean = (series[: count * block].reshape(count, block, uavs, width) * there).sum(axis=1) / there.sum(axis=1).clip(1)
+    mean = (mean - (mean * some).sum(axis=0) / some.sum(axis=0).clip(1)) * some
+    known = np.zeros_like(some)
+    known[2:] = some[2:] * some[1:-1] * some[:-2]
     past = np.zeros((2, *mean.shape), np.float32)
     past[0, 1:], past[1, 2:] = mean[:-1], mean[:-2]
     gram = np.einsum("atnd,btnd->nab", past * known, past)
     gram += (1e-2 * np.trace(gram, axis1=1, axis2=2) + 1e-12)[:, None, None] * np.eye(2)
     law = np.linalg.solve(gram, np.einsum("atnd,tnd->na", past, mean * known)[..., None])[..., 0]
     turn = (mean - np.einsum("na,atnd->tnd", law, past)) * known
-    length = np.linalg.norm(turn, axis=2)
-    usual = np.sqrt((length**2).sum(axis=0) / np.maximum(known[..., 0].sum(axis=0), 1))
-    turn *= np.minimum(1.0, 3.0 * usual / np.maximum(length, 1e-12))[..., None]
-    total = np.sqrt((turn**2).sum(axis=(0, 2)))
-    return np.ascontiguousarray((turn / np.maximum(total, 1e-9)[:, None]).transpose(1, 0, 2), np.float32)
+    length = np.linalg.norm(turn, axis=2, keepdims=True)
+    usual = np.sqrt((length**2).sum(axis=0) / known.sum(axis=0).clip(1))
+    turn *= np.minimum(1.0, 3.0 * usual / length.clip(1e-12))
+    turn /= np.sqrt((turn**2).sum(axis=(0, 2), keepdims=True)).clip(1e-9)
+    return np.ascontiguousarray(turn.transpose(1, 0, 2), np.float32)
 
 
 def link_alike(velocity: Singles, seen: Mask) -> tuple[Indices, Floats]:
@@ -144,36 +125,50 @@ def _merge_links(links: Indices, weight: Floats, uavs: int) -> Indices:
     return np.array([find(uav) for uav in range(uavs)])
 
 
-def _explain_groups(
-    velocity: Singles, seen: Mask, turns: Singles, community: Indices, groups: Indices, possible: Indices
-) -> Floats:
-    """Share of each group's mean turns that each possible head's past explains best at one lag, ``(p, g)``; -1: own."""
+def _find_guests(
+    velocity: Singles, seen: Mask, community: Indices, groups: Indices, possible: Indices
+) -> list[tuple[int, int]]:
+    """Pairs of a possible head and a community that it may lead, those that explain least first."""
+    if not (len(groups) and len(possible) and len(seen) > 3):
+        return []
+    turns = find_turns(velocity, seen)
+    target = np.stack([turns[community == group].mean(axis=0) for group in groups])
+    turns = turns[possible]
+    share = _explain_turns(velocity[:, possible], seen[:, possible], turns, target)
+    share[community[possible][:, None] == groups] = -1.0
+    pairs = [(uav, group) for group in range(len(groups)) for uav in _choose_first(share[:, group], turns)]
+    pairs.sort(key=lambda pair: share[pair])
+    return [(int(possible[uav]), int(groups[group])) for uav, group in pairs]
+
+
+def _explain_turns(velocity: Singles, seen: Mask, turns: Singles, target: Singles) -> Floats:
+    """Share of the turns ``target`` ``(g, T, 3)`` that each UAV's past explains best at one lag, ``(p, g)``.
+
+    The past are turns ``(p, T, 3)``, and turns of the products of velocities, by any linear map. What ``target``
+    explains of the UAV some steps later is taken off.
+    """
     steps = len(seen)
-    target = np.stack([turns[community == group].mean(axis=0) for group in groups])  # (g, T, 3)
-    target /= np.maximum(np.sqrt((target**2).sum(axis=(1, 2))), 1e-9)[:, None, None]
-    flown = velocity[:, possible]
-    products = np.stack([flown[..., a] * flown[..., b] for a in range(3) for b in range(a, 3)], axis=-1)
-    past = np.concatenate([turns[possible], find_turns(products, seen[:, possible])], axis=2)  # (p, T, 9)
+    target = target / np.maximum(np.sqrt((target**2).sum(axis=(1, 2))), 1e-9)[:, None, None]
+    products = np.stack([velocity[..., a] * velocity[..., b] for a in range(3) for b in range(a, 3)], axis=-1)
+    past = np.concatenate([turns, find_turns(products, seen)], axis=2)  # (p, T, 9)
     gram = past.transpose(0, 2, 1) @ past
     gram += (1e-2 * np.trace(gram, axis1=1, axis2=2) / 9 + 1e-9)[:, None, None] * np.eye(9, dtype=np.float32)
     white = np.linalg.solve(np.linalg.cholesky(gram), past.transpose(0, 2, 1)).astype(np.float32)  # (p, 9, T)
-    share, reverse = np.zeros((2, len(possible), len(groups)))
+    share, reverse = np.zeros((2, len(turns), len(target)))
     for lag in range(1, min(_LAST_LAG, steps // 3) + 1):
         later = target[:, lag:].transpose(1, 0, 2).reshape(steps - lag, -1)
         sooner = target[:, :-lag].transpose(1, 0, 2).reshape(steps - lag, -1)
-        for first in range(0, len(possible), _CHUNK):
+        for first in range(0, len(turns), _CHUNK):
             at = slice(first, first + _CHUNK)
             np.maximum(share[at], _squares(white[at, :, :-lag], later), out=share[at])
             np.maximum(reverse[at], _squares(white[at, :3, lag:], sooner), out=reverse[at])
-    share -= reverse
-    share[community[possible][:, None] == groups] = -1.0
-    return share
+    return share - reverse
 
 
 def _squares(white: Singles, target: Singles) -> Singles:
     """Sums of squared products ``(p, g)`` of series ``(p, d, t)`` and ``(t, 3 g)``."""
-    product = white.reshape(-1, white.shape[2]) @ target
-    return np.asarray((product**2).reshape(len(white), white.shape[1], -1, 3).sum(axis=(1, 3)))
+    product = (white.reshape(-1, white.shape[2]) @ target).reshape(*white.shape[:2], -1, 3)
+    return np.asarray(np.einsum("pdga,pdga->pg", product, product))
 
 
 def _choose_first(share: Floats, turns: Singles) -> Indices:
@@ -188,22 +183,17 @@ def _choose_first(share: Floats, turns: Singles) -> Indices:
     return np.union1d(best[:_JOINING], good[first[:_JOINING]])
 
 
-def _pack_pieces(piece: Indices, guests: dict[int, list[int]]) -> list[Neighbourhood]:
-    """Fill neighbourhoods with whole pieces, the largest first."""
-    sets = [
-        (np.flatnonzero(piece == label), np.setdiff1d(guests.get(label, []), np.flatnonzero(piece == label)))
-        for label in np.unique(piece)
-    ]
-    sets.sort(key=lambda each: -len(each[0]) - len(each[1]))
-    bins: list[list[Indices]] = []
-    for own, more in sets:
-        used = next((b for b in bins if len(b[0]) + len(b[1]) + len(own) + len(more) <= SIZE), None)
-        if used is None:
-            bins.append([own, more])
+def _pack_pieces(piece: Indices, guests: dict[int, set[int]]) -> list[tuple[Indices, Mask]]:
+    """Fill neighbourhoods with whole pieces and their guests, the largest first."""
+    sets = [(set(np.flatnonzero(piece == label).tolist()), guests.get(label, set())) for label in np.unique(piece)]
+    bins: list[tuple[set[int], set[int]]] = []
+    for own, more in sorted(sets, key=lambda each: -len(each[0] | each[1])):
+        for all_own, everyone in bins:
+            if len(everyone | own | more) <= SIZE:
+                all_own |= own
+                everyone |= own | more
+                break
         else:
-            used[0], used[1] = np.append(used[0], own), np.append(used[1], more)
-    made = []
-    for own, more in bins:
-        members = np.union1d(own, more).astype(np.int64)
-        made.append(Neighbourhood(members, np.isin(members, own)))
-    return made
+            bins.append((set(own), own | more))
+    members = [np.array(sorted(everyone)) for _, everyone in bins]
+    return [(uavs, np.isin(uavs, list(own))) for uavs, (own, _) in zip(members, bins, strict=True)]

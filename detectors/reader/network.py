@@ -73,9 +73,6 @@ class ReaderNetwork(nn.Module):
     Args:
         sizes: width, heads of attention and blocks.
         features: numbers of features of a pair, a UAV and a window.
-
-    Raises:
-        ArgumentError: ``attn_heads`` doesn't divide ``width``.
     """
 
     def __init__(
@@ -107,8 +104,7 @@ class ReaderNetwork(nn.Module):
         """Answer for features ``pair`` ``(B, n, n, F)``, ``uav`` ``(B, n, G)`` and ``context`` ``(B, K)``."""
         n, width = uav.shape[1], len(self.itself)
         context = self._standardise("context", context)
-        state = torch.cat([self._standardise("uav", uav), context[:, None].expand(-1, n, -1)], dim=2)
-        state = self.enter_uav(state)
+        state = self.enter_uav(torch.cat([self._standardise("uav", uav), context[:, None].expand(-1, n, -1)], dim=2))
         pair = self._enter_pairs(self._standardise("pair", pair), state, self.context(context))
         for block in self.blocks:
             pair, state = block(pair, state)

@@ -118,8 +118,8 @@ class _Trainer:
                         families[batch[1].family] = [right + exact, windows + len(batch[1].head)]
                 self._step(k, self.shards * _PASSES * len(steps))
         share = np.divide(*np.sum([[0, 0], *families.values()], axis=0))
-        row = {"shard": len(self.rows) + 1, "loss": float(np.mean(losses)), "exact": float(share)}
-        self.rows.append({**row, "families": dict(sorted(families.items()))})
+        row = {"shard": len(self.rows) + 1, "loss": float(np.mean(losses)), "exact": float(share), "families": families}
+        self.rows.append(row)
 
     def _add_gradients(self, batch: Batch, dropped: tuple[str, slice] | None, count: int) -> tuple[float, int]:
         """Add a batch's gradients over ``count``; returns its loss, and in how many windows the heads are exact."""
