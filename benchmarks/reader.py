@@ -47,6 +47,7 @@ GROUPS = {name: (kind, part) for kind, groups in KINDS.items() for name, part in
 SIZES = {f"width {width}, {shards} shards": (width, shards) for width in (16, 32, 48) for shards in (10, 30, 90)}
 NONE, SHIPPED = "nothing", "shipped"  # no group is dropped; the weights of the package
 CONFIDENCES = (0.0, 0.2, 0.4, 0.6, 0.8, 0.95, 1.0)
+load = lru_cache(maxsize=4)(load_reader)
 Played = Iterable[tuple[str, str, str]]  # reader, dropped group, source
 
 
@@ -61,7 +62,7 @@ def train(given: Namespace, label: str, group: str = NONE, **settings: Any) -> N
     from detectors.reader import train as training
 
     path = find_weights(given.readers, label)
-    if path.exists() or given.draw:
+    if label == SHIPPED or path.exists() or given.draw:
         return
     hidden = {} if group == NONE else {"_GROUPS": [GROUPS[group]], "_DROPPED": 1.0}
     settings = {"shards": given.shards, "device": given.device, "seed": given.seed} | settings
@@ -87,20 +88,14 @@ def draw_window(source: str, episode: int, seed: int) -> tuple[Window, np.ndarra
     return Window(position, velocity, seen, np.ones(len(head), bool)), head
 
 
-@lru_cache(maxsize=4)
-def _load(path: Path) -> tuple[Any, dict[str, np.ndarray]]:
-    return load_reader(str(path)), load_file(path)
-
-
 def ask(path: Path, window: Window, dropped: str) -> tuple[np.ndarray, float]:
     """``(N,)`` p(head), and p(nobody leads); a group of features that is dropped has its mean in the training."""
-    weights, arrays = _load(path)
     flying = np.flatnonzero(window.velocity_seen.any(axis=0))
     features = make_features(window.position[:, flying], window.velocity[:, flying], window.seen[:, flying])
     if dropped != NONE:
         kind, part = GROUPS[dropped]
-        getattr(features, kind)[..., part] = arrays[f"{kind}_mean"][part]
-    answer, p = read(weights, features), np.zeros(window.uavs)
+        getattr(features, kind)[..., part] = load_file(path)[f"{kind}_mean"][part]
+    answer, p = read(load(str(path)), features), np.zeros(window.uavs)
     p[flying] = expit(answer.head.astype(float))
     return p, float(expit(answer.silent))
 
@@ -109,15 +104,14 @@ def play(game: shared.Game, readers: Path, seed: int) -> list[dict[str, Any]]:
     """Read one window."""
     window, head = draw_window(game["source"], game["episode"], seed)
     p, silent = ask(find_weights(readers, game["reader"]), window, game["dropped"])
-    exact, sure, place = int(((p > 0.5) == head).all()), np.maximum(p, 1 - p).prod(), np.minimum(10 * p, 9).astype(int)
     about = game | {
-        "leads": "some UAV" if head.any() else "nobody",
-        "exact": exact,
-        "confidence": sure,
+        "exact": int(((p > 0.5) == head).all()),
+        "confidence": np.maximum(p, 1 - p).prod(),
         "silent": silent,
     }
-    sums = lambda k: {"uavs": (place == k).sum(), "p": p[place == k].sum(), "heads": head[place == k].sum()}  # noqa: E731
-    return [{**about, "bin": k, **sums(k)} for k in np.unique(place)]
+    about["leads"] = "some UAV" if head.any() else "nobody"
+    bins = pd.DataFrame({"uavs": 1, "p": p, "heads": head.astype(int)}).groupby(np.minimum(10 * p, 9).astype(int)).sum()
+    return [{**about, "bin": k, **sums} for k, sums in bins.to_dict("index").items()]
 
 
 def list_cells(suites: Iterable[str] = SUITES, family: str = "") -> list[str]:
@@ -167,12 +161,10 @@ def report(rows: pd.DataFrame, study: str) -> str:
     windows = rows.drop_duplicates(KEYS)
     says = {"windows": size, "exact": rate("exact"), "mean confidence": lambda part: f"{part.confidence.mean():.3f}"}
     says["errors by 1 - confidence"] = measure_doubt
-    if study == "families":
-        lines: list[dict[str, str]] = [{"source": "source", "reader": "reader"}]
-    elif study == "calibration":
-        lines = [{"set": "set", "leads": "leads"}, {"leads": "leads"}, {"confidence": "sure"}]
-    else:
+    if study in ("scaling", "ablation"):
         return pivot(windows, {"reader": "reader", "dropped": "dropped"}, across("set", SUITES, rate("exact")))
+    lines: list[dict[str, str]] = [{"set": "set", "leads": "leads"}, {"leads": "leads"}, {"confidence": "sure"}]
+    lines = [{"source": "source", "reader": "reader"}] if study == "families" else lines
     errors = {"calibration error": measure_calibration}
     return "\n\n".join(pivot(part, line, say) for line in lines for part, say in ((windows, says), (rows, errors)))
 
@@ -185,10 +177,9 @@ def draw_sizes(rows: pd.DataFrame, readers: Path, images: Path) -> None:
         metrics = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))["metrics"]
         cost = sum(array.size for array in load_file(path).values()) * metrics["windows"]
         look = {"color": shared.COLORS[number // 3], "label": f"width {width}" if shards == 10 else None}
-        for axes, value, name in zip(
-            panel[1][0], (metrics["loss"], exact.mean()[label]), ("loss", "exact"), strict=True
-        ):
-            axes.plot(cost, value, "o", **look)
+        values = {"loss": metrics["loss"], "exact": exact.mean()[label]}
+        for axes, name in zip(panel[1][0], values, strict=True):
+            axes.plot(cost, values[name], "o", **look)
             axes.set(xscale="log", xlabel="parameters × windows of the training", ylabel=name)
     caption = f"n = {exact.size().min()} windows of {', '.join(SUITES)} a point."
     shared.save_figure(panel[0], images / "reader-scaling.png", "The reader's size and its training", caption)
