@@ -4,13 +4,15 @@
     python benchmarks/ceilings.py --out out/ceilings.csv --draw            # plays nothing: the table of the rows
 
 The oracle flies the follow strategy itself one step ahead from the observed past, under each hypothesis "i follows j".
-So it has each UAV's delay, gain and noise, and the likelihood of what i did next. The noise of positions enters by its
-linear response, as a covariance in time, and nothing is assumed of how heads fly: with noise this is less than the
-exact likelihood, a lower bound of the ceiling, and the column says so. A UAV that its own past explains better follows nobody. Chains are followed to
-their ends, and an end with two UAVs behind it is named. Hierarchies, where i copies several UAVs above j, are found by
-repeating this with the chains found so far. In flocks the oracle knows who belongs to which flock, and who chases it,
-and names the UAVs that don't fly by the flock's law. Cells with other kinematics than ``unit``, missed or exchanged
-samples, or a slower observer have no oracle here.
+So it has each UAV's delay, gain and noise, and the likelihood of what i did next. A UAV that its own past explains
+follows nobody. Chains are followed to their ends, and an end with two UAVs behind is named. Hierarchies, where
+i copies several UAVs above j, are found by repeating this with the chains found so far. In flocks the oracle knows who
+belongs to which flock, and who chases it, and names the UAVs that don't fly by the flock's law.
+
+The noise of positions enters by its linear response, as a covariance in time, and nothing is assumed of how heads fly.
+So with noise this is less than the exact likelihood: a lower bound of the ceiling that a detector may beat; the column
+`bound` says so. Cells with other kinematics than ``unit``, missed or exchanged samples, a slower observer, noise along
+the course, or noise in flocks have no oracle here.
 """
 
 from __future__ import annotations
@@ -200,6 +202,7 @@ def main(argv: list[str] | None = None) -> None:
     cells = [
         (suite, cell) for suite in given.suite for cell in load_suite(suite).cells if cell in (given.cell or [cell])
     ]
+    cells = [(suite, cell) for suite, cell in cells if load_suite(suite).cells[cell].env == "USNET/MultiCluster-v0"]
     cells = [names for names in cells if has_oracle(_open_cell(*names).config)]
     games = [{"suite": suite, "cell": cell, "episode": k} for suite, cell in cells for k in range(given.episodes)]
     if not given.draw:

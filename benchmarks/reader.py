@@ -92,10 +92,11 @@ def ask(path: Path, window: Window, dropped: str) -> tuple[np.ndarray, float]:
     """``(N,)`` p(head), and p(nobody leads); a group of features that is dropped has its mean in the training."""
     flying = np.flatnonzero(window.velocity_seen.any(axis=0))
     features = make_features(window.position[:, flying], window.velocity[:, flying], window.seen[:, flying])
+    weights = load(str(path))
     if dropped != NONE:
         kind, part = GROUPS[dropped]
-        getattr(features, kind)[..., part] = load_file(path)[f"{kind}_mean"][part]
-    answer, p = read(load(str(path)), features), np.zeros(window.uavs)
+        getattr(features, kind)[..., part] = weights[f"{kind}_mean"][part]
+    answer, p = read(weights, features), np.zeros(window.uavs)
     p[flying] = expit(answer.head.astype(float))
     return p, float(expit(answer.silent))
 
