@@ -5,7 +5,7 @@
 
 The oracle flies the follow strategy itself one step ahead from the observed past, under each hypothesis "i follows j".
 So it has each UAV's delay, gain and noise, and the likelihood of what i did next. A UAV that its own past explains
-follows nobody. Chains are followed to their ends, and an end with two UAVs behind is named. Hierarchies, where
+better follows nobody. Chains are followed to their ends, and an end with two UAVs behind is named. Hierarchies, where
 i copies several UAVs above j, are found by repeating this with the chains found so far. In flocks the oracle knows who
 belongs to which flock, and who chases it, and names the UAVs that don't fly by the flock's law.
 
