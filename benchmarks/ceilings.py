@@ -1,0 +1,216 @@
+"""Ceilings: how often an oracle that knows the law of a cell and its constants, but no head, names all heads exactly.
+
+    OMP_NUM_THREADS=1 python benchmarks/ceilings.py --suite field-v2 limit --out out/ceilings.csv
+    python benchmarks/ceilings.py --out out/ceilings.csv --draw            # plays nothing: the table of the rows
+
+The oracle flies the follow strategy itself one step ahead from the observed past, under each hypothesis "i follows j".
+So it has each UAV's delay, gain and noise, and the likelihood of what i did next. A UAV that its own past explains
+better follows nobody. Chains are followed to their ends, and an end with two UAVs behind is named. Hierarchies, where
+i copies several UAVs above j, are found by repeating this with the chains found so far. In flocks the oracle knows who
+belongs to which flock, and who chases it, and names the UAVs that don't fly by the flock's law.
+
+The noise of positions enters by its linear response, as a covariance in time, and nothing is assumed of how heads fly.
+So with noise this is less than the exact likelihood: a lower bound of the ceiling that a detector may beat; the column
+`bound` says so. Cells with other kinematics than ``unit``, missed or exchanged samples, a slower observer, noise along
+the course, or noise in flocks have no oracle here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+import pandas as pd
+from paper.shared import Game, measure, parse, read_rows
+from pivot import pivot, rate, size
+from scipy.linalg import cho_factor, cho_solve, toeplitz
+
+from usnet_env import Window
+from usnet_env.evaluation import load_suite
+from usnet_env.evaluation.environments import make_environment
+from usnet_env.objectives import find_roots
+from usnet_env.swarm import SwarmConfig, kernels
+from usnet_env.swarm.field_follow import Links
+from usnet_env.swarm.flock_follow import Flock
+from usnet_env.swarm.state import SwarmState
+from usnet_env.swarm.strategy import TrajectoryBatch
+
+PASSES, NOISES, TAPER = 4, 8, 32  # over hierarchies; draws of the noise of positions, of which the response is measured
+MISFIT = 2.0  # times the expected squared residual: a UAV with more doesn't fly by the law of its flock
+LEAST = 2  # followers of a head
+PAST = 8  # steps of a UAV's own past that explain the next, with noise; otherwise 2
+
+
+@lru_cache(maxsize=2)
+def _open_cell(suite: str, name: str) -> Any:
+    cell = load_suite(suite).cells[name]
+    return make_environment(cell.env, cell.arguments).unwrapped
+
+
+def has_oracle(config: SwarmConfig) -> bool:
+    """Whether a swarm of this kind can be computed."""
+    strategy, noise = config.follow_strategy, config.position_noise
+    followed = strategy is not None and strategy.has_followers and not strategy.shifts_tracks
+    hidden = config.miss_rate or config.partial_tracks or config.swap_rate or config.clutter or config.sample_every > 1
+    hidden = hidden or (noise and (isinstance(strategy, Flock) or config.course_noise != 1))
+    return followed and config.kinematics == "unit" and not hidden
+
+
+def predict(
+    config: SwarmConfig, state: SwarmState, position: np.ndarray, velocity: np.ndarray, source: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """What each UAV does next if it copies ``source`` ``(N + R,)``; those with source -1 are free.
+
+    An index from N on is that of a reference, of which nothing is known. Returns, for the steps L to T - 1, the
+    velocities without noise ``(T - L, N, 3)``, and the scale ``(T - L, N)`` of the noise on each axis across them.
+    """
+    strategy, (steps, uavs, _) = config.follow_strategy, velocity.shape
+    lags = max(strategy.lags, 1)
+    count, more = steps - lags, len(source) - uavs
+    when = np.arange(count)[:, None]
+    places = np.pad(position[when + np.arange(lags + 2)], ((0, 0), (0, 0), (0, more), (0, 0)))
+    moves = np.pad(velocity[when + np.arange(lags + 1)], ((0, 0), (0, 0), (0, more), (0, 0)))
+    motion = np.where(source >= 0, kernels.FOLLOWS, kernels.FREE).astype(np.int8)
+    motion, root, parameters, bystander = (
+        np.repeat(values[None], count, axis=0) for values in (motion, source, state.parameters, state.bystander)
+    )
+    clock = state.clock - steps + lags + np.arange(count)
+    pushes = np.zeros((4, count, 1, uavs + more, 3), np.float32)
+    for axis in range(3):
+        pushes[1 + axis, ..., axis] = 0.05
+    flown = []
+    for push in pushes:
+        batch = places.copy(), moves.copy(), push, motion, root, parameters, root, bystander, clock
+        strategy.fly(TrajectoryBatch(*batch))
+        flown.append(batch[1][:, lags, :uavs].astype(np.float64))
+    response = (np.stack(flown[1:]) - flown[0]) / 0.05
+    return flown[0], np.sqrt(np.square(response).sum(axis=(0, 3)) / 2)  # no noise along the course
+
+
+def draw_noise(config: SwarmConfig, rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
+    """Noise of positions ``(T + 1, N, 3)`` as the sensor adds it, but along the course as across it."""
+    noise, keep = rng.standard_normal(shape), config.noise_memory
+    for t in range(1, len(noise)):
+        noise[t] = keep * noise[t - 1] + np.sqrt(1 - keep**2) * noise[t]
+    return config.position_noise * noise
+
+
+def respond(config: SwarmConfig, state: SwarmState, window: Window, source: np.ndarray, seed: int) -> np.ndarray:
+    """Autocovariances ``(N, T - L)`` of what the noise of positions adds to the residuals, on each axis."""
+    rng, total = np.random.default_rng(seed), 0.0
+    clean, _ = predict(config, state, window.position, window.velocity, source)
+    for _ in range(NOISES):
+        noise = draw_noise(config, rng, window.position.shape).astype(np.float32)
+        moved = np.diff(noise, axis=0)
+        other, _ = predict(config, state, window.position + noise, window.velocity + moved, source)
+        series = moved[-len(clean) :] - (other - clean)
+        length = 2 * len(series)
+        power = np.abs(np.fft.rfft(series, length, axis=0)) ** 2
+        total += np.fft.irfft(power.mean(axis=2), length, axis=0)[: len(series)].T / len(series)
+    return total / NOISES * np.maximum(1 - np.arange(total.shape[1]) / TAPER, 0)
+
+
+def explain_alone(velocity: np.ndarray, past: int) -> np.ndarray:
+    """``(N,)`` log-likelihood of velocities ``(T, N, 3)``, given ``past`` own ones, at the best coefficients."""
+    steps, uavs, _ = velocity.shape
+    found = np.empty(uavs)
+    for i in range(uavs):
+        own = np.stack([velocity[past - k - 1 : steps - k - 1, i].ravel() for k in range(past)], axis=1)
+        target = velocity[past:, i].ravel()
+        rest = target - own @ np.linalg.lstsq(own, target, rcond=None)[0]
+        found[i] = -0.5 * len(rest) * (np.log(np.mean(rest**2) + 1e-12) + 1) - 0.5 * past * np.log(len(rest))
+    return found
+
+
+def explain_by(config: SwarmConfig, state: SwarmState, window: Window, above: np.ndarray) -> np.ndarray:
+    """``(N, N)`` log-likelihood of UAV i if it copies j, whose own leaders are ``above`` ``(N,)``, -1: none."""
+    uavs, found = window.uavs, np.full((window.uavs, window.uavs), -np.inf)
+    added = None
+    for j in range(uavs):
+        source, chain = np.full(uavs, j), [j]
+        while above[chain[-1]] >= 0 and above[chain[-1]] not in chain:
+            chain.append(above[chain[-1]])
+        source[chain] = [*chain[1:], -1]
+        guess, scale = predict(config, state, window.position, window.velocity, source)
+        if added is None and config.position_noise:
+            added = respond(config, state, window, source, 0)  # by linearity the same for all j
+        rest = window.velocity[-len(guess) :].astype(np.float64) - guess
+        for i in set(range(uavs)) - set(chain):
+            variance = scale[:, i] ** 2
+            if added is None:
+                found[i, j] = (-0.5 * np.square(rest[:, i]).sum(axis=1) / variance - 1.5 * np.log(variance)).sum()
+                continue
+            factor = cho_factor(toeplitz(added[i]) + np.diag(variance))
+            size_of = 2 * np.log(np.diag(factor[0])).sum()
+            found[i, j] = -0.5 * (rest[:, i] * cho_solve(factor, rest[:, i])).sum() - 1.5 * size_of
+    return found
+
+
+def name_leaders(config: SwarmConfig, state: SwarmState, window: Window) -> np.ndarray:
+    """``(N,)`` bool: the heads of a swarm in which UAVs copy others."""
+    lags, strategy = max(config.follow_strategy.lags, 1), config.follow_strategy
+    past = PAST if config.position_noise else 2
+    alone = explain_alone(window.velocity[max(lags - past, 0) :].astype(np.float64), past)
+    above = np.full(window.uavs, -1)
+    deep = isinstance(strategy, Links) and strategy.links > 1
+    for _ in range(PASSES if deep else 1):
+        gain = explain_by(config, state, window, above) - alone[:, None] - np.log(window.uavs)
+        best = gain.argmax(axis=1)
+        above = np.where(gain.max(axis=1) > 0, best, -1)
+        while (circle := np.flatnonzero(find_roots(above) < 0)).size:  # the weakest link of a circle is none
+            above[circle[gain[circle, above[circle]].argmin()]] = -1
+    roots = find_roots(above)
+    return np.bincount(roots[roots != np.arange(len(roots))], minlength=len(roots)) >= LEAST
+
+
+def name_misfits(config: SwarmConfig, state: SwarmState, window: Window) -> np.ndarray:
+    """``(N,)`` bool: the UAVs of flocks that don't fly by the flock's law."""
+    member = ~(state.bystander | state.decoy)
+    flock = np.where(state.source >= window.uavs, state.source, window.uavs + np.maximum(state.source, state.root))
+    chaser = state.bystander & (state.source != np.arange(window.uavs))
+    source = np.append(np.where(member | chaser, flock, -1), np.full(2 * window.uavs, -1))
+    plain = replace(state, root=np.full_like(state.root, -1))
+    guess, scale = predict(config, plain, window.position, window.velocity, source)
+    rest = np.square(window.velocity[-len(guess) :] - guess).sum(axis=2) / (2 * scale**2)
+    return member & (np.minimum(rest, 50).mean(axis=0) > MISFIT)
+
+
+def play(game: Game, seed: int) -> list[dict[str, Any]]:
+    """Let the oracle answer the first round of an episode."""
+    env = _open_cell(game["suite"], game["cell"])
+    number = [seed, crc32(f"{game['suite']}/{game['cell']}".encode()), game["episode"]]
+    observation, _ = env.reset(seed=int(np.random.default_rng(number).integers(2**63)))
+    state, window = env.swarm, Window.from_observation(observation)
+    name = name_misfits if isinstance(env.config.follow_strategy, Flock) else name_leaders
+    named = name(env.config, state, window)
+    right = {"exact": int((named == state.head).all()), "missed": (state.head & ~named).sum()}
+    bound = "lower" if env.config.position_noise else "exact"
+    return [{**game, "bound": bound, **right, "false": (named & ~state.head).sum()}]
+
+
+def main(argv: list[str] | None = None) -> None:
+    parser = parse(__doc__, Path("out/ceilings.csv"))
+    parser.add_argument("--suite", nargs="+", default=["field-v2", "sensing-v2", "limit"])
+    parser.add_argument("--cell", nargs="+", help="by default all that have an oracle")
+    parser.add_argument("--episodes", type=int, default=50)
+    parser.add_argument("--out", type=Path, dest="rows", help="the same as --rows")
+    given = parser.parse_args(argv)
+    cells = [
+        (suite, cell) for suite in given.suite for cell in load_suite(suite).cells if cell in (given.cell or [cell])
+    ]
+    cells = [(suite, cell) for suite, cell in cells if load_suite(suite).cells[cell].env == "USNET/MultiCluster-v0"]
+    cells = [names for names in cells if has_oracle(_open_cell(*names).config)]
+    games = [{"suite": suite, "cell": cell, "episode": k} for suite, cell in cells for k in range(given.episodes)]
+    if not given.draw:
+        measure(given.rows, games, partial(play, seed=given.seed), given.workers)
+    columns = {"n": size, "the oracle is exact": rate("exact")}
+    columns |= {name: lambda part, name=name: f"{part[name].mean():.2f}" for name in ("missed", "false")}
+    print(pivot(pd.DataFrame(read_rows(given.rows)), {"suite": "suite", "cell": "cell", "bound": "bound"}, columns))
+
+
+if __name__ == "__main__":
+    main()
