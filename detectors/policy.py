@@ -34,22 +34,13 @@ class Policy(Config):
     round_price: Annotated[float, Field(gt=0)] | None = None
 
 
-def choose(
-    probability: Floats,
-    alive: Mask,
-    policy: Policy,
-    tie: Floats,
-    doubt: float = 0.0,
-    most: int | None = None,
-    silent: float | None = None,
-) -> Mask:
+def choose(probability: Floats, alive: Mask, policy: Policy, tie: Floats, silent: float | None = None) -> Mask:
     """Choose the candidates.
 
     P2: another round costs ``round_price`` and a redundant candidate ``redundancy_price`` / N. Another round is needed
     if at least one head is missed. So naming the k most probable UAVs has the expected cost (1 - prod of (1 - p) over
     the other UAVs) rounds plus the sum of (1 - p) over the named ones, and the best k is exact if the events are
-    independent. They are not if the fit is wrong: then many heads are missed together. With probability ``doubt`` the
-    fit is taken as wrong, and then all UAVs are equally likely heads.
+    independent.
 
     P1: there is one head; naming k > 1 UAVs costs ``redundancy_price`` (k - 1) and hits it with the sum of their p.
 
@@ -57,7 +48,7 @@ def choose(
     the heads are independent with p / (1 - ``silent``), and naming nobody misses them. So the best set may be empty;
     if ``silent`` is ``None``, at least one UAV is named.
 
-    The result are living UAVs, ``(N,)``, at most ``most``. The numbers ``tie`` ``(N,)`` order UAVs with equal
+    The result are living UAVs, ``(N,)``. The numbers ``tie`` ``(N,)`` order UAVs with equal
     ``probability`` ``(N,)``.
     """
     named = np.zeros(len(alive), bool)
@@ -65,24 +56,21 @@ def choose(
     if not len(living):
         return named
     order = living[np.lexsort((tie[living], -probability[living]))]
-    sure = np.clip(probability[order], 0.0, 1.0)
-    even = np.full(len(order), sure.mean())
-    p = (1.0 - doubt) * sure + doubt * even
-    budget = min(limit for limit in (len(order), policy.shot_budget, most) if limit is not None)
+    p = np.clip(probability[order], 0.0, 1.0)
+    budget = min(len(order), policy.shot_budget or len(order))
     if policy.policy == "map":
         count = min(int((p > 0.5).sum()), 1 if policy.objective == "P1" else budget, budget)
         named[order[:count]] = True
         return named
     led = 1.0 if silent is None else 1.0 - min(max(silent, 0.0), 1.0 - 1e-9)
-    if silent is not None:
-        sure, even, p = (np.minimum(some / led, 1.0) for some in (sure, even, p))
+    p = np.minimum(p / led, 1.0)
     sizes = np.arange(1, budget + 1)
     if policy.objective == "P1":
         total = max(float(p.sum()), 1e-12)
         cost = policy.redundancy_price * (sizes - 1) - led * np.cumsum(p / total)[:budget]
         nobody = led - 1.0
     else:
-        none_left = ((1.0 - doubt) * _no_head_after(sure) + doubt * _no_head_after(even))[:budget]
+        none_left = _no_head_after(p)[:budget]
         redundant = np.cumsum(1.0 - led * p)[:budget]
         guessing = bool(led * p[0] < _GUESS)
         price = policy.round_price if policy.round_price is not None else (len(alive) / 4.0 if guessing else 1.0)
