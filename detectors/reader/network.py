@@ -131,5 +131,5 @@ class ReaderNetwork(nn.Module):
 def draw_network(sizes: NetworkSizes, seed: int) -> ReaderNetwork:
     """Make a network with random weights; the global generator stays unchanged."""
     with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
+        torch.random.set_rng_state(torch.Generator().manual_seed(seed).get_state())
         return ReaderNetwork(sizes)
