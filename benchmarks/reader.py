@@ -5,9 +5,9 @@
     python benchmarks/reader.py ablation                   # a group of features without information; also --retrained
     python benchmarks/reader.py calibration                # of the shipped weights, in suites and families
 
-Trainings are kept in the folder --readers and rows in the folder --rows, and the same command goes on where it stopped. A source is a cell of
-a suite, of which the first round is read, or a family of the prior. A row is a window and a tenth of the range of
-p(head), with the number of its UAVs, the sum of their p and the number of their heads.
+Trainings are kept in the folder --readers and rows in the folder --rows, and the same command goes on where it
+stopped. A source is a cell of a suite, of which the first round is read, or a family of the prior. A row is a window
+and a tenth of the range of p(head), with the number of its UAVs, the sum of their p and the number of their heads.
 """
 
 from __future__ import annotations
