@@ -33,7 +33,7 @@ QUICK = (
     "front-most", "directional-delays", "lagged-network", "net-lag-regression", "flica", "mflica", "transfer-entropy",
 )  # fmt: skip
 DETECTOR = "lagged-network"  # of ``usnet detect``; the default's weights may change
-SLOW = ("gassl", "mc-gassl", "neural-granger")
+SLOW = ("gassl(times='mean')", "mc-gassl(gassl={'times': 'mean'})", "neural-granger")
 SLOW_CELLS = ("paper/f1", "controls/shepherd", "sensing/missed")
 KEYS = ["cell", "detector", "episode"]
 KEPT = [
