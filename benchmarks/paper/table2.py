@@ -26,7 +26,8 @@ from usnet_env.detection import ask
 from usnet_env.envs import SingleClusterEnv
 
 FOLLOWERS = (2, 3, 5, 10, 15, 20, 25, 30, 40, 50)
-DETECTORS = ("gassl", "neural-granger", "lagged-regression(clusters=1)")
+DETECTORS = ("gassl", "gassl(steps=0)", "neural-granger", "lagged-regression(clusters=1)")
+DETECTORS += ("central-most(reach=100)", "track-outlier(threshold=1000)")  # they name one UAV, and see no pairs
 PAPER = Path(__file__).parent / "data" / "table2_detection_rate.csv"  # percent of 1,000 runs
 MANY, FEW = 100, 30  # episodes of a cell with up to 15 followers, and with more
 
@@ -57,7 +58,7 @@ def draw(rows: pd.DataFrame, folder: Path) -> None:
     """Draw the rates of the paper's setting against m, a panel for each follow strategy."""
     rows = rows[(rows.mobility == "iid") & (rows.decoys == 0) & ~rows.head_jitter]
     paper, names = pd.read_csv(PAPER), list(dict.fromkeys(rows.detector))
-    looks = {name: {"color": shared.COLORS[k], "marker": shared.MARKERS[k], "ms": 4} for k, name in enumerate(names)}
+    looks = shared.make_looks(names, 4)
     figure, grid = shared.panels(13.2, 7.2, 2, 4, sharey=True)
     grid[1, 3].set_visible(False)
     for axes, follow in zip(grid.ravel(), FOLLOW, strict=False):
