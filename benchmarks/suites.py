@@ -21,8 +21,8 @@ from usnet_env.evaluation import EvaluationResult, Suite, evaluate_suite, list_s
 
 COLUMNS = ("cell", "detector", "episode", "swarm_seed", "J", "exact", "f1_first", "seconds_per_round", "error")
 DETECTORS = (
-    "none", "random", "destroy-all", "one-per-round", "front-most", "lagged-correlation", "lagged-regression",
-    "factions", "granger", "reader", "reader(policy='map')",
+    "none", "random", "destroy-all", "central-most", "track-outlier", "reader(weights='untrained')", "one-per-round",
+    "front-most", "lagged-correlation", "lagged-regression", "factions", "granger", "reader", "reader(policy='map')",
     "directional-delays", "lagged-network", "net-lag-regression", "flica", "mflica", "transfer-entropy",
     "central-most", "track-outlier", "gassl(steps=0)", "mc-gassl(gassl={'steps': 0})",
     "mc-gassl", "neural-granger", "gassl",

@@ -1,6 +1,6 @@
 """What a suite gives away: how well single tracks, and untrained attention, tell its heads, cell by cell.
 
-    python benchmarks/paper/leaks.py                           # the suites paper and paper-hard
+    python benchmarks/paper/leaks.py                           # the suite paper-hard
     python benchmarks/paper/leaks.py --suite field-v2 --rows out/leaks.csv
 
 A classifier sees the track of one UAV at a time. It is trained on some swarms of a cell and asked about others; `auc`
@@ -74,7 +74,7 @@ def play(game: Game) -> list[dict[str, Any]]:
 
 def main(argv: list[str] | None = None) -> None:
     parser = shared.parse(__doc__, shared.RESULTS / "paper" / "leaks.csv.gz")
-    parser.add_argument("--suite", nargs="+", default=["paper", "paper-hard"])
+    parser.add_argument("--suite", nargs="+", default=["paper-hard"])
     parser.add_argument("--cell", action="append", help="may repeat; by default all")
     given = parser.parse_args(argv)
     games: list[Game] = [

@@ -19,6 +19,8 @@ from usnet_env.arrays import Floats, Indices
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
+_EQUAL = 1e-5  # smaller differences of features are rounding errors
+
 
 class CentralMost(Detector):
     """Names the UAV in the middle of each group; it sees where the UAVs are at first, and no motion.
@@ -81,7 +83,8 @@ class TrackOutlier(Detector):
             features = describe_tracks(fill_gaps(window).velocity[:, alive].astype(np.float64))
             away = np.abs(features - np.median(features, axis=0))
             spread = np.median(away, axis=0)
-            scores[alive] = np.sqrt((np.where(spread > 1e-9, away / np.maximum(spread, 1e-9), 0.0) ** 2).mean(axis=1))
+            away = np.where(spread > _EQUAL, away / np.maximum(spread, _EQUAL), 0.0)
+            scores[alive] = np.sqrt((away**2).mean(axis=1))
         least = min(threshold, scores.max(initial=0.0))
         return Detection(candidates=alive & (scores >= least) & (scores > 0), scores=scores)
 
@@ -89,7 +92,8 @@ class TrackOutlier(Detector):
 def describe_tracks(velocity: Floats) -> Floats:
     """Features ``(n, 5 to 8)`` of each of the velocities ``(T, n, 3)``: speed, turns, and memory at up to 4 lags."""
     speed = np.linalg.norm(velocity, axis=2)
-    course = velocity / np.maximum(speed, 1e-12)[..., None]
+    speed /= max(speed.mean(), 1e-12)
+    course = velocity / np.maximum(np.linalg.norm(velocity, axis=2, keepdims=True), 1e-12)
     turn = 1.0 - (course[1:] * course[:-1]).sum(axis=2)
     centred = course - course.mean(axis=0)
     power = np.maximum((centred**2).sum(axis=2).mean(axis=0), 1e-12)

@@ -42,9 +42,15 @@ class Answer(NamedTuple, Generic[T]):
 
 
 def load_reader(weights: str = "shipped") -> Weights:
-    """Read the shipped weights, or those of a file; a file with other arrays is an ``ArgumentError``."""
-    if weights == "shipped":
-        return packaged_arrays("detectors.reader", "reader")
+    """Read the shipped weights, or those of a file; a file with other arrays is an ``ArgumentError``.
+
+    Those of a network that is ``"untrained"`` are drawn anew; it scales its inputs as the shipped one does.
+    """
+    if weights in ("shipped", "untrained"):
+        arrays, rng = packaged_arrays("detectors.reader", "reader"), np.random.default_rng(0)
+        drawn = {name: rng.standard_normal(old.shape, np.float32) for name, old in arrays.items() if old.ndim == 2}
+        drawn = {name: new / np.float32(np.sqrt(new.shape[1])) for name, new in drawn.items()}
+        return arrays if weights == "shipped" else arrays | drawn
     arrays = read_arrays(weights)
     counts = tuple(len(arrays.get(f"{name}_mean", ())) for name in ("pair", "uav", "context"))
     if counts != (PAIR_FEATURES, UAV_FEATURES, CONTEXT_FEATURES) or "silent.2.bias" not in arrays:
