@@ -111,7 +111,8 @@ def test_ratios_agree_with_scikit_learn(episode):
 def test_conventions_where_a_ratio_has_no_value():
     none, some = np.zeros(3, bool), np.array([True, False, False])
     assert objectives.precision(some, none) == objectives.recall(some, none) == objectives.f1(some, none) == 0
-    assert objectives.recall(none, some) == objectives.f1(none, none) == 0
+    assert objectives.recall(none, some) == objectives.f1(none, some) == 0
+    assert objectives.f1(none, none) == 1  # as exact
     assert objectives.average_precision(none, [3.0, 2.0, 1.0]) == 0
     assert objectives.purity([-1, -1], [0, 0]) == 0
     assert objectives.head_in_cluster(none, [-1, -1, -1], [0, 0, 0]) == 0

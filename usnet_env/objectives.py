@@ -1,7 +1,7 @@
 """The paper's objectives J_s and J_m and all metrics, as pure functions of the true heads and the candidates.
 
 A set of UAVs is a boolean mask over the last axis. Functions of one round accept any leading axes, ``(..., N)``, and so
-a batch. An undefined ratio is 0: the precision of an empty set, and recall, F1 and average precision without heads.
+a batch. An undefined ratio is 0: the precision of an empty set, and recall and average precision without heads.
 Arguments are trusted: they come from a window and a detection, which check them. Several functions share these:
 
 * ``head``: ``(..., N)`` bool, H_0, the heads at the start.
@@ -62,8 +62,9 @@ def recall(head: ArrayLike, candidates: ArrayLike) -> Floats:
 
 
 def f1(head: ArrayLike, candidates: ArrayLike) -> Floats:
-    """Harmonic mean of precision and recall, 2|C & H| / (|C| + |H|); 0 where both sets are empty."""
-    return _ratio(2 * _count(head, candidates), _count(candidates) + _count(head))
+    """Harmonic mean of precision and recall, 2|C & H| / (|C| + |H|); 1 where both sets are empty."""
+    both = _count(candidates) + _count(head)
+    return np.asarray(np.where(both > 0, _ratio(2 * _count(head, candidates), both), 1.0))
 
 
 def exact(head: ArrayLike, candidates: ArrayLike) -> Mask:

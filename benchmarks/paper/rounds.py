@@ -28,7 +28,7 @@ from usnet_env.evaluation import TRIVIAL
 from usnet_env.evaluation.play import episode_seeds, record_metrics
 from usnet_env.replay import record_episode
 
-DETECTORS = ("mc-gassl", "lagged-regression")
+DETECTORS = ("mc-gassl", "mc-gassl(gassl={'steps': 0})", "lagged-regression", "central-most", "track-outlier")
 WORDS = Path(__file__).parent / "data" / "multi_cluster_in_words.csv"  # what the paper says of each study
 PANELS = {"rounds": ("rounds R", 1), "redundancy": ("redundant UAVs, % of N", 100), "J": ("J_m", 1)}
 
@@ -55,7 +55,7 @@ def draw(rows: pd.DataFrame, folder: Path) -> None:
     words = pd.read_csv(WORDS, index_col="study")
     figure, grid = shared.panels(15, 3.6 * len(shared.STUDIES) + 0.8, len(shared.STUDIES), len(PANELS))
     names = sorted(set(rows.detector), key=lambda name: (name in TRIVIAL, name))
-    looks = {name: {"color": shared.COLORS[k], "marker": shared.MARKERS[k], "ms": 5} for k, name in enumerate(names)}
+    looks = shared.make_looks(names, 5)
     looks |= {name: {**looks[name], "color": "#777777"} for name in names if name in TRIVIAL}
     for line, (study, swarms) in zip(grid, shared.STUDIES.items(), strict=True):
         chosen, x = rows[rows[list(swarms)].isin(swarms).all(axis=1)], study if study in swarms else "follow"

@@ -7,6 +7,7 @@ import gzip
 import io
 import textwrap
 from collections.abc import Callable, Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -130,6 +131,12 @@ def panels(width: float, height: float, rows: int = 1, columns: int = 1, **how: 
         axes.set_axisbelow(True)
         axes.spines[["top", "right"]].set_visible(False)
     return figure, grid
+
+
+def make_looks(names: Sequence[str], size: float) -> dict[str, dict[str, Any]]:
+    """Colour and marker of each detector in a picture."""
+    pairs = zip(names, cycle(COLORS), cycle(MARKERS), strict=False)
+    return {name: {"color": color, "marker": marker, "ms": size} for name, color, marker in pairs}
 
 
 def draw_intervals(

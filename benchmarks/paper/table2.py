@@ -26,7 +26,9 @@ from usnet_env.detection import ask
 from usnet_env.envs import SingleClusterEnv
 
 FOLLOWERS = (2, 3, 5, 10, 15, 20, 25, 30, 40, 50)
-DETECTORS = ("gassl", "neural-granger", "lagged-regression(clusters=1)")
+DETECTORS = ("gassl", "gassl(steps=0)", "neural-granger", "lagged-regression(clusters=1)")
+DETECTORS += ("central-most(reach=100)", "track-outlier(threshold=1000)")  # they name one UAV, and see no pairs
+COMPARED = ("gassl", "gassl(steps=0)", "neural-granger")  # trained, untrained, and an attention that learns
 PAPER = Path(__file__).parent / "data" / "table2_detection_rate.csv"  # percent of 1,000 runs
 MANY, FEW = 100, 30  # episodes of a cell with up to 15 followers, and with more
 
@@ -54,10 +56,12 @@ def play(game: Game, seed: int) -> list[dict[str, Any]]:
 
 
 def draw(rows: pd.DataFrame, folder: Path) -> None:
-    """Draw the rates of the paper's setting against m, a panel for each follow strategy."""
-    rows = rows[(rows.mobility == "iid") & (rows.decoys == 0) & ~rows.head_jitter]
+    """Draw what training is worth, and the rates of the paper's setting against m, by follow strategy."""
+    rows = rows[(rows.mobility == "iid") & ~rows.head_jitter]
+    draw_training(rows[rows.detector.isin(COMPARED)], folder)
+    rows = rows[rows.decoys == 0]
     paper, names = pd.read_csv(PAPER), list(dict.fromkeys(rows.detector))
-    looks = {name: {"color": shared.COLORS[k], "marker": shared.MARKERS[k], "ms": 4} for k, name in enumerate(names)}
+    looks = shared.make_looks(names, 4)
     figure, grid = shared.panels(13.2, 7.2, 2, 4, sharey=True)
     grid[1, 3].set_visible(False)
     for axes, follow in zip(grid.ravel(), FOLLOW, strict=False):
@@ -72,6 +76,29 @@ def draw(rows: pd.DataFrame, folder: Path) -> None:
         f"{count} episodes a point; bars are 95 % Wilson intervals. Circles: 1,000 runs."
     )
     shared.save_figure(figure, folder / "detection-rates.png", "Detection rate of P1, one cluster", caption)
+
+
+def draw_training(rows: pd.DataFrame, folder: Path) -> None:
+    """Draw trained, untrained, ours and chance against m and, for m = 2, against f; without and with a decoy."""
+    paper, looks = pd.read_csv(PAPER), shared.make_looks(COMPARED, 5)
+    figure, grid = shared.panels(11, 6.4, 2, 2, sharey=True)
+    for decoys, line in enumerate(grid):
+        part = rows[rows.decoys == decoys]
+        for axes, x, places, chosen in zip(
+            line, ("followers", "follow"), (FOLLOWERS, FOLLOW), (part, part[part.followers == 2]), strict=True
+        ):
+            shared.draw_intervals(axes, chosen, x, places, "hit", looks, 100)
+            sizes = np.array(FOLLOWERS if x == "followers" else [2] * len(FOLLOW))
+            axes.plot(100 / (sizes + 1 + decoys), "_", ms=18, color="black", label="chance: one UAV at random")
+            axes.set(xlabel="followers m, f1 to f7" if x == "followers" else "follow strategy, m = 2", ylim=(-3, 103))
+            if decoys == 0:
+                rates = (paper if x == "followers" else paper[paper.followers == 2]).rename(columns={"ifs": "follow"})
+                means = rates.groupby(x).detection_rate_percent.mean().reindex(places)
+                axes.plot(means.to_numpy(), "o", mfc="none", mec="black", ms=9, label="the paper")
+        line[0].set(ylabel="head alone named, %", title=("no decoy", "one decoy")[decoys])
+    count = shared.describe_counts(rows, ["detector", "decoys", "followers", "follow"])
+    caption = f"iid heads, {count} episodes a cell; bars are 95 % intervals. The paper: 1,000 runs a cell."
+    shared.save_figure(figure, folder / "training.png", "P1: what training is worth", caption)
 
 
 def main(argv: list[str] | None = None) -> None:

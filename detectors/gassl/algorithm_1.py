@@ -21,17 +21,25 @@ Parameters = Mapping[str, Tensor]
 
 
 def algorithm_1(
-    inputs: Inputs, phi: Tensor, gamma: Tensor, agat: AgatSizes, ifsn: int, steps: int, learning_rate: float
+    inputs: Inputs,
+    phi: Tensor,
+    gamma: Tensor,
+    agat: AgatSizes,
+    ifsn: int,
+    steps: int,
+    learning_rate: float,
+    exclude_self: bool,
 ) -> Fit:
-    """Algorithm 1, lines 1 to 7; the votes of lines 6 and 8 are in :mod:`detectors.series.votes`.
+    """Algorithm 1, lines 1 to 7; the count of the votes, line 8, is in :mod:`detectors.gassl.detector`.
 
     The ``inputs`` are line 2, the batch of topology matrices; ``phi`` ``(n, parameters)`` and ``gamma``
     ``(parameters,)`` the initial Φ and Γ; ``agat`` and ``ifsn`` widths of the networks; ``steps`` is Ω and
-    ``learning_rate`` β. The result is that of :func:`detectors.gassl.training.train`.
+    ``learning_rate`` β; with ``exclude_self``, no UAV votes for itself. The result is that of
+    :func:`detectors.gassl.training.train`.
     """
     uavs = inputs.uavs
     gamma = gamma.detach().clone()
-    attn_heads = torch.zeros(uavs, agat.attn_heads, uavs)
+    attn_heads, votes = torch.zeros(uavs, agat.attn_heads, uavs), torch.zeros(uavs, uavs)
     losses, explained = torch.zeros(uavs, steps), torch.zeros(uavs)
     for i in range(uavs):  # line 1
         phi_i = phi[i].detach().clone()
@@ -45,9 +53,14 @@ def algorithm_1(
             losses[i, step] = loss.detach()
         last, alpha = batch_loss(inputs, i, phi_i, gamma, agat, ifsn)  # alpha_{i,i',l} at all times, (T_0 + 1, R, n)
         attn_heads[i] = alpha.mean(dim=1)  # over the times: decision (t)
+        weight = alpha.mean(dim=0)  # equation (12), (R, n)
+        if exclude_self:
+            weight[:, i] = -1.0
+        chosen = (weight == weight.amax(dim=1, keepdim=True)).float()  # line 6, equation (19) at each time
+        votes[i] = (chosen / chosen.sum(dim=1, keepdim=True)).mean(dim=0)
         power = (inputs.weight[i] * (inputs.target[i] ** 2).sum(axis=1)).sum()
         explained[i] = 1.0 - last / max(float(power), 1e-12)
-    return Fit(attn_heads.numpy(), gamma.numpy(), losses.numpy(), explained.numpy())
+    return Fit(attn_heads.numpy(), votes.numpy(), gamma.numpy(), losses.numpy(), explained.numpy())
 
 
 def batch_loss(inputs: Inputs, i: int, phi: Tensor, gamma: Tensor, agat: AgatSizes, ifsn: int) -> tuple[Tensor, Tensor]:

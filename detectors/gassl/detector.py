@@ -34,12 +34,14 @@ class Gassl(Detector):
     Args:
         top_k: K, the number of candidates.
         rule: ``"paper"``, or ``"exclude-self"`` where no UAV may choose itself.
-        steps: Ω, gradient steps for each UAV.
+        times: how the times of a window give one c_i (decision (t)): ``"votes"``, the mean of the c_i of equation (20)
+            at each time, or ``"mean"``, the c_i of the mean attention.
+        steps: Ω, gradient steps for each UAV; with 0, the attention is that of the initial networks.
         learning_rate: β of equations (24) and (25).
         query_hidden, query, key: hidden units and outputs of L; K, rows of K_l.
         similarity_hidden, ifsn_hidden: units of the hidden layers of s_l and of the IFSN.
-        gain: scale of the initial values of K_l and s_l, in units of 1 / sqrt(inputs of the layer); with a small one,
-            the IFSN learns the window by heart before attention has moved.
+        gain: scale of the initial values of K_l and s_l, in units of 1 / sqrt(inputs of the layer): how sharp the
+            attention is before training.
         memory: T_0.
         implementation: ``"compiled"``, or ``"printed"``: the readable loop of :mod:`detectors.gassl.algorithm_1`,
             much slower, the same to float rounding.
@@ -49,7 +51,8 @@ class Gassl(Detector):
 
     top_k: Count = 1
     rule: Literal["paper", "exclude-self"] = "paper"
-    steps: Annotated[int, Field(ge=1, le=1_000_000)] = 100
+    times: Literal["mean", "votes"] = "votes"
+    steps: Annotated[int, Field(ge=0, le=1_000_000)] = 100
     learning_rate: Annotated[float, Field(gt=0)] = 3e-3
     query_hidden: int = 16
     query: int = 8
@@ -70,11 +73,11 @@ class Gassl(Detector):
 
         Returns:
             Candidates (``top_k`` of them), scores c_i, ``leader`` (the other UAV that each UAV attends to most),
-            attention alpha ``(N, N)``, and in ``extras``: ``choice`` ``(N,)``, i_L^{(i)}, a UAV's own index where it
-            attends to itself most; ``attention_heads`` ``(T_0 + 1, N, N)``, alpha_l; ``explained`` ``(N,)``, the share
-            of the squared velocity that the fit explains on the training times; ``loss`` ``(N, Ω)``. With fewer than
-            3 living UAVs, or where no velocity was seen, nothing can be learned: then ``top_k`` living UAVs are named
-            at random and all scores are 0.
+            attention alpha ``(N, N)``, and in ``extras``: ``choice`` ``(N,)``, i_L^{(i)}, the most frequent one where
+            times vote, a UAV's own index where it attends to itself most; ``attention_heads`` ``(T_0 + 1, N, N)``,
+            alpha_l; ``explained`` ``(N,)``, the share of the squared velocity that the fit explains on the training
+            times; ``loss`` ``(N, Ω)``. With fewer than 3 living UAVs, or where no velocity was seen, nothing can be
+            learned: then ``top_k`` living UAVs are named at random and all scores are 0.
         """
         self.check_arguments()
         check_pairs(window.uavs)
@@ -84,7 +87,7 @@ class Gassl(Detector):
             candidates = name_at_random(members, self.top_k, window.uavs, self.rng)
             return Detection(candidates=candidates, scores=np.zeros(window.uavs))
         fit = self.fit_cluster(window, members, None, self.rng)
-        return answer(window, members, fit, self.rule, self.top_k, self.rng)
+        return answer(window, members, fit, self, self.rng)
 
     def draw_gamma(self, rng: np.random.Generator) -> Singles:
         """An initial Γ, ``(parameters,)``."""
@@ -101,22 +104,23 @@ class Gassl(Detector):
         agat, plain = self.check_arguments()
         inputs, phi = build_batch(window, members, self.memory), draw_agat(agat, len(members), rng)
         gamma = self.draw_gamma(rng) if gamma is None else gamma
+        training = plain.steps, plain.learning_rate, self.rule == "exclude-self"
         if self.implementation == "compiled":
-            return train(inputs, phi, gamma, agat, plain.steps, plain.learning_rate)
-        initial = torch.from_numpy(phi), torch.from_numpy(gamma)
-        return algorithm_1(inputs, *initial, agat, plain.ifsn_hidden, plain.steps, plain.learning_rate)
+            return train(inputs, phi, gamma, agat, *training)
+        return algorithm_1(inputs, torch.from_numpy(phi), torch.from_numpy(gamma), agat, plain.ifsn_hidden, *training)
 
 
-def answer(
-    window: Window, members: NDArray[np.intp], fit: Fit, rule: str, top_k: int, rng: np.random.Generator
-) -> Detection:
+def answer(window: Window, members: NDArray[np.intp], fit: Fit, settings: Gassl, rng: np.random.Generator) -> Detection:
     """Lines 6 to 8 of Algorithm 1: votes of the n UAVs of a cluster, written out for all N of the window."""
     attention = fit.attention.astype(np.float64)
     own = choose_heads(attention, True, rng)
-    choice = choose_heads(attention, False, rng) if rule == "paper" else own
+    choice = choose_heads(attention, False, rng) if settings.rule == "paper" else own
     c = count_votes(choice)
+    if settings.times == "votes":
+        choice = choose_heads(fit.votes, False, rng)
+        c = np.where(np.eye(len(members), dtype=bool), 0.0, fit.votes).sum(axis=0) / len(members)
     named = np.zeros(len(members), bool)
-    named[select_top(c, top_k, rng)] = True
+    named[select_top(c, settings.top_k, rng)] = True
     wide = partial(spread, members=members, uavs=window.uavs)
     extras = {
         "choice": wide(members[choice], fill=-1),

@@ -13,6 +13,7 @@ from usnet_env.arrays import Singles
 from usnet_env.compiling import compiled
 
 _ZERO = np.float32(0.0)
+_ONE = np.float32(1.0)
 _TWO = np.float32(2.0)
 
 
@@ -21,6 +22,7 @@ class Fit:
     """What Algorithm 1 leaves."""
 
     attn_heads: Singles  #: ``(n, T_0 + 1, n)`` alpha_{i,i',l}, mean over all times (decision (t))
+    votes: Singles  #: ``(n, n)`` share of the times at which UAV i attends most to UAV i'; a tie is divided
     gamma: Singles  #: ``(parameters,)`` the trained Γ
     loss: Singles  #: ``(n, Ω)`` L_B(Θ_i) of equation (23) before each step
     explained: Singles  #: ``(n,)`` share of the squared velocity that UAV i's last prediction explains
@@ -72,7 +74,19 @@ def gradient(phi, gamma, numbers, history, value, own, target, weight):
 
 
 @compiled()
-def _train_uav(phi, gamma, numbers, history, value, own, target, weight, rate, loss, attn_heads):
+def _share_votes(alpha, barred, votes):
+    """Equation (19) at each time: 1 / R to the UAV with the highest alpha_{i,i'}; the UAV ``barred`` gets none."""
+    _, uavs, times = alpha.shape
+    total = np.empty(uavs, np.float32)
+    for t in range(times):
+        for j in range(uavs):
+            total[j] = alpha[:, j, t].sum() if j != barred else -_ONE
+        chosen = total == total.max()
+        votes += chosen.astype(np.float32) / np.float32(max(1, chosen.sum()) * times)
+
+
+@compiled()
+def _train_uav(phi, gamma, numbers, history, value, own, target, weight, rate, loss, attn_heads, barred, votes):
     """Lines 3 to 6 of Algorithm 1 for one UAV: Φ_i and Γ move, equations (24), (25); returns the last L_B(Θ_i)."""
     heads, _, uavs, times = value.shape
     for step in range(loss.shape[0]):
@@ -86,24 +100,28 @@ def _train_uav(phi, gamma, numbers, history, value, own, target, weight, rate, l
             for t in range(times):
                 total += alpha[head, j, t]
             attn_heads[head, j] = total / np.float32(times)
+    _share_votes(alpha, barred, votes)
     return last
 
 
-def train(inputs: Inputs, phi: Singles, gamma: Singles, sizes: AgatSizes, steps: int, learning_rate: float) -> Fit:
+def train(
+    inputs: Inputs, phi: Singles, gamma: Singles, sizes: AgatSizes, steps: int, learning_rate: float, exclude_self: bool
+) -> Fit:
     """Lines 1 to 7 of Algorithm 1; the initial Φ ``phi`` ``(n, parameters)`` and Γ ``gamma`` ``(parameters,)`` stay.
 
-    Each UAV has ``steps``, Ω, with the rate β.
+    Each UAV has ``steps``, Ω, with the rate β. With ``exclude_self``, no UAV votes for itself.
     """
     uavs, heads = inputs.uavs, sizes.attn_heads
     phi, gamma = phi.copy(), gamma.copy()
     loss = np.zeros((uavs, steps), np.float32)
-    attn_heads = np.zeros((uavs, heads, uavs), np.float32)
+    attn_heads, votes = np.zeros((uavs, heads, uavs), np.float32), np.zeros((uavs, uavs), np.float32)
     explained = np.zeros(uavs, np.float32)
     for i in range(uavs):
         rate = np.float32(learning_rate)
-        last = _train_uav(phi[i], gamma, sizes.numbers(), *inputs.of(i), rate, loss[i], attn_heads[i])
+        result = rate, loss[i], attn_heads[i], i if exclude_self else -1, votes[i]
+        last = _train_uav(phi[i], gamma, sizes.numbers(), *inputs.of(i), *result)
         power = float((inputs.weight[i] * (inputs.target[i] ** 2).sum(axis=1)).sum())
         explained[i] = 1.0 - last / max(power, 1e-12)
     # Where beta is too large, the loss overflows: the fit explains nothing, and the attention is even.
     attn_heads = np.where(np.isfinite(attn_heads), attn_heads, np.float32(1.0 / uavs))
-    return Fit(attn_heads, gamma, loss, np.nan_to_num(explained, nan=0.0, posinf=0.0, neginf=0.0))
+    return Fit(attn_heads, votes, gamma, loss, np.nan_to_num(explained, nan=0.0, posinf=0.0, neginf=0.0))

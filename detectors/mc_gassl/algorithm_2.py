@@ -73,7 +73,7 @@ def detect_heads(
             continue
         fit = gassl.fit_cluster(window, members, gamma, rng)
         gamma = fit.gamma
-        found: Any = answer(window, members, fit, gassl.rule, gassl.top_k, rng)
+        found: Any = answer(window, members, fit, gassl, rng)
         candidates |= found.candidates
         scores += found.scores
         leader[members] = found.leader[members]

@@ -30,7 +30,7 @@ METRICS = {
     "exact": "1 if the candidates of round 1 are exactly the heads, else 0; for P1 its mean is the detection rate",
     "precision_first": "share of the candidates of round 1 that are heads (0 without a candidate)",
     "recall_first": "share of the heads that are candidates of round 1",
-    "f1_first": "harmonic mean of precision_first and recall_first",
+    "f1_first": "harmonic mean of precision_first and recall_first; 1 if no head is there and none is named",
     "ap_first": "average precision of the scores of round 1",
     "seconds_per_round": "wall time of one answer in seconds; the warm-up is not counted",
     "purity_first": "purity of the clusters of round 1, without decoys",

@@ -20,17 +20,27 @@ def detect_each(windows, **arguments):
     return [made.detect(window) for window in windows]
 
 
-@pytest.mark.parametrize("rule", ["paper", "exclude-self"])
-def test_finds_the_head(rule):
-    windows, heads = clusters(4, follow="f1", followers=5)
-    assert rate(detect_each(windows, rule=rule), heads) >= 0.75
+@pytest.mark.parametrize("steps", [0, 100])
+def test_names_the_uav_that_is_unlike_the_others_even_untrained(steps):
+    windows, heads = clusters(8, follow="f1", followers=5)
+    assert rate(detect_each(windows, steps=steps), heads) >= 0.75
+
+
+def test_training_finds_the_head_that_is_not_unlike_the_others():
+    """Each follower of f6 is pulled its own way; without a gradient step this test fails."""
+    windows, heads = clusters(10, follow="f6", followers=3)
+    trained, untrained = detect_each(windows), detect_each(windows, steps=0)
+    assert rate(trained, heads) >= 0.8
+    assert rate(untrained, heads) <= 0.5
+    assert min(answer.extras["explained"].mean() for answer in trained) > 0.6
+    assert max(answer.extras["explained"].mean() for answer in untrained) < 0.1
 
 
 @pytest.mark.parametrize("rule", ["paper", "exclude-self"])
 @pytest.mark.parametrize("memory", [4, 2])
 def test_an_answer_is_made_of_the_attention(rule, memory):
     window, _ = cluster(followers=4)
-    got = detector(rule=rule, memory=memory, **FEW).detect(window)
+    got = detector(rule=rule, memory=memory, times="mean", **FEW).detect(window)
     assert got.candidates.shape == (5,)
     assert got.candidates.sum() == 1
     assert got.scores[got.candidates] == got.scores.max()
@@ -47,6 +57,22 @@ def test_an_answer_is_made_of_the_attention(rule, memory):
     assert got.extras["loss"].shape == (5, 5)
     assert got.extras["explained"].shape == (5,)
     assert got.extras["explained"].max() <= 1
+
+
+@pytest.mark.parametrize("rule", ["paper", "exclude-self"])
+def test_votes_are_counted_at_each_time(rule):
+    window, _ = cluster(followers=4, observation_steps=6)
+    got = detector(rule=rule, steps=0).detect(window)  # R = 2 times
+    assert set(np.round(10 * got.scores, 4)) <= set(range(11))  # of 2 x 5 votes
+    assert got.scores.sum() <= 1 + 1e-6
+    assert got.scores[got.candidates] == got.scores.max()
+    if rule == "exclude-self":
+        assert got.scores.sum() == pytest.approx(1)
+        assert (got.extras["choice"] != np.arange(5)).all()
+    single, _ = cluster(followers=4, observation_steps=5)  # R = 1: both ways are one
+    one, other = (detector(rule=rule, times=times, **FEW).detect(single) for times in ("mean", "votes"))
+    np.testing.assert_allclose(one.scores, other.scores, atol=1e-6)
+    np.testing.assert_array_equal(one.extras["choice"], other.extras["choice"])
 
 
 def test_a_learning_rate_that_overflows_gives_even_attention():
