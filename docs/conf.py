@@ -32,6 +32,9 @@ myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 3
 
 autodoc_typehints = "signature"
+autodoc_typehints_format = "short"
+python_use_unqualified_type_names = True
+autodoc_type_aliases = {name: name for name in ("Floats", "Singles", "Mask", "Indices")}  # arrays; docs/api.md
 autodoc_member_order = "bysource"
 autodoc_default_options = {"members": True, "show-inheritance": False}
 napoleon_numpy_docstring = False
@@ -40,7 +43,9 @@ html_theme = "furo"
 html_title = f"USNET {release}"
 html_static_path = ["_static"]
 html_css_files = ["usnet.css"]
-html_theme_options = {"navigation_with_keys": True}
+html_js_files = ["usnet.js"]
+html_logo = html_favicon = "_static/logo.svg"
+html_theme_options = {"navigation_with_keys": True, "sidebar_hide_name": False}
 
 
 def _keep_bars(_app: Any, _what: str, _name: str, _obj: Any, _options: Any, lines: list[str]) -> None:
