@@ -56,7 +56,13 @@ def _keep_bars(_app: Any, _what: str, _name: str, _obj: Any, _options: Any, line
         lines[number] = "".join(parts)
 
 
+def _drop_limits(_app: Any, _what: str, _name: str, _obj: Any, _options: Any, signature: str | None, back: str) -> Any:
+    """Write ``float`` for ``Annotated[float, Field(ge=0)]``; the docstring has the limits."""
+    return signature and re.sub(r"Annotated\[(.*?), Field\([^)]*\)\]", r"\1", signature), back
+
+
 def setup(app: Any) -> None:
     """Write the generated pages before Sphinx looks for them."""
     app.connect("builder-inited", lambda app: write_pages(Path(app.srcdir)))
     app.connect("autodoc-process-docstring", _keep_bars)
+    app.connect("autodoc-process-signature", _drop_limits)
