@@ -18,6 +18,7 @@ import pandas as pd
 from paper.shared import RESULTS, parse, read_rows, write_rows
 
 from usnet_env.evaluation import EvaluationResult, Suite, evaluate_suite, list_suites, load_suite
+from usnet_env.evaluation.published import published_seed
 
 COLUMNS = ("cell", "detector", "episode", "swarm_seed", "J", "exact", "f1_first", "seconds_per_round", "error")
 DETECTORS = (
@@ -30,13 +31,6 @@ DETECTORS = (
 FEWER = {"paper": {"gassl": 1, "mc-gassl": 10, "neural-granger": 30}}
 FEWER["paper-hard"] = {"gassl": 10, "mc-gassl": 10, "neural-granger": 10}
 TIME_LIMITS = {"scale": 60.0}  # seconds for an answer
-#: A number that was drawn for the published rows, so that no detector could be tuned on their swarms before.
-DRAWN = 0x60413604136041360413604136041300
-
-
-def published_seed(suite: Suite) -> int:
-    """The seed of the committed rows of a suite."""
-    return suite.seed + (DRAWN << 32)
 
 
 def play(suite: Suite, detectors: list[str], episodes: int | None, folder: Path, **how: Any) -> list[pd.DataFrame]:

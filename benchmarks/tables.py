@@ -31,7 +31,11 @@ from usnet_env.files import write_text
 
 DETECTOR = {"detector": "detector"}  # lines of a table
 BLOCK = re.compile(r"(<!-- results:begin ?([\w-]*) -->)\n.*?<!-- results:end -->", re.DOTALL)
-PAGES = ("README.md", *(f"docs/results/{name}.md" for name in ("suites", "reader", "paper", "tracks", "speed")))
+PAGES = (
+    "README.md",
+    "docs/leaderboard.md",
+    *(f"docs/results/{name}.md" for name in ("suites", "reader", "paper", "tracks", "speed")),
+)
 SUITES = {  # those of README.md; `reader` solves the others
     "paper-hard": "the paper's problems, where the odd one out isn't the answer",
     "paper": "the game of the paper; in 11 of 12 cells one track alone shows a head",
@@ -45,13 +49,30 @@ SHORT_LIST = ["reader(policy='map')", "reader", "lagged-network", "net-lag-regre
 SHORT_LIST += ["reader(weights='untrained')", "central-most", "track-outlier", "destroy-all", "random", "none"]
 
 
+#: What a detector is, for the leaderboard; the others are baselines.
+ABOUT = {
+    "reader": "learned",
+    "learned": "learned",
+    "follow-mixture": "rules",
+    "gassl": "the paper",
+    "mc-gassl": "the paper",
+}
+ABOUT |= dict.fromkeys(("central-most", "track-outlier"), "blind")
+ABOUT |= dict.fromkeys(("none", "random", "destroy-all"), "trivial")
+
+
+def suite_file(name: str) -> Path:
+    """The file of the rows of a suite, which may not exist yet."""
+    return RESULTS / "suites" / f"{name}-v{list_suites()[name].version}.csv.gz"
+
+
 @cache
 def read_suite(name: str) -> pd.DataFrame:
     """The rows of a suite; an episode in which a detector failed isn't exact, and has no other metric.
 
     The detectors that are exact most often come first.
     """
-    rows = read_rows(RESULTS / "suites" / f"{name}-v{list_suites()[name].version}.csv.gz")
+    rows = read_rows(suite_file(name))
     rows["exact"] = rows["exact"].fillna(0)
     rows["f1_first"] = rows["f1_first"].mask(rows["exact"] == 1, 1.0)  # old rows have 0 for two empty sets
     best = rows.groupby("detector").exact.mean().sort_values(ascending=False, kind="stable").index
@@ -121,6 +142,19 @@ def readme_block() -> str:
     )
 
 
+def leaderboard_block() -> str:
+    """A line for each detector: what it is, and its share of exact episodes in every suite that has rows."""
+    names = (*SUITES, *SOLVED, *OLDER)
+    suites = {name: read_suite(name) for name in names if suite_file(name).exists()}
+    shares = pd.DataFrame({name: rows.groupby("detector").exact.mean() for name, rows in suites.items()})
+    shares = shares.loc[shares.mean(axis=1).sort_values(ascending=False, kind="stable").index]
+    lines = [
+        [name_detector(label), ABOUT.get(label.partition("(")[0], "baseline"), *map("{:.1f}".format, 100 * row)]
+        for label, row in zip(shares.index, shares.to_numpy(), strict=True)
+    ]
+    return markdown(("detector", "what it is", *(f"`{name}`" for name in suites)), lines).replace("nan", "–")
+
+
 def tracks_block() -> str:
     """A table for each set of recordings and way to choose the step; a recording is one value of a mean."""
     rows, parts = read_rows(RESULTS / "tracks.csv.gz"), []
@@ -188,6 +222,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "peers": _report("peers", peers.report),
     "ceilings": _report("ceilings", ceilings.report),
     "leaks": leaks_block,
+    "leaderboard": leaderboard_block,
     "table2": table2_block,
     "rounds": rounds_block,
     "purity": purity_block,

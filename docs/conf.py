@@ -32,6 +32,9 @@ myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 3
 
 autodoc_typehints = "signature"
+autodoc_typehints_format = "short"
+python_use_unqualified_type_names = True
+autodoc_type_aliases = {name: name for name in ("Floats", "Singles", "Mask", "Indices")}  # arrays; docs/api.md
 autodoc_member_order = "bysource"
 autodoc_default_options = {"members": True, "show-inheritance": False}
 napoleon_numpy_docstring = False
@@ -40,7 +43,9 @@ html_theme = "furo"
 html_title = f"USNET {release}"
 html_static_path = ["_static"]
 html_css_files = ["usnet.css"]
-html_theme_options = {"navigation_with_keys": True}
+html_js_files = ["usnet.js"]
+html_logo = html_favicon = "_static/logo.svg"
+html_theme_options = {"navigation_with_keys": True, "sidebar_hide_name": False}
 
 
 def _keep_bars(_app: Any, _what: str, _name: str, _obj: Any, _options: Any, lines: list[str]) -> None:
@@ -51,7 +56,13 @@ def _keep_bars(_app: Any, _what: str, _name: str, _obj: Any, _options: Any, line
         lines[number] = "".join(parts)
 
 
+def _drop_limits(_app: Any, _what: str, _name: str, _obj: Any, _options: Any, signature: str | None, back: str) -> Any:
+    """Write ``float`` for ``Annotated[float, Field(ge=0)]``; the docstring has the limits."""
+    return signature and re.sub(r"Annotated\[(.*?), Field\([^)]*\)\]", r"\1", signature), back
+
+
 def setup(app: Any) -> None:
     """Write the generated pages before Sphinx looks for them."""
     app.connect("builder-inited", lambda app: write_pages(Path(app.srcdir)))
     app.connect("autodoc-process-docstring", _keep_bars)
+    app.connect("autodoc-process-signature", _drop_limits)

@@ -16,6 +16,8 @@ from usnet_env.swarm.follow import CONTROLS, FIELD_MODELS
 from usnet_env.swarm.kinematics import KINEMATICS
 from usnet_env.tracks.env import TracksEnv
 
+PICTURES = Path(__file__).parent / "images" / "environments"  # drawn by pictures.py
+
 
 def write_pages(docs: Path) -> None:
     """Write the pages. Unchanged files are not touched, so that Sphinx does not read them again."""
@@ -53,7 +55,9 @@ def _environment_page(kind: str) -> str:
 
 def _page(title: str, described: type, use: str) -> str:
     summary, _, sections = (inspect.getdoc(described) or "").partition("\n")
-    return f"# {title}\n\n{summary}\n\n{use}\n\n{sections.strip()}\n"
+    name = next((name for name in (f"{title}-v1", f"{title}-v0", title) if (PICTURES / f"{name}.webp").exists()), "")
+    picture = f"![The first window, with the truth](../images/environments/{name}.webp)\n\n" if name else ""
+    return f"# {title}\n\n{summary}\n\n{picture}{use}\n\n{sections.strip()}\n"
 
 
 def _models_page(models: Mapping[str, Any]) -> str:

@@ -145,6 +145,36 @@ def test_help_imports_nothing_heavy():
     assert done.stdout.splitlines()[-1] == "[]", done.stderr
 
 
+def test_follow_strategies_are_listed_in_words(run):
+    lines = {line.split()[0]: line for line in run("list", "follow")[1].splitlines()}
+    assert "last three velocities of its head" in lines["f3"]
+    assert "not: every follower copies a head directly" in lines["chain"]
+
+
+def test_without_a_detector_three_are_played(run):
+    status, out, err = run("evaluate", "--episodes", "1", "--json", *SMALL)
+    assert (status, err) == (0, "")
+    assert [entry["detector"] for entry in json.loads(out)] == ["reader", "lagged-network", "lagged-regression"]
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("usnet eval", {"evaluate"}),
+        ("usnet demo --detector lagged-", {"lagged-correlation", "lagged-network", "lagged-regression"}),
+        ("usnet evaluate --suite pape", {"paper"}),
+        ("usnet evaluate --env USNET/Single", {"USNET/SingleCluster-v0", "USNET/SingleCluster-Decoy-v0"}),
+        ("usnet demo --follow pig", {"pigeons"}),
+    ],
+)
+def test_a_shell_completes_names(run, monkeypatch, words, expected):
+    monkeypatch.setenv("_USNET_COMPLETE", "bash_complete")
+    monkeypatch.setenv("COMP_WORDS", words)
+    monkeypatch.setenv("COMP_CWORD", str(len(words.split()) - 1))
+    _, out, _ = run()
+    assert {line.partition(",")[2] for line in out.splitlines()} == expected
+
+
 # What is refused
 
 
@@ -190,7 +220,6 @@ def test_bad_input_is_one_sentence_with_the_name(run, words, expected):
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["evaluate", "--episodes", "1"], "--detector"),
         (["demo", "--seed", "x"], "--seed"),
         (["demo", "--detector", "x"], "detector"),
         (["demo", "--out", "/dev/null"], "/dev/null"),

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numba.core import caching, config
 
+from usnet_env import compiling
 from usnet_env.compiling import compiled
 
 fcntl = pytest.importorskip("fcntl")
@@ -66,3 +67,14 @@ def test_a_function_computes_the_same_whoever_calls_it_first(tmp_path, monkeypat
 def test_loops_compile_where_no_cache_folder_can_be_written(monkeypatch):
     monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [])  # Numba finds no folder
     assert compiled()(twice)(3) == 6
+
+
+def test_a_person_hears_once_that_it_takes_long(tmp_path, monkeypatch):
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(compiling, "_LONG", 0.0)
+    said = []
+    compiling.tell_if_long(said.append)
+    loop = compiled()(lambda number: number + 3)
+    assert (loop(1.5), loop(1)) == (4.5, 4)
+    assert len(said) == 1
+    assert said[0].startswith("compiling")

@@ -24,9 +24,10 @@ from usnet_env.envs import ENVIRONMENTS
 from usnet_env.multiagent import GAMES
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("detectors/*.md"))]
 LINKED = [*PAGES, *sorted((ROOT / "docs" / "results").glob("*.md"))]
-EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+EXAMPLES = sorted([*(ROOT / "examples").glob("*.py"), *(ROOT / "examples" / "notebooks").glob("*.py")])
 MARK = "--- end of a block ---"
 FENCE = re.compile(r"^```(?P<kind>[^`\n]*)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL)
 CLASSES = sorted({f"{kind}Env" for kind, _ in ENVIRONMENTS.values()})
@@ -153,6 +154,16 @@ def test_every_detector_is_in_the_overview_and_its_class_on_a_page():
     assert [name for name in detectors if f"[`{name}`](" not in overview] == []
     pages = "".join(page.read_text(encoding="utf-8") for page in PAGES)
     assert [name for name, at in detectors.items() if f"autoclass:: {at.replace(':', '.')}\n" not in pages] == []
+
+
+def test_the_page_shows_the_class_of_the_example():
+    shown = (DOCS / "plugging_in.md").read_text(encoding="utf-8")
+    assert (ROOT / "examples" / "custom_detector" / "most_copied.py").read_text(encoding="utf-8") in shown
+
+
+def test_the_pages_are_few():
+    written = [page for page in DOCS.rglob("*.md") if not {"generated", "_build"} & set(page.parts)]
+    assert len(written) + len(CLASSES) + 1 + len(GAMES) <= 45
 
 
 def test_the_generated_pages_have_every_id_and_gymnasiums_sections(monkeypatch, tmp_path):

@@ -16,7 +16,7 @@ from usnet_env.swarm import register_follow_strategy, register_mobility
 from usnet_env.window import Window
 
 if TYPE_CHECKING:
-    from usnet_env.evaluation import evaluate
+    from usnet_env.evaluation import evaluate, results
     from usnet_env.plugins import make_detector, register_detector
 
 try:
@@ -25,12 +25,14 @@ except PackageNotFoundError:  # a source tree on the path without an installatio
     __version__ = "0+unknown"
 
 __all__ = ["ArgumentError", "Detection", "Window", "__version__", "evaluate", "make_detector"]
-__all__ += ["register_detector", "register_follow_strategy", "register_mobility"]
+__all__ += ["register_detector", "register_follow_strategy", "register_mobility", "results"]
 
 register_environments()
 
 
 def __getattr__(name: str) -> Any:  # the evaluation imports SciPy and tables, which an environment doesn't need
-    if name in ("evaluate", "make_detector", "register_detector"):
-        return getattr(import_module("usnet_env.evaluation" if name == "evaluate" else "usnet_env.plugins"), name)
+    if name in ("evaluate", "results"):
+        return getattr(import_module("usnet_env.evaluation"), name)
+    if name in ("make_detector", "register_detector"):
+        return getattr(import_module("usnet_env.plugins"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

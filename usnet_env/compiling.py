@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
@@ -16,6 +17,18 @@ except ImportError:  # Windows has no such locks
     fcntl = None  # type: ignore[assignment]  # a missing module
 
 _held: set[str] = set()  # the lock files that this process holds
+_LONG = 1.0  # seconds: loading machine code from the disk is faster
+_tell: list[Callable[[str], None]] = []  # what tells a person, once, that it takes long
+
+
+def tell_if_long(tell: Callable[[str], None]) -> None:
+    """Call ``tell`` with a sentence when a function takes long to compile; later ones are compiled silently."""
+    _tell[:] = [tell]
+
+
+def _say_that_it_compiles() -> None:
+    while _tell:
+        _tell.pop()("compiling loops for this machine; it keeps them, so the next start is faster …")
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -41,8 +54,16 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         compile_signature = loop.compile
 
         def compile_alone(signature: Any) -> Any:
-            with _one_process_at_a_time(lock):
-                return compile_signature(signature)
+            timer = threading.Timer(_LONG, _say_that_it_compiles) if _tell else None
+            if timer is not None:
+                timer.daemon = True
+                timer.start()
+            try:
+                with _one_process_at_a_time(lock):
+                    return compile_signature(signature)
+            finally:
+                if timer is not None:
+                    timer.cancel()
 
         loop.compile = compile_alone
         return loop

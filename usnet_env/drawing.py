@@ -47,7 +47,7 @@ TRACK_WORDS = {HEAD_MARK: "leader", FOLLOWER_MARK: "other (colour = leader)", LI
 _RING = {"marker": "o", "facecolors": "none", "linewidths": 2.2}
 _STYLES: dict[str, dict[str, Any]] = {  # of the marks, in the order of the legend
     HEAD_MARK: {"marker": "*", "s": 210, "c": "#555555", "edgecolors": "black", "linewidths": 0.8, "zorder": 5},
-    FOLLOWER_MARK: {"marker": "o", "s": 22, "c": "#777777", "edgecolors": "white", "linewidths": 0.4, "zorder": 3},
+    FOLLOWER_MARK: {"marker": "o", "s": 22, "c": "#777777", "edgecolors": "#555555", "linewidths": 0.4, "zorder": 3},
     UNLED_MARK: {"marker": "o", "s": 22, "c": NO_CLUSTER_COLOR},
     DECOY_MARK: {"marker": "D", "s": 46, "c": "white", "edgecolors": "black", "linewidths": 1, "zorder": 4},
     CANDIDATE_MARK: _RING | {"s": 260, "edgecolors": "#0072B2"},

@@ -1,4 +1,4 @@
-"""A custom detector: it names the UAVs whose velocity other UAVs copy one step later."""
+"""A custom detector: it names the UAVs whose velocity several other UAVs copy one step later."""
 
 from typing import Annotated
 
@@ -11,26 +11,24 @@ from usnet_env.detection import Tags
 
 
 class MostCopied(Detector):
-    """Every UAV votes for the UAV whose velocity it copies best one step later.
+    """Every UAV votes for the UAV that it copies most, one step later, beyond what is copied from it.
 
     Args:
-        clusters: the number of UAVs to name in each round.
+        votes: the fewest votes of a UAV that is named.
     """
 
-    tags = Tags(uses_positions=False, takes_clusters=True)
+    tags = Tags(uses_positions=False)
 
-    clusters: Annotated[int, Field(ge=1)] = 5
+    votes: Annotated[int, Field(ge=1)] = 3
 
     def detect(self, window: Window) -> Detection:
         """Count the votes. Destroyed UAVs do not vote and get no votes."""
         velocity = np.where(window.velocity_seen[..., None], window.velocity, 0.0)
-        agreement = np.einsum("tic,tjc->ij", velocity[1:], velocity[:-1])  # row i: how well i copies each j
-        np.fill_diagonal(agreement, -np.inf)
-        agreement[:, ~window.alive] = -np.inf
+        copied = np.einsum("tic,tjc->ij", velocity[1:], velocity[:-1])  # row i: how much i copies each j
+        lead = copied - copied.T
+        np.fill_diagonal(lead, -np.inf)
+        lead[:, ~window.alive] = -np.inf
         order = self.rng.permutation(window.uavs)  # ties are broken at random, not in favour of low indices
-        copied = order[agreement[:, order].argmax(axis=1)]
-        votes = np.bincount(copied[window.alive], minlength=window.uavs)
-        best = order[np.argsort(-votes[order], kind="stable")]
-        candidates = np.zeros(window.uavs, bool)
-        candidates[best[: self.clusters]] = True
-        return Detection(candidates=candidates & (votes > 0), scores=votes)
+        leader = order[lead[:, order].argmax(axis=1)]
+        votes = np.bincount(leader[window.alive], minlength=window.uavs)
+        return Detection(candidates=(votes >= self.votes) & window.alive, scores=votes)

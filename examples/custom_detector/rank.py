@@ -4,7 +4,7 @@ import usnet_env
 
 result = usnet_env.evaluate(
     "USNET/MultiCluster-v0",
-    ["most-copied(clusters=3)", "lagged-regression", "lagged-correlation", "random(count=3)", "destroy-all"],
+    ["most-copied", "lagged-regression", "lagged-correlation", "random(count=3)", "destroy-all"],
     episodes=20,
     env_kwargs={"follow": "f3", "clusters": 3, "uavs": 40, "observation_steps": 30},
 )

@@ -12,7 +12,7 @@ from small_episode import DECOY, ROUNDS, SAMPLES, UAVS, large_episode, small_epi
 
 from usnet_env import ArgumentError
 from usnet_env.config import MissingExtraError
-from usnet_env.replay import write_comparison, write_recording
+from usnet_env.replay import rerun, write_comparison, write_recording
 from usnet_env.replay.recording import attention_sheet, find_groups, list_steps
 
 rr = pytest.importorskip("rerun")
@@ -209,3 +209,15 @@ def test_without_rerun_one_sentence_says_what_to_install(tmp_path, monkeypatch):
     with pytest.raises(MissingExtraError, match=r"pip install 'usnet\[replay\]'"):
         write_recording(small_episode(), tmp_path / "e.rrd")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_links_of_large_swarms_are_off_at_first(tmp_path, monkeypatch):
+    import rerun.blueprint as rrb
+
+    shown, view = [], rrb.Spatial3DView
+    monkeypatch.setattr(rrb, "Spatial3DView", lambda **made: shown.append(made["overrides"]) or view(**made))
+    monkeypatch.setattr(rerun, "_MOST_LINKED", UAVS)
+    write_recording(small_episode(), tmp_path / "small.rrd")
+    monkeypatch.setattr(rerun, "_MOST_LINKED", UAVS - 1)
+    write_recording(small_episode(), tmp_path / "large.rrd")
+    assert [sum(path.endswith("links") for path in each) for each in shown] == [0, 0, 2, 2]

@@ -15,7 +15,9 @@ import traceback
 from collections.abc import Sequence
 
 import click
+from click.shell_completion import shell_complete
 
+from usnet_env import compiling
 from usnet_env.cli.commands import CommandGroup
 from usnet_env.cli.detect import detect
 from usnet_env.cli.evaluation import evaluate, report
@@ -48,6 +50,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     context: click.Context | None = None
     try:
         _prepare_process()
+        if asked := os.environ.get("_USNET_COMPLETE"):  # a shell asks for a script, or for the words that may follow
+            return shell_complete(_usnet, {}, "usnet", "_USNET_COMPLETE", asked)
+        if sys.stderr is not None and sys.stderr.isatty():
+            compiling.tell_if_long(print_message)
         with _usnet.make_context("usnet", list(sys.argv[1:] if argv is None else argv)) as context:
             _usnet.invoke(context)
             sys.stdout.flush()

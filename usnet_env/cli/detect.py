@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from usnet_env.cli.options import PositiveNumber, WholeNumber
+from usnet_env.cli.options import PositiveNumber, WholeNumber, complete_names
 from usnet_env.cli.output import print_message, show
 from usnet_env.config import MissingExtraError, printable
 from usnet_env.files import as_path, reserve_folder, write_text
@@ -51,7 +51,10 @@ def _parse_columns(context: click.Context, option: click.Parameter, words: Seque
 
 @click.command(short_help="Find the leaders in recorded tracks.", epilog=_EXAMPLES)
 @click.argument("tracks", nargs=-1, required=True, metavar="TRACKS…")
-@click.option("--detector", default=_DETECTOR, show_default=True, metavar="NAME", help="See `usnet list detectors`.")
+@click.option(
+    "--detector", default=_DETECTOR, show_default=True, shell_complete=complete_names, metavar="NAME",
+    help="See `usnet list detectors`.",
+)  # fmt: skip
 @click.option("--window", type=WholeNumber(1, 10**6), default=100, show_default=True, help="Steps of a window.")
 @click.option("--stride", type=WholeNumber(1, 10**9), help="Steps from window to window.  [default: --window]")
 @click.option("--step", type=PositiveNumber(), help="Seconds of a step.  [default: chosen from the tracks]")

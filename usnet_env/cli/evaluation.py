@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from usnet_env.cli.options import PositiveNumber, WholeNumber, parse_pairs
+from usnet_env.cli.options import PositiveNumber, WholeNumber, complete_names, parse_pairs
 from usnet_env.cli.output import print_message, show
 
 if TYPE_CHECKING:
@@ -21,11 +21,13 @@ if TYPE_CHECKING:
 
 _MOST_RECORDED = 20  # of the worst episodes of a detector
 _SAME = 1e-9  # of two values of a metric
+_GOOD = ("reader", "lagged-network", "lagged-regression")  # each good at something, and fast
 _EVERY = re.compile(r"every=([1-9][0-9]{0,8})\Z")
 
 _EXAMPLES = """
 \b
 Examples:
+  usnet evaluate --episodes 10
   usnet evaluate --detector reader --trivial --episodes 20 --set follow=f3 clusters=3
   usnet evaluate --suite controls --detector reader --out runs/controls
 """  # click reads the control characters: they keep the lines
@@ -33,12 +35,15 @@ Examples:
 
 @click.command(short_help="Play detectors against the same swarms and score them.", epilog=_EXAMPLES)
 @click.argument("pairs", nargs=-1, metavar="")
-@click.option("--env", "env_id", metavar="ID", help="Environment; see `usnet list envs`.")
-@click.option("--suite", metavar="NAME|FILE.yaml", help="Play the cells of a suite.")
+@click.option(
+    "--env", "env_id", shell_complete=complete_names, metavar="ID", help="Environment; see `usnet list envs`."
+)
+@click.option("--suite", shell_complete=complete_names, metavar="NAME|FILE.yaml", help="Play the cells of a suite.")
 @click.option("--cell", "cells", multiple=True, metavar="NAME", help="Cell of the suite. May be repeated.")
 @click.option(
-    "--detector", "detectors", multiple=True, required=True, metavar="NAME", help="A name or module:Class; repeatable."
-)
+    "--detector", "detectors", multiple=True, default=_GOOD, shell_complete=complete_names, metavar="NAME",
+    help=f"A name or module:Class; repeatable.  [default: {', '.join(_GOOD)}]",
+)  # fmt: skip
 @click.option("--set", "settings", multiple=True, metavar="KEY=VALUE …", help="Arguments of the environment.")
 @click.option("--episodes", type=WholeNumber(1, 1_000_000), help="For each detector; 100, or the suite's.")
 @click.option("--seed", type=WholeNumber(0, 2**192 - 1), help="Seed of all episodes; 0, or the suite's.")

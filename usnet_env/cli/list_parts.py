@@ -15,6 +15,15 @@ if TYPE_CHECKING:
     from usnet_env.detection import Tags
 
 _REGISTRIES = ("follow", "mobility", "kinematics", "formation", "placement", "fusion", "clusterer")
+_WORDS = {  # the paper's strategies; field models tell which assumption they break
+    "f1": "copies the last velocity of its head",
+    "f2": "copies the sum of the last two velocities of its head",
+    "f3": "copies the sum of the last three velocities of its head",
+    "f4": "copies the squares, axis by axis, of the last two velocities of its head",
+    "f5": "copies the squares, axis by axis, of the last three velocities of its head",
+    "f6": "copies the last velocity of its head, and is pulled to it beyond 60 m",
+    "f7": "a random network of its own positions and of the head's velocities and position",
+}
 _NAMES = ("envs", "detectors", *_REGISTRIES, "suites")
 
 
@@ -53,7 +62,7 @@ def _describe_parts(part: str) -> dict[str, str]:
 
 
 def _describe_registry(argument: str) -> dict[str, str]:
-    """The equation, the description or the first line of the docstring of all parts that an argument selects."""
+    """In words, or else by equation or docstring, all parts that an argument selects."""
     import usnet_env.multiagent.sensors  # noqa: F401  # it creates the registries of observers
 
     if argument in (modules := find_entry_points("usnet.registries")):
@@ -63,7 +72,9 @@ def _describe_registry(argument: str) -> dict[str, str]:
     for name in registry:
         try:
             part = registry[name]
-            text = getattr(part, "equation", "") or getattr(part, "description", "") or inspect.getdoc(part) or ""
+            known = (_WORDS.get(name), getattr(part, "breaks", ""), getattr(part, "description", ""))
+            text = next(filter(None, (*known, getattr(part, "equation", ""))), inspect.getdoc(part) or "")
+            text = f"not: {text}" if text == getattr(part, "breaks", None) else text
         except (ArgumentError, MissingExtraError) as error:
             text = f"not available: {error}"
         rows[name] = text.partition("\n")[0]

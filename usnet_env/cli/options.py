@@ -9,11 +9,28 @@ from typing import Any
 
 import click
 import yaml
+from click.shell_completion import CompletionItem
 
 from usnet_env.config import ArgumentError, quote
 
 WholeNumber = click.IntRange
 PositiveNumber = partial(click.FloatRange, min=0, min_open=True, max=1e12)
+
+
+def complete_names(context: click.Context, option: click.Parameter, begun: str) -> list[CompletionItem]:
+    """The names that an option of this name takes and that begin so, for a shell's completion."""
+    from usnet_env.envs import ENVIRONMENTS
+    from usnet_env.evaluation.suites import list_suites
+    from usnet_env.plugins import detector_names
+    from usnet_env.swarm import FOLLOW_STRATEGIES
+
+    if option.name == "env_id":
+        names = list(ENVIRONMENTS)
+    elif option.name == "suite":
+        names = list(list_suites())
+    else:
+        names = list(FOLLOW_STRATEGIES) if option.name == "follow" else detector_names()
+    return [CompletionItem(name) for name in names if name.startswith(begun)]
 
 
 def parse_pairs(words: Sequence[str]) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from usnet_env.cli.options import complete_names
 from usnet_env.cli.output import show
 from usnet_env.config import ArgumentError, printable, quote
 
@@ -36,8 +37,12 @@ Examples:
 @click.command(short_help="Play one episode; save a replay, a page and pictures.", epilog=_DEMO_EXAMPLES)
 @click.option("--out", default="runs/demo", show_default=True, metavar="DIR", help="Folder for the files.")
 @click.option("--seed", type=click.IntRange(0, 2**63 - 1), metavar="N", help="Seed of the episode.  [default: 3]")
-@click.option("--detector", metavar="NAME", help="Detector.  [default: lagged-correlation]")
-@click.option("--follow", metavar="NAME", help="Strategy; see `usnet list follow`.  [default: f3]")
+@click.option(
+    "--detector", shell_complete=complete_names, metavar="NAME", help="Detector.  [default: lagged-correlation]"
+)
+@click.option(
+    "--follow", shell_complete=complete_names, metavar="NAME", help="Strategy; see `usnet list follow`.  [default: f3]"
+)
 @click.option("--clusters", type=int, metavar="N", help="Number of clusters.  [default: 5]")
 @click.option("--uavs", type=int, metavar="N", help="Number of UAVs.  [default: 60]")
 @click.option("--open", "open_viewer", is_flag=True, help="Open the replay in the Rerun viewer.")

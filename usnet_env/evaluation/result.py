@@ -231,7 +231,7 @@ class EvaluationResult:
         return found[0] if isinstance(b, str) else found
 
     def merge(self, other: EvaluationResult) -> EvaluationResult:
-        """Join the result of other detectors, such as one of another folder, with the same suite, cells and seed."""
+        """Join the result of other detectors, with the same suite, cells and seed; it has the columns of both."""
         shared = [label for label in self.detectors if label in other.detectors]
         differing = [name for name in ("suite", "cells", "seed") if self.config.get(name) != other.config.get(name)]
         if shared or differing:
@@ -241,7 +241,7 @@ class EvaluationResult:
         config = {"detectors": [*self.detectors, *other.detectors], "episodes": episodes}
         import pandas as pd
 
-        return EvaluationResult(pd.concat([self.rows, other.rows]), self.config | config)
+        return EvaluationResult(pd.concat([self.rows, other.rows], join="inner"), self.config | config)
 
     def _check_metric(self, metric: str, argument: str = "metric") -> None:
         if metric not in self.metrics:

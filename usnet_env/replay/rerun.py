@@ -23,6 +23,7 @@ from usnet_env.replay.story import explain_replay, name_round
 if TYPE_CHECKING:
     import rerun.blueprint as rrb
 
+_MOST_LINKED = 300  # UAVs: of more, links are a ball of wool and not shown at first
 _UNKNOWN, _BACKGROUND = [140, 148, 156], [16, 20, 24]
 
 
@@ -32,11 +33,14 @@ def _space(writer: EpisodeWriter, name: str, truth: bool) -> rrb.Spatial3DView:
 
     rr, root = writer.rr, f"/{writer.root}"
     parts, overrides = ["swarm", "verdict", "observers"], {}
+    if writer.record.uavs > _MOST_LINKED:  # a person can turn them on
+        links = ("world/swarm/links", "world/found/links")
+        overrides = {f"{root}{path}": rrb.EntityBehavior(visible=False) for path in links}
     if not truth:
         parts = ["swarm/uavs", "swarm/tracks", "found", "observers"]
         alike = rr.Points3D.from_fields(colors=[_UNKNOWN], radii=[5.0 * writer.scale])
         tracks = rr.LineStrips3D.from_fields(colors=[[*_UNKNOWN, 110]])
-        overrides = {f"{root}world/swarm/uavs": alike, f"{root}world/swarm/tracks": tracks}
+        overrides |= {f"{root}world/swarm/uavs": alike, f"{root}world/swarm/tracks": tracks}
     eye = rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital,
         position=writer.span * np.array([0.0, -0.8, 0.9]),

@@ -1,0 +1,81 @@
+"""Draw a picture of each environment and game, docs/images/environments/*.webp: ``python docs/pictures.py``.
+
+Each shows the first window of an episode with the truth: heads as stars, followers in the colour of their head with a
+line to it. Names of environments may follow, to draw only these.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from PIL import Image
+
+import usnet_env.envs  # noqa: F401  # registers the environments
+from usnet_env.drawing import draw_round, new_figure, pixels_of
+from usnet_env.envs import ENVIRONMENTS
+from usnet_env.multiagent import GAMES
+
+IMAGES = Path(__file__).parent / "images"
+FOLDER = IMAGES / "environments"
+WALL = ("SingleCluster-Decoy-v0", "MultiCluster-Smooth-v0", "Field-v1")
+WALL += ("Field-Chain-v0", "Field-Flock-v0", "usnet_observers_v0")
+SEED = 5
+#: Arguments that let a picture show how UAVs move: heads that turn smoothly, in clusters that stand together.
+SMOOTH: dict[str, Any] = {"mobility": "gauss_markov", "head_jitter": True, "formation": "gathered"}
+SHOWN = {"SingleCluster-v0": SMOOTH, "SingleCluster-Decoy-v0": SMOOTH}
+GAMES_SHOWN = {"usnet_observers_v0": SMOOTH, "usnet_evasion_v0": {"formation": "gathered"}}
+
+
+def start(name: str) -> tuple[dict[str, Any], Any]:
+    """The scene that an episode begins with, as arguments of ``draw_round``, and its environment."""
+    if name in GAMES:
+        game = importlib.import_module(f"usnet_env.multiagent.{name}").parallel_env(
+            clusters=3, uavs=30, **GAMES_SHOWN[name]
+        )
+        windows = game.reset(seed=SEED)[0]
+        if name == "usnet_evasion_v0":  # its heads choose how they fly before anyone is seen; nobody is named
+            zero = {agent: np.zeros_like(game.action_space(agent).sample()) for agent in game.agents}
+            windows = game.step(zero)[0]
+        windows = [window for window in windows.values() if "seen" in window]
+        seen = np.stack([window["seen"] for window in windows]).astype(bool)
+        position = np.stack([window["position"] for window in windows]).max(axis=0, where=seen[..., None], initial=-1e9)
+        return {"position": position, "seen": seen.any(axis=0), **game.swarm.roles()}, game
+    env = gym.make(f"USNET/{name}", **SHOWN.get(name, {})).unwrapped
+    window = env.reset(seed=SEED)[0]
+    return {"position": window["position"], "seen": window["seen"].astype(bool), **env.swarm.roles()}, env
+
+
+def draw(name: str) -> Image.Image:
+    """A square picture of 480 pixels."""
+    from matplotlib.patches import Circle
+
+    scene, env = start(name)
+    axes = new_figure(4.8, 4.8).add_axes((0, 0, 1, 0.93))
+    figure = draw_round(**scene, axes=axes, legend=False)
+    axes.set(xticks=[], yticks=[], xlabel="", ylabel="")
+    axes.set_title(f" {name}", fontsize=13)
+    observers = env.list_observers() if name in GAMES else None
+    for x, y, _, reach in [] if observers is None else observers:
+        axes.add_patch(Circle((x, y), reach, fill=False, linestyle="--", color="#0072b2"))
+        axes.plot(x, y, marker="^", color="#0072b2", markersize=12)
+    return Image.fromarray(pixels_of(figure))
+
+
+def main(names: list[str]) -> None:
+    """Draw the pictures, and the wall of six that README.md shows."""
+    FOLDER.mkdir(exist_ok=True)
+    for name in names or [*(name.removeprefix("USNET/") for name in ENVIRONMENTS), *GAMES]:
+        draw(name).save(FOLDER / f"{name}.webp", quality=80, method=6)
+    wall = Image.new("RGB", (3 * 480, 2 * 480))
+    for place, name in enumerate(WALL):
+        wall.paste(Image.open(FOLDER / f"{name}.webp"), (place % 3 * 480, place // 3 * 480))
+    wall.save(IMAGES / "environments.webp", quality=75, method=6)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

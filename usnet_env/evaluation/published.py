@@ -1,0 +1,46 @@
+"""The published rows of the suites, which ship with the package."""
+
+from __future__ import annotations
+
+import json
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from usnet_env.config import ArgumentError, quote
+from usnet_env.evaluation.result import EvaluationResult
+from usnet_env.evaluation.suites import Suite, load_suite
+
+#: A number that was drawn for the published rows, so that no detector could be tuned on their swarms before.
+DRAWN = 0x60413604136041360413604136041300
+
+
+def published_seed(suite: Suite) -> int:
+    """The seed of the published rows of a suite."""
+    return suite.seed + (DRAWN << 32)
+
+
+def results(suite: str) -> EvaluationResult:
+    """The published rows of a suite of this package, to compare a run of yours with on the same swarms.
+
+    ``results("field-v2").config["seed"]`` is the seed that such a run needs, and ``merge`` joins both.
+
+    Raises:
+        ArgumentError: there is no such suite, or no rows of it are published.
+    """
+    import pandas as pd
+
+    chosen = load_suite(suite)
+    path: Any = _find_folder() / f"{chosen.name}-v{chosen.version}.csv.gz"
+    if not path.is_file():
+        raise ArgumentError(f"suite must be one whose rows are published, got {quote(suite)}.")
+    rows = pd.read_csv(path, compression="gzip", dtype={"error": object}).fillna({"error": ""})
+    about = {"suite": chosen.label, "cells": json.loads(chosen.model_dump_json())["cells"]}
+    about |= {"detectors": list(rows.groupby("detector").exact.mean().sort_values(ascending=False).index)}
+    return EvaluationResult(rows, about | {"episodes": int(rows.episode.max()) + 1, "seed": published_seed(chosen)})
+
+
+def _find_folder() -> Any:
+    """The folder of the rows in an installation, or else in the source tree."""
+    installed = files("usnet_env.evaluation") / "results"
+    return installed if installed.is_dir() else Path(__file__).parents[2] / "benchmarks" / "results" / "suites"
