@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 _DETECTOR = "reader(policy='map')"
 _MOST_ROWS, _MOST_NAMES = 40, 6  # of a table that is printed; ids in a row
 _COLUMN = "Name of a column; without NAME, the role is left out. May be repeated."
+_HEADER = "Names of the columns, with commas, of a file without them in row 1."
+_LENGTH = "Unit of x, y and z; beside degrees of z.  [default: m]"
+_DUPLICATES = "Of several places of an id at one time, keep one.  [default: error]"
 _EXAMPLES = """
 \b
 Examples:
@@ -49,17 +52,36 @@ def _parse_columns(context: click.Context, option: click.Parameter, words: Seque
     return mapping
 
 
+def _parse_names(context: click.Context, option: click.Parameter, words: str | None) -> list[str] | None:
+    return None if words is None else [name.strip() for name in words.split(",")]
+
+
+def _parse_place(context: click.Context, option: click.Parameter, words: str | None) -> tuple[float, ...] | None:
+    try:
+        place = None if words is None else tuple(map(float, words.split(",")))
+    except ValueError:
+        place = ()
+    if place is not None and len(place) != 2:
+        raise click.BadParameter("must be two numbers, such as 0,0.", context, option)
+    return place
+
+
 @click.command(short_help="Find the leaders in recorded tracks.", epilog=_EXAMPLES)
 @click.argument("tracks", nargs=-1, required=True, metavar="TRACKS…")
 @click.option("--detector", default=_DETECTOR, show_default=True, metavar="NAME", help="See `usnet list detectors`.")
-@click.option("--window", type=WholeNumber(1, 10**6), default=100, show_default=True, help="Steps of a window.")
+@click.option("--window", type=WholeNumber(1, 10**6), help="Steps of a window.  [default: as many as fit, about 100]")
 @click.option("--stride", type=WholeNumber(1, 10**9), help="Steps from window to window.  [default: --window]")
 @click.option("--step", type=PositiveNumber(), help="Seconds of a step.  [default: chosen from the tracks]")
 @click.option("--max-gap", type=PositiveNumber(), help="Longest gap in seconds that is interpolated.")
 @click.option("--keep-spikes", is_flag=True, help="Keep single samples off the track, to which it jumps and back.")
 @click.option("--column", "columns", multiple=True, callback=_parse_columns, metavar="ROLE=NAME", help=_COLUMN)
-@click.option("--time-unit", type=PositiveNumber(), help="Seconds in one unit of the time column.  [default: 1]")
+@click.option("--time-unit", type=PositiveNumber(), help="Seconds in one unit of the time column.  [default: guessed]")
+@click.option("--columns", "header", callback=_parse_names, metavar="NAMES", help=_HEADER)
+@click.option("--time-format", metavar="FORMAT", help="Of timestamps, such as '%d/%m/%Y %H:%M:%S'.")
+@click.option("--length-unit", type=click.Choice(["m", "cm", "mm", "km", "ft", "px"]), help=_LENGTH)
+@click.option("--duplicates", type=click.Choice(["error", "first", "mean"]), default="error", help=_DUPLICATES)
 @click.option("--skip-missing", "missing", flag_value="skip", default="refuse", help="Skip incomplete rows.")
+@click.option("--missing", "missing_place", callback=_parse_place, metavar="X,Y", help="A place that means none.")
 @click.option("--encoding", default="utf-8", show_default=True, metavar="NAME", help="Encoding of a CSV file.")
 @click.option("--decimal", type=click.Choice([".", ","]), default=".", help="Decimal sign of a CSV file.  [default: .]")
 @click.option("--seed", type=WholeNumber(0, 2**63 - 1), default=0, show_default=True, help="Seed of the detector.")
@@ -70,7 +92,7 @@ def _parse_columns(context: click.Context, option: click.Parameter, words: Seque
 def detect(
     tracks: tuple[str, ...],
     detector: str,
-    window: int,
+    window: int | None,
     stride: int | None,
     step: float | None,
     max_gap: float | None,
@@ -99,8 +121,9 @@ def detect(
     report = read.report()
     for sentence in report.warnings:
         print_message(f"warning: {sentence}")
-    even = read.resample(step, max_gap=max_gap, keep_spikes=keep_spikes)
+    even = read.resample(step, max_gap=max_gap, keep_spikes=keep_spikes, length=window)
     facts = [*report.facts, *even.notes[len(read.notes) :]]
+    window = even.choose_length() if window is None else window
     if window < LEAST_STEPS and not unconfirmed:
         facts.append(f"Windows of fewer than {LEAST_STEPS} steps are too short for the test that confirms leaders.")
     if folder is not None:

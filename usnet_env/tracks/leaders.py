@@ -158,7 +158,7 @@ def find_leaders(
     tracks: Tracks,
     detector: str | DetectorLike = DEFAULT_DETECTOR,
     *,
-    length: int = 100,
+    length: int | None = None,
     stride: int | None = None,
     seed: int = 0,
     confirm: bool = True,
@@ -172,7 +172,7 @@ def find_leaders(
     Args:
         tracks: the tracks; if they are not resampled, the step is chosen.
         detector: a name as :func:`usnet_env.make_detector` takes it, or a detector.
-        length: steps of a window.
+        length: steps of a window; ``None``: as many as fit the tracks (:meth:`Tracks.choose_length`).
         stride: steps from the start of a window to the start of the next; ``None``: ``length``.
         seed: seeds the detector.
         confirm: whether to leave out candidates that have no followers, whose followers don't move like them later, or
@@ -187,7 +187,8 @@ def find_leaders(
     groups: list[Group] = []
     windows: list[DetectedWindow] = []
     seen = np.zeros(len(tracks.ids), np.int64)
-    for number, cut in enumerate(tracks.windows(length, stride)):
+    even = tracks if tracks.step is not None else tracks.resample(length=length)
+    for number, cut in enumerate(even.windows(length, stride)):
         times = tracks.file_time(cut.start), tracks.file_time(cut.end)
         detection = _answer(player, cut, seed, number, times)
         found = _detect_window(cut, detection, confirm, groups, times)
