@@ -141,7 +141,9 @@ def test_out_and_record_write_all_files(run, folder, tmp_path):
     tracks = read_tracks(folder / "merging.csv")
     np.testing.assert_allclose(record.position[1, 0, 0], tracks.position[114], atol=1e-3)
     assert run("detect", folder / "leaderless.csv", *QUICK, "--out", out)[0] == 0
-    assert {path.name for path in out.iterdir()} == (names | {"links.csv"}) - {"episode.npz", "replay.rrd"}
+    assert {path.name for path in out.iterdir()} == (
+        names | {"links.csv", "network.png", "delays.png", "timeline.png"}
+    ) - {"episode.npz", "replay.rrd"}
 
 
 def test_missing_extras_leave_out_a_file_and_say_so(run, folder, tmp_path, monkeypatch):

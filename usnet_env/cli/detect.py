@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import warnings
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -88,6 +89,7 @@ def _parse_place(context: click.Context, option: click.Parameter, words: str | N
 @click.option("--unconfirmed", is_flag=True, help="Also name leaders whose followers don't move like them later.")
 @click.option("--out", metavar="DIR", help="Folder for tables, JSON and a picture.")
 @click.option("--record", is_flag=True, help="Also write an episode file and a replay; needs --out.")
+@click.option("--windows", "by_windows", is_flag=True, help="Also print the leaders of each window.")
 @click.option("--json", "as_json", is_flag=True, help="Print only the leaders, as JSON.")
 def detect(
     tracks: tuple[str, ...],
@@ -101,6 +103,7 @@ def detect(
     unconfirmed: bool,
     out: str | None,
     record: bool,
+    by_windows: bool,
     as_json: bool,
     **reading: Any,
 ) -> None:
@@ -144,7 +147,14 @@ def detect(
         click.echo(content)
     else:
         click.echo("\n".join(map(printable, facts)))
-        show(*_tables(found))
+        over_file, by_window = _tables(found)
+        show(over_file)
+        events = [printable(str(event)) for event in found.events]
+        if len(events) > _MOST_ROWS:
+            events[_MOST_ROWS:] = [f"{len(events) - _MOST_ROWS} more changes; --out DIR writes all windows."]
+        click.echo("\n".join(["", *events]))
+        if by_windows:
+            show(by_window)
     if folder is not None:
         title = ", ".join(Path(name).name for name in tracks)
         episode = _make_record(even, kept, title, found.detector, seed) if record else None
@@ -163,8 +173,8 @@ def _tables(found: FoundLeaders) -> list[Table]:
     over_file = [[*_cells(leader), f"{leader.share or 0.0:.0%}"] for leader in found.leaders]
     headings = ["leader", "p", "followers", "why"]
     return [
-        _make_table(f"Windows, by {found.detector}", ["from", "to", *headings], rows),
-        _make_table("Over the file", [*headings, "windows"], over_file or [["none found"]]),
+        _make_table(f"Over the file, by {found.detector}", [*headings, "windows"], over_file or [["none found"]]),
+        _make_table("Windows", ["from", "to", *headings], rows),
     ]
 
 
@@ -193,11 +203,20 @@ def _write_files(folder: Path, found: FoundLeaders, episode: EpisodeRecord | Non
     from usnet_env.replay import write_recording
     from usnet_env.tracks.picture import draw_leaders
 
-    for name in ("picture.png", "episode.npz", "replay.rrd"):  # of an earlier run, which this one may not replace
+    pictures = {"network": found.plot, "delays": found.plot_delays, "timeline": found.plot_timeline}
+    pictures["picture"] = lambda: draw_leaders(found, *drawn)
+    for name in (
+        "episode.npz",
+        "replay.rrd",
+        *(f"{each}.png" for each in pictures),
+    ):  # of an earlier run, which this one may not replace
         (folder / name).unlink(missing_ok=True)
     for name, table in found.tables().items():
         write_text(folder / f"{name}.csv", table.to_csv(index=False))
-    writers: dict[str, Any] = {"picture": lambda: write_figure(draw_leaders(found, *drawn), folder / "picture.png")}
+    writers: dict[str, Any] = {
+        name: partial(lambda name, draw: write_figure(draw(), folder / f"{name}.png"), name, draw)
+        for name, draw in pictures.items()
+    }
     if episode is not None:
         episode.save(folder / "episode.npz")
         writers["replay"] = lambda: write_recording(episode, folder / "replay.rrd")
@@ -207,8 +226,8 @@ def _write_files(folder: Path, found: FoundLeaders, episode: EpisodeRecord | Non
                 write()
             except MissingExtraError as error:
                 print_message(f"the {name} is left out. {error}")
-    for warning in caught:
-        print_message(f"warning: {warning.message}")
+    for message in dict.fromkeys(str(warning.message) for warning in caught):
+        print_message(f"warning: {message}")
 
 
 def _make_record(even: Tracks, kept: Sequence[Kept], title: str, detector: str, seed: int) -> EpisodeRecord:

@@ -23,7 +23,8 @@ _TOPICS = {
 }
 
 
-def _as_table(frame: pd.DataFrame) -> Table:
+def as_table(frame: pd.DataFrame) -> Table:
+    """The columns of a data frame."""
     return list(frame), lambda names: frame[list(names.values())].set_axis(list(names), axis=1)
 
 
@@ -53,14 +54,14 @@ def as_long(table: Table) -> Table:
 
 def read_json(data: bytes, *, lines: bool) -> Table:
     """Read records, or one on each line."""
-    return _as_table(pd.read_json(io.BytesIO(data), lines=lines, convert_dates=False))
+    return as_table(pd.read_json(io.BytesIO(data), lines=lines, convert_dates=False))
 
 
 def read_parquet(path: Path) -> Table:
     """Read a Parquet file; an index that pandas has written into it is a column like others."""
     import pyarrow.parquet
 
-    return _as_table(pyarrow.parquet.read_table(path).to_pandas(ignore_metadata=True))
+    return as_table(pyarrow.parquet.read_table(path).to_pandas(ignore_metadata=True))
 
 
 def read_npz(path: Path, mapping: Mapping[Any, str]) -> Table:
@@ -72,7 +73,7 @@ def read_npz(path: Path, mapping: Mapping[Any, str]) -> Table:
     with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}
     if arrays.get("position", np.empty(0)).ndim != 3:
-        return _as_table(pd.DataFrame(arrays))
+        return as_table(pd.DataFrame(arrays))
     place = arrays.pop("position")
     seen = np.isfinite(place).all(axis=2) & arrays.pop("seen", np.ones((), bool)).astype(bool)
     who, when = np.nonzero(seen.T)
@@ -85,7 +86,7 @@ def read_npz(path: Path, mapping: Mapping[Any, str]) -> Table:
         columns["id"] = who
     if not {"t", "time", "frame", mapping.get("t"), mapping.get("frame")} & arrays.keys():
         columns["frame"] = when
-    return _as_table(pd.DataFrame(columns))
+    return as_table(pd.DataFrame(columns))
 
 
 def read_gpx(data: bytes, stem: str) -> Table:
@@ -102,7 +103,7 @@ def read_gpx(data: bytes, stem: str) -> Table:
         for point in track.iterfind(".//{*}trkpt"):
             cells = {role: (point.findtext(f"{{*}}{role}") or "").strip() for role in ("ele", "time")}
             points.append({"name": label, "lon": point.get("lon"), "lat": point.get("lat"), **cells})
-    return _as_table(pd.DataFrame(points, columns=["name", "lon", "lat", "ele", "time"]))
+    return as_table(pd.DataFrame(points, columns=["name", "lon", "lat", "ele", "time"]))
 
 
 def read_ulog(path: Path) -> Table:
@@ -116,4 +117,4 @@ def read_ulog(path: Path) -> Table:
     frame = pd.DataFrame({role: np.asarray(data[name], float) for role, name in _TOPICS.get(topic, {}).items()})
     if topic == "vehicle_local_position":
         frame["z"] *= -1
-    return _as_table(frame.assign(t=np.asarray(data["timestamp"], float) / 1e6, id=path.stem))
+    return as_table(frame.assign(t=np.asarray(data["timestamp"], float) / 1e6, id=path.stem))

@@ -6,11 +6,13 @@ import csv
 import gzip
 import io
 import os
+import re
 import warnings
 import zipfile
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from inspect import signature
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -29,7 +31,7 @@ from usnet_env.tracks.tracks import Tracks
 
 _DELIMITERS = ",;\t|"
 _TEXTS = (".csv", ".tsv", ".gpx", ".json", ".txt")  # in zip archives; one of the last only if there is no other
-_TIME_OF_DAY = r"\s*\d{1,2}:\d\d(:\d\d)?"
+_TIME_OF_DAY = r"\d{1,2}:\d\d"
 _RECORDED = (315_532_800, 4_102_444_800)  # seconds from 1970 to 1980 and to 2100
 _SHORT = 0.05  # seconds between samples, or 72 minutes in days
 _NO_NUMBER = ["", "NA", "na", "N/A", "n/a", "NaN", "nan", "NULL", "null", "None", "none"]  # others are read one by one
@@ -125,52 +127,11 @@ class _Part:
 
 def _read_file(path: Path, options: _Options, several: bool) -> _Part:
     """Read a file; one of several may be the track of one id, that of its name."""
-    where, mapping = quote(os.fspath(path)), options.columns or {}
+    where = quote(os.fspath(path))
     try:
-        (header, read_columns), for_itself = _open_table(path, options)
-        names = roles.choose_columns(header, mapping, where, one_id=several)
-        movebank = roles.MOVEBANK & {name.replace("_", "-") for name in header}
-        marks = {"visible": "visible"} if movebank and "visible" in header else {}
-        if "t" in names and (dates := [name for name in header if name.strip().lower() == "date"]):
-            marks["date"] = dates[0]
-        table = read_columns(names | marks)
-        if "id" in names and not mapping.get("id") and len(table) > 1 and table["id"].is_unique:
-            other = [name for name in header if name != names["id"]]  # it numbers the rows
-            if names["id"] != (again := roles.choose_columns(other, mapping, where, one_id=True)).get(
-                "id", names["id"]
-            ):
-                names, table = again, read_columns(again | marks)
-        if "id" not in names:
-            names, table, for_itself = {"id": "file", **names}, table.assign(id=path.stem), True
-        count = len(table)
-        if "t" in names and table["t"].dtype.kind not in "fiuM":
-            table["t"] = _join_date(table["t"].astype(str), table.get("date"))
-            names["t"] += " + date" * ("date" in marks and roles.has_timestamps(table["t"]))
-        if "visible" in marks:
-            table = table[~table["visible"].astype(str).str.strip().str.lower().isin({"false", "f", "no", "0"})]
-        rows = pd.DataFrame(index=table.index)
-        skip = options.missing == "skip" or bool(movebank)
-        good = np.ones(len(rows), bool)
-        for role, name in names.items():
-            column = table[role].rename(name)
-            if role in roles.LABELS:
-                rows[role] = roles.read_labels(column)
-            else:
-                rows[role] = roles.read_numbers(column, role, where, options.decimal, options.time_format)
-            if role == "leader" or (role == "z" and not mapping.get("z")):
-                continue
-            none = rows[role].isin(["", np.nan]).to_numpy()
-            if none.any() and not skip:
-                roles.refuse_cell(role, column, "", where)
-            good &= ~none
-        if options.missing_place is not None:
-            good &= (rows[[role for role in names if role in ("lon", "lat", "x", "y")]] != options.missing_place).any(
-                axis=1
-            )
-        dated = any(roles.has_timestamps(table[role]) for role in roles.TIMES if role in names)
-        timestamps = dated or options.time_format is not None
-        counts = Counter(rows=count, marked=count - len(rows), skipped=int((~good).sum()))
-        return _Part(names, rows[good], counts, timestamps, for_itself)
+        table, for_itself = _open_table(path, options)
+        part = _read_part(table, options, where, path.stem if several else None)
+        return replace(part, for_itself=part.for_itself or for_itself)
     except (ArgumentError, ImportError, MemoryError):
         raise
     except Exception as error:  # libraries raise many kinds for damaged files
@@ -179,11 +140,69 @@ def _read_file(path: Path, options: _Options, several: bool) -> _Part:
         raise ArgumentError(f"path must be an intact file of tracks, got {where}: {reason}{hint}.") from error
 
 
+def read_frame(frame: pd.DataFrame, **options: Any) -> Tracks:
+    """Read a data frame; see :meth:`Tracks.from_dataframe`."""
+    given = {name: each.default for name, each in signature(read_tracks).parameters.items() if name != "path"}
+    if unknown := options.keys() - given.keys():
+        raise ArgumentError(f"options must be among {', '.join(given)}, got {', '.join(sorted(unknown))}.")
+    checked = _Options(**given | options)
+    plain = frame.reset_index() if any(frame.index.names) else frame
+    part = _read_part(formats.as_table(plain.rename(columns=str)), checked, "the frame", None)
+    return _make_tracks([Path("the frame")], [part], checked, "the frame")
+
+
+def _read_part(table_of_file: formats.Table, options: _Options, where: str, stem: str | None) -> _Part:
+    """Read the columns of a table; ``stem`` is its id if it has none."""
+    (header, read_columns), mapping, for_itself = table_of_file, options.columns or {}, False
+    names = roles.choose_columns(header, mapping, where, one_id=stem is not None)
+    movebank = roles.MOVEBANK & {name.replace("_", "-") for name in header}
+    marks = {"visible": "visible"} if movebank and "visible" in header else {}
+    if "t" in names and (dates := [name for name in header if name.strip().lower() == "date"]):
+        marks["date"] = dates[0]
+    table = read_columns(names | marks)
+    if "id" in names and not mapping.get("id") and len(table) > 1 and table["id"].is_unique:
+        other = [name for name in header if name != names["id"]]  # it numbers the rows
+        again = roles.choose_columns(other, mapping, where, one_id=True)
+        if "id" in again:
+            names, table = again, read_columns(again | marks)
+    if "id" not in names:
+        names, table, for_itself = {"id": "file", **names}, table.assign(id=stem), True
+    count = len(table)
+    if "t" in names and count and re.match(_TIME_OF_DAY, roles.to_text(table["t"].iloc[0])):
+        table["t"] = _join_date(table["t"].astype(str), table.get("date"))
+        names["t"] += " + date" * ("date" in marks)
+    if "visible" in marks:
+        table = table[~table["visible"].astype(str).str.strip().str.lower().isin({"false", "f", "no", "0"})]
+    rows = pd.DataFrame(index=table.index)
+    skip = options.missing == "skip" or bool(movebank)
+    good = np.ones(len(rows), bool)
+    for role, name in names.items():
+        column = table[role].rename(name)
+        if role in roles.LABELS:
+            rows[role] = roles.read_labels(column)
+        else:
+            rows[role] = roles.read_numbers(column, role, where, options.decimal, options.time_format)
+        if role == "leader" or (role == "z" and not mapping.get("z")):
+            continue
+        none = rows[role].isin(["", np.nan]).to_numpy()
+        if none.any() and not skip:
+            roles.refuse_cell(role, column, "", where)
+        good &= ~none
+    if options.missing_place is not None:
+        place = [role for role in names if role in ("lon", "lat", "x", "y")]
+        good &= (rows[place] != options.missing_place).any(axis=1)
+    dated = any(roles.has_timestamps(table[role]) for role in roles.TIMES if role in names)
+    timestamps = dated or options.time_format is not None
+    counts = Counter(rows=count, marked=count - len(rows), skipped=int((~good).sum()))
+    return _Part(names, rows[good], counts, timestamps, for_itself)
+
+
 def _join_date(clock: pd.Series[Any], date: pd.Series[Any] | None) -> pd.Series[Any]:
-    """Times of day with their dates, or as seconds after midnight; other times as they are."""
-    if not clock.str.match(_TIME_OF_DAY).all():
-        return clock
-    return pd.to_timedelta(clock).dt.total_seconds() if date is None else date.astype(str) + " " + clock
+    """Times of day with their dates, or as seconds after midnight; if some are none, as they are."""
+    if date is not None:
+        return date.astype(str) + " " + clock
+    seconds = pd.to_timedelta(clock, errors="coerce").dt.total_seconds()
+    return seconds if seconds.notna().all() else clock
 
 
 def _open_table(path: Path, options: _Options) -> tuple[formats.Table, bool]:

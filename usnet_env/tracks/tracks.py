@@ -56,6 +56,9 @@ class TrackWindow:
     leader: Indices | None = None
     left_out: tuple[str | int, ...] = ()
 
+    def __repr__(self) -> str:
+        return f"<TrackWindow of {len(self.ids)} ids from {self.start:g} s to {self.end:g} s, {self.window!r}>"
+
 
 class Tracks(Samples):
     """The tracks of N ids: S samples, sorted by id and then by time. All arrays are read-only.
@@ -102,6 +105,23 @@ class Tracks(Samples):
         if leader is not None:
             leaders, notes = match_leaders(*_read_ids("leader", leader, len(places)), codes, names)
         return cls(**sort_samples(names, codes, seconds, list(places.T), leader=leaders, notes=notes))
+
+    @classmethod
+    def from_dataframe(cls, frame: pd.DataFrame, **options: Any) -> Tracks:
+        """Make tracks of a data frame with a row for each sample; columns and options are as for :func:`read_tracks`.
+
+        A named index is a column.
+
+        Raises:
+            ArgumentError: as :func:`read_tracks`.
+        """
+        from usnet_env.tracks.read import read_frame
+
+        return read_frame(frame, **options)
+
+    def __repr__(self) -> str:
+        step = f", one every {self.step:g} s" if self.step else ""
+        return f"<Tracks: {len(self.ids)} ids, {self.samples} samples, {self.duration:g} s{step}, {self.dimensions}-D>"
 
     def report(self) -> TrackReport:
         """What the tracks hold, and what is doubtful about them: nothing of it is repaired."""
