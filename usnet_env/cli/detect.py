@@ -124,7 +124,7 @@ def detect(
     report = read.report()
     for sentence in report.warnings:
         print_message(f"warning: {sentence}")
-    even = read.resample(step, max_gap=max_gap, keep_spikes=keep_spikes, length=window)
+    even = read.resample(step, max_gap=max_gap, keep_spikes=keep_spikes, length=window or 0)
     facts = [*report.facts, *even.notes[len(read.notes) :]]
     window = even.choose_length() if window is None else window
     if window < LEAST_STEPS and not unconfirmed:

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from usnet_env.tracks.leaders import DetectedWindow
 
 Name = str | int
+Kind = Literal["leads", "ends", "joins", "leaves", "changes", "merges", "splits", "takes over"]
 _MOST_NAMES = 6
 _SENTENCES = {
     "leads": "{new} leads {who}.",
@@ -36,7 +37,7 @@ class Event:
     """
 
     time: float | int | str
-    kind: Literal["leads", "ends", "joins", "leaves", "changes", "merges", "splits", "takes over"]
+    kind: Kind
     ids: tuple[Name, ...]
     old: Name | None
     new: Name | None
@@ -50,7 +51,7 @@ class Event:
 
 def find_events(windows: Iterable[DetectedWindow]) -> tuple[Event, ...]:
     """Compare the heads of all ids in each window with those in the window before; before the first, there are none."""
-    events, before = [], dict[Name, Name]()
+    events, before = list[Event](), dict[Name, Name]()
     for window in windows:
         now = {leader.id: leader.id for leader in window.leaders} | {link.follower: link.head for link in window.links}
         moves: dict[tuple[Name | None, Name | None], list[Name]] = {}
@@ -64,9 +65,7 @@ def find_events(windows: Iterable[DetectedWindow]) -> tuple[Event, ...]:
     return tuple(event for event in events if event.ids or event.kind in ("ends", "merges"))
 
 
-def _name_kind(
-    old_moves: bool, new_moves: bool, old: Name | None, new: Name | None
-) -> Literal["leads", "ends", "joins", "leaves", "changes", "merges", "splits", "takes over"]:
+def _name_kind(old_moves: bool, new_moves: bool, old: Name | None, new: Name | None) -> Kind:
     if old is None:
         return "leads" if new_moves else "joins"
     if new is None:

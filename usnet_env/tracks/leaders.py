@@ -245,7 +245,7 @@ def find_leaders(
     groups: list[Group] = []
     windows: list[DetectedWindow] = []
     seen = np.zeros(len(tracks.ids), np.int64)
-    even = tracks if tracks.step is not None else tracks.resample(length=length)
+    even = tracks if tracks.step is not None else tracks.resample(length=length or 0)
     for number, cut in enumerate(even.windows(length, stride)):
         times = tracks.file_time(cut.start), tracks.file_time(cut.end)
         detection = _answer(player, cut, seed, number, times)

@@ -41,7 +41,7 @@ class _Options(Config):
     """The arguments of :func:`read_tracks` but for the files."""
 
     columns: Mapping[roles.Role, str] | None
-    header: tuple[str, ...] | None
+    header: Sequence[str] | None
     time_unit: Annotated[float, Field(ge=1e-12, le=1e9)] | None
     time_format: str | None
     length_unit: Literal["m", "cm", "mm", "km", "ft", "px"] | None
@@ -98,13 +98,11 @@ def read_tracks(
         ArgumentError: an argument is refused, a file is damaged or empty, a column is missing, a value is no number,
             an id has two places at one time, or there are fewer than two ids.
     """
+    asked = {name: value for name, value in locals().items() if name != "path"}
     given = [as_path("path", file) for file in (path if isinstance(path, list | tuple) else [path])]
     if not given:
         raise ArgumentError("path must be a file of tracks, or a list of such files, got an empty one.")
-    given_options: Any = {"columns": columns, "header": header and tuple(header), "time_unit": time_unit}
-    given_options |= {"time_format": time_format, "length_unit": length_unit, "missing": missing, "decimal": decimal}
-    given_options |= {"missing_place": missing_place, "duplicates": duplicates, "encoding": encoding}
-    options = _Options(**given_options)
+    options = _Options(**asked)
     paths = list({file.resolve(): file for file in reversed(given)}.values())[::-1]  # two paths may be of one file
     where = ", ".join(quote(os.fspath(file)) for file in paths[:3])
     try:

@@ -17,6 +17,7 @@ SamplesT = TypeVar("SamplesT", bound=Samples)
 JUMP = 5.0  # a jump is faster than this many times the speed that 95 % of the steps don't exceed
 _GROSS = 20.0  # times the usual speed; such a jump has the squared length of more than 400 steps
 
+_ROUNDS = 3  # a part between two excursions may be left out first, and they as one after it
 _LEAST_FIT = 3  # samples within a grid step from which a straight line is fitted
 _SNAP = 1e-6  # grid steps; times that differ by less are the same
 _TYPICAL_SHARE, _BRIDGE = 0.9, 1.5  # intervals up to 1.5 times that of this quantile are interpolated
@@ -85,18 +86,17 @@ def find_jumps(tracks: Samples) -> Jumps:
 
 def leave_out_spikes(tracks: SamplesT) -> SamplesT:
     """The tracks without the samples off the track."""
-    spikes = find_jumps(tracks).spikes
-    if not len(spikes):
-        return tracks
-    return leave_out_spikes(
-        replace(
+    for _ in range(_ROUNDS):
+        if not len(spikes := find_jumps(tracks).spikes):
+            break
+        tracks = replace(
             tracks,
             offsets=tracks.offsets - np.searchsorted(spikes, tracks.offsets),
             time=np.delete(tracks.time, spikes),
             position=np.delete(tracks.position, spikes, axis=0),
             leader=None if tracks.leader is None else np.delete(tracks.leader, spikes),
         )
-    )
+    return tracks
 
 
 def close_jumps(tracks: SamplesT) -> tuple[SamplesT, int]:
@@ -199,7 +199,7 @@ def _fit_lines(at: Floats, position: Floats, number: Indices, place: Floats) -> 
     place[fitted] = (position[starts] + line)[where[fitted]]
 
 
-def choose_step(tracks: Samples, length: int | None = None) -> tuple[float, str]:
+def choose_step(tracks: Samples, length: int = 0) -> tuple[float, str]:
     """Choose the step of the grid, in seconds, and say why in a sentence; an id must have two samples.
 
     Steps are tried from one in which the movement exceeds its noise four times, each √2 times as long as the last, as
@@ -208,7 +208,7 @@ def choose_step(tracks: Samples, length: int | None = None) -> tuple[float, str]
     interval = float(f"{np.nanmedian(typical_intervals(tracks)):.9g}")  # differences of times have rounding errors
     noise, needed = _noise(_sample_velocities(tracks, interval))
     stay = typical_stay(tracks) / interval
-    needed = min(needed, max(1, int(stay / max(_FEWEST_STEPS, (length or 0) / 2))))
+    needed = min(needed, max(1, int(stay / max(_FEWEST_STEPS, length / 2))))
     longest = max(1.0, stay / (_LEAST_STEPS * needed))  # compared with the shortest step
     powers = np.arange(1 + max(0, int(np.floor(np.log(longest) / np.log(_GROWTH) + 1e-9))))
     factors = sorted({round(needed * _GROWTH ** int(k)) for k in powers})

@@ -128,12 +128,7 @@ class Tracks(Samples):
         return find_problems(self)
 
     def resample(
-        self,
-        step: float | None = None,
-        *,
-        max_gap: float | None = None,
-        keep_spikes: bool = False,
-        length: int | None = None,
+        self, step: float | None = None, *, max_gap: float | None = None, keep_spikes: bool = False, length: int = 0
     ) -> Tracks:
         """Resample all tracks to one grid of times, which starts at the earliest sample.
 
@@ -150,7 +145,7 @@ class Tracks(Samples):
             max_gap: longest time in seconds between two samples that is interpolated; ``None``: one and a half times
                 the interval that 90 % of the id's intervals don't exceed, at least the step.
             keep_spikes: whether to keep spikes, jumps and noisy heights.
-            length: steps of the windows that will be cut, for which a chosen step leaves room.
+            length: steps of the windows that will be cut, for which a chosen step leaves room; 0: not known.
 
         Raises:
             ArgumentError: ``step`` or ``max_gap`` is not a positive number, or no id has two samples.
