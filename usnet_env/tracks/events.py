@@ -58,7 +58,7 @@ def find_events(windows: Iterable[DetectedWindow]) -> tuple[Event, ...]:
         for name in dict.fromkeys([*before, *now]):
             if before.get(name) != now.get(name):
                 moves.setdefault((before.get(name), now.get(name)), []).append(name)
-        for (old, new), ids in moves.items():
+        for (old, new), ids in sorted(moves.items(), key=lambda move: (-len(move[1]), str(move[0]))):
             rest = tuple(name for name in ids if name not in (old, new))
             events.append(Event(window.start, _name_kind(old in ids, new in ids, old, new), rest, old, new))
         before = now
