@@ -82,7 +82,7 @@ def test_ids_that_set_off_later_on_the_same_way_follow_the_places_of_the_first()
 
 
 def test_leaders_of_short_windows_are_confirmed():
-    """In 32 steps, the trends of all hide who is first; the changes of their velocity show it."""
+    """In 32 steps, the trends of all hide who is first; changes of their velocity help to show it."""
     right = wrong = 0
     for seed in range(20):
         rng = np.random.default_rng(seed)

@@ -20,7 +20,8 @@ LEVEL = 0.05  # of a group and window: how often a leaderless group gets a leade
 _LEVEL_OUTSIDE = 0.5
 _NEAREST, _SHIFTS, _DEVIATIONS = 5, 9, 3.0
 _LEAST_SHIFT = 3 * _LAGS  # a smaller shift leaves a part of the likeness at some lag
-_SHORT = 48  # steps; in shorter windows, trends hide who is first, and changes of velocity are compared
+_SHORT = 48  # steps; in shorter windows, trends hide who is first, and changes of velocity count as much
+_DEVIATION_OF_BOTH = 1.7  # of the sum of two scores with a correlation of 0.45
 _LONGEST, _THIRD = 30.0, 3  # seconds, and part of a window, in which a place is reached later
 _SAME_WAY = 0.03  # squared distances to the way of a leader, as a share of those to where it is
 _MOST_OF = 0.75  # of a group
@@ -177,14 +178,15 @@ def _is_ahead(group: Floats, ahead: Floats, both: Mask, level: float) -> bool:
     """Whether ``group`` ``(T, 3)`` repeats ``ahead`` later; ``both`` ``(T,)``: where both are seen.
 
     Its changes must do so as well, by more than one standard deviation at a strict level; in a window of fewer than 48
-    steps, they alone count.
+    steps, the sum of both scores counts.
     """
     group, ahead = _centre(group, both), _centre(ahead, both)
     limit = max(0.0, -NormalDist().inv_cdf(level))
     changes = _measure_score(np.diff(group, axis=0), np.diff(ahead, axis=0), 1.0)
+    velocity = _measure_score(group, ahead, -1.0)
     if len(group) < _SHORT:
-        return changes > limit
-    return _measure_score(group, ahead, -1.0) > limit and (limit == 0.0 or changes > min(limit, 1.0))
+        return velocity + changes > _DEVIATION_OF_BOTH * limit
+    return velocity > limit and (limit == 0.0 or changes > min(limit, 1.0))
 
 
 def _measure_score(group: Floats, ahead: Floats, sign: float) -> float:
