@@ -18,6 +18,7 @@ from usnet_env.window import Window
 if TYPE_CHECKING:
     from usnet_env.evaluation import evaluate, results
     from usnet_env.plugins import make_detector, register_detector
+    from usnet_env.tracks import Tracks, find_leaders, read_tracks
 
 try:
     __version__ = version("usnet")
@@ -25,14 +26,28 @@ except PackageNotFoundError:  # a source tree on the path without an installatio
     __version__ = "0+unknown"
 
 __all__ = ["ArgumentError", "Detection", "Window", "__version__", "evaluate", "make_detector"]
-__all__ += ["register_detector", "register_follow_strategy", "register_mobility", "results"]
+__all__ += [
+    "Tracks",
+    "find_leaders",
+    "read_tracks",
+    "register_detector",
+    "register_follow_strategy",
+    "register_mobility",
+    "results",
+]
 
 register_environments()
 
 
-def __getattr__(name: str) -> Any:  # the evaluation imports SciPy and tables, which an environment doesn't need
-    if name in ("evaluate", "results"):
-        return getattr(import_module("usnet_env.evaluation"), name)
-    if name in ("make_detector", "register_detector"):
-        return getattr(import_module("usnet_env.plugins"), name)
+_LATER = {"evaluate": "evaluation", "results": "evaluation", "make_detector": "plugins", "register_detector": "plugins"}
+_LATER |= dict.fromkeys(("Tracks", "find_leaders", "read_tracks"), "tracks")
+
+
+def __getattr__(name: str) -> Any:  # these import SciPy and tables, which an environment doesn't need
+    if name in _LATER:
+        return getattr(import_module(f"usnet_env.{_LATER[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

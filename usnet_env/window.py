@@ -94,6 +94,11 @@ class Window:
         for name, value in checked.items():
             object.__setattr__(self, name, value)
 
+    def __repr__(self) -> str:
+        step = f" of {self.step:g} s" if self.step else ""
+        gone = f", {int((~self.alive).sum())} destroyed" * (not self.alive.all())
+        return f"<Window of {self.uavs} UAVs, {self.observation_steps} steps{step}, round {self.round}{gone}>"
+
     @property
     def uavs(self) -> int:
         """N, the number of UAVs, destroyed UAVs included."""

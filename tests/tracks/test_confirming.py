@@ -7,7 +7,7 @@ from track_files import Answers, Sure, answer_of
 
 from usnet_env import Window
 from usnet_env.tracks import Tracks, find_leaders
-from usnet_env.tracks.confirm import LEVEL, find_alike, find_followers
+from usnet_env.tracks.confirm import LEVEL, confirm_leaders, find_alike, find_followers, follow_places
 
 STEPS, UAVS = 200, 6
 
@@ -56,6 +56,42 @@ def test_relays_opposite_velocities_and_independent_tracks_are_not_confirmed():
     relay = np.roll(leader, 2, axis=0) + rng.normal(0, 0.1, leader.shape)
     assert confirmed([leader, relay, *followers_of(rng, relay, 1)[1:]], head=1) == 0
     assert sum(confirmed([wander(rng) for _ in range(UAVS)], head=k % UAVS) for k in range(20)) <= 4
+
+
+def set_off(order, lateral, instants=120, wait=12):
+    """A window in which ids set off one after another, each on a straight way of its own at some lateral distance."""
+    gone = np.maximum(0.0, np.arange(instants)[:, None] - 5 - wait * np.array(order))
+    ways = lateral * np.random.default_rng(2).normal(0, 1, len(order)) + 0 * gone
+    position = np.stack([gone, ways, 0 * gone], axis=2).astype(np.float32)
+    position += np.random.default_rng(3).normal(0, 0.05, position.shape).astype(np.float32)
+    seen = np.ones(position.shape[:2], bool)
+    return Window(position, np.diff(position, axis=0), seen, seen[0], step=1.0)
+
+
+def test_ids_that_set_off_later_on_the_same_way_follow_the_places_of_the_first():
+    """One follows another; a detector may name as leader of all the one that the others follow directly or not."""
+    for order in ([0, 1, 2, 3], [2, 0, 1, 3]):
+        first, rest = order.index(0), [k for k in range(4) if order[k]]
+        confirmed_ones, kept = confirm_leaders(set_off(order, 0.5), [first], [rest])
+        assert (confirmed_ones.tolist(), kept) == ([True], [rest])
+        second = order.index(1)
+        assert follow_places(set_off(order, 0.5), second, [k for k in range(4) if order[k] > 1]) == []
+    assert follow_places(set_off([0, 1, 2, 3], 40.0), 0, [1, 2, 3]) == []  # side by side
+    assert follow_places(set_off([0, 3, 3.1, 3.2], 0.5), 0, [1, 2, 3]) == []  # later than 30 s
+    assert follow_places(set_off([0, 0.02, 0.01, 0.03], 0.5), 0, [1, 2, 3]) == []  # at once
+
+
+def test_leaders_of_short_windows_are_confirmed():
+    """In 32 steps, the trends of all hide who is first; changes of their velocity help to show it."""
+    right = wrong = 0
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        leader = walk(rng, 34)
+        velocity = np.array([leader[2:], *(leader[1:-1] for _ in range(3)), *(leader[:-2] for _ in range(2))])
+        window = make_window(velocity + rng.normal(0, 0.03, velocity.shape))
+        right += confirm_leaders(window, [0], [[1, 2, 3, 4, 5]])[0][0]
+        wrong += confirm_leaders(window, [4], [[0, 1, 2, 3, 5]])[0][0]
+    assert (right >= 13, wrong) == (True, 0)
 
 
 def names_the_first(leader_of_itself=0, followers=None):

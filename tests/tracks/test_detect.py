@@ -47,8 +47,8 @@ def test_the_leader_of_a_flock_is_found_with_its_followers(folder):
 
 
 def test_groups_that_merge_are_followed(folder):
-    found = find_leaders(read_tracks(folder / "merging.csv"))
-    assert [set(ids) for ids in leaders_by_window(found)] == [{"bird-0", "bird-1"}] * 4 + [{"bird-0"}] * 3
+    found = find_leaders(read_tracks(folder / "merging.csv"), length=100)
+    assert [set(ids) for ids in leaders_by_window(found)] == [{"bird-0", "bird-1"}] * 4 + [{"bird-0"}] * 4
     groups = {(leader.id, leader.group) for window in found.windows for leader in window.leaders}
     assert sorted(groups) in ([("bird-0", 1), ("bird-1", 2)], [("bird-0", 2), ("bird-1", 1)])
 
@@ -62,14 +62,16 @@ def test_no_id_leads_a_leaderless_flock(folder):
 
 def test_a_leader_is_confirmed_by_followers_that_move_like_it_later(folder):
     """A detector that is always sure of the wrong one: the dog of a herd, or any bird of a leaderless flock."""
-    for file, head, named in (("shepherd", 0, 1), ("leaderless", 3, 0), ("flock", 0, 5)):
+    for file, head, named in (("shepherd", 0, 1), ("leaderless", 3, 1), ("flock", 0, 6)):
         tracks = read_tracks(folder / f"{file}.csv").resample(0.5)
-        found = find_leaders(tracks, Sure(head))
+        found = find_leaders(tracks, Sure(head), length=100)
         assert sum(map(bool, leaders_by_window(found))) <= named
         assert sum(map(bool, leaders_by_window(found))) >= named - 1
         for window in found.windows:
             assert len(window.leaders) + len(window.not_confirmed) == 1
-        assert leaders_by_window(find_leaders(tracks, Sure(head), confirm=False)) == [[tracks.ids[head]]] * 5
+        assert (
+            leaders_by_window(find_leaders(tracks, Sure(head), length=100, confirm=False)) == [[tracks.ids[head]]] * 6
+        )
 
 
 def test_the_same_seed_gives_the_same_answer(folder):
@@ -92,7 +94,7 @@ def test_a_group_keeps_its_number_when_another_leads_it(folder):
 
 
 def test_a_detector_that_fails_is_named_with_the_window(folder):
-    with pytest.raises(ArgumentError, match=r"^detector must .*division by zero.*0\.0 to 50\.0"):
+    with pytest.raises(ArgumentError, match=r"^detector must .*division by zero.*0\.0 to 59\.5"):
         find_leaders(read_tracks(folder / "flock.csv"), Answers(lambda uavs, k: 1 / 0))
     with pytest.raises(ArgumentError, match=r"^detector must .* for all 12 UAVs"):
         find_leaders(read_tracks(folder / "flock.csv"), Answers(lambda uavs, k: answer_of(3, 0)))
@@ -111,7 +113,7 @@ def test_json_is_one_object_with_these_keys(run, folder):
         for leader in window["leaders"]:
             assert set(leader) == fields
     assert [set(leader) for leader in found["leaders"]] == [{*fields, "share"}]
-    assert found["windows"][1]["start"] == 50.0
+    assert found["windows"][1]["start"] == 59.5
     assert found["leaders"][0]["id"] == "bird-0"
     assert found["leaders"][0]["probability"] is None
 
@@ -126,7 +128,7 @@ def test_out_and_record_write_all_files(run, folder, tmp_path):
     assert names <= {path.name for path in out.iterdir()}
     with open(out / "windows.csv", newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    assert (rows[0]["start"], rows[0]["end"]) == ("0.0", "50.0")
+    assert (rows[0]["start"], rows[0]["end"]) == ("0.0", "57.0")
     assert {row["id"] for row in rows} == {"bird-0", "bird-1"}
     assert "bird-2" in next(row for row in rows if row["id"] == "bird-0")["followers"].split(";")
     assert json.loads((out / "leaders.json").read_text())["leaders"][0]["id"] == "bird-0"
@@ -137,9 +139,11 @@ def test_out_and_record_write_all_files(run, folder, tmp_path):
     behind = record.root[0] == ids.index("bird-0")
     assert {ids[i] for i in np.flatnonzero(behind)} == {"bird-0", *(f"bird-{k}" for k in range(2, 14, 2))}
     tracks = read_tracks(folder / "merging.csv")
-    np.testing.assert_allclose(record.position[1, 0, 0], tracks.position[100], atol=1e-3)
+    np.testing.assert_allclose(record.position[1, 0, 0], tracks.position[114], atol=1e-3)
     assert run("detect", folder / "leaderless.csv", *QUICK, "--out", out)[0] == 0
-    assert {path.name for path in out.iterdir()} == (names | {"links.csv"}) - {"episode.npz", "replay.rrd"}
+    assert {path.name for path in out.iterdir()} == (
+        names | {"links.csv", "network.png", "delays.png", "timeline.png"}
+    ) - {"episode.npz", "replay.rrd"}
 
 
 def test_missing_extras_leave_out_a_file_and_say_so(run, folder, tmp_path, monkeypatch):
@@ -173,7 +177,7 @@ def test_ids_that_are_seen_too_little_are_named(folder, run, tmp_path):
     kept = [line for line in lines if not (line.startswith("bird-3,") and 60 < float(line.split(",")[1]) < 140)]
     (tmp_path / "gap.csv").write_text("\n".join(kept))
     found = find_leaders(read_tracks(tmp_path / "gap.csv").resample(0.5), "lagged-regression")
-    assert [window.left_out for window in found.windows] == [(), ("bird-3",), ("bird-3",), (), ()]
+    assert [window.left_out for window in found.windows] == [(), ("bird-3",), (), (), ()]
     _, out, err = run("detect", tmp_path / "gap.csv", *QUICK, "--window", "250")
     for words in ("12 ids", "The step is 0.5 s", "bird-0", "Over the file"):
         assert words in out

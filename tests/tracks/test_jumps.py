@@ -1,9 +1,10 @@
 """Wrong fixes: single ones are left out, others are reported, and none of them chooses the step."""
 
 import numpy as np
+import pytest
 from track_files import write_csv
 
-from usnet_env.tracks import read_tracks
+from usnet_env.tracks import Tracks, read_tracks
 
 HEADER = ["timestamp", "location-long", "location-lat", "individual-local-identifier", "visible"]
 QUICK = ("--detector", "lagged-regression")
@@ -22,6 +23,12 @@ def pigeons(steps=300, ids=4):
             stamp = f"2010-07-08 09:{12 + t // 60:02}:{t % 60:02}.000"
             rows.append([stamp, 19.04 + float(lon[t]), 47.5 + float(lat[t]), f"bird-{k}", "true"])
     return rows
+
+
+def pair(places):
+    """Tracks ``(T, 2, 2 or 3)`` of two ids, a sample each second."""
+    times = np.tile(np.arange(float(len(places))), 2)
+    return Tracks.from_samples(np.repeat(["a", "b"], len(places)), times, np.concatenate([*places.swapaxes(0, 1)]))
 
 
 def write(path, rows):
@@ -57,12 +64,46 @@ def samples_of(tracks):
     return zip(owner, tracks.time, place, strict=True)
 
 
-def test_fixes_at_zero_degrees_in_a_row_are_reported_and_do_not_choose_the_step(tmp_path):
+def test_fixes_at_zero_degrees_in_a_row_are_left_out_and_do_not_choose_the_step(tmp_path):
     rows = pigeons()
     step = read_tracks(write(tmp_path / "whole.csv", rows)).resample().step
     for row in rows[8:12]:
         row[1:3] = [0.0, 0.0]
     glitch = read_tracks(write(tmp_path / "glitch.csv", rows))
     (found,) = glitch.report().warnings
-    assert found.startswith("2 jumps, ")
+    assert found.startswith("4 spikes, ")
     assert glitch.resample().step == step
+    assert glitch.resample(1.0).samples == 1200 - 4
+
+
+@pytest.mark.parametrize(("begin", "end", "moved"), [(0, 40, True), (100, 200, False), (250, 300, True)])
+def test_a_part_at_another_place_is_left_out_or_goes_on(begin, end, moved):
+    """A part that stands still at an end is no track; one in between is left out, as the track comes back."""
+    rng = np.random.default_rng(3)
+    walks = np.cumsum(rng.normal(0, 1, (300, 2, 2)) + 1, axis=0)
+    walks[begin:end, 0] = -1e5
+    even = pair(walks).resample(1.0)
+    assert even.samples == 600 - (end - begin)
+    assert moved or np.abs(np.diff(even.position[:200], axis=0)).max() < 150
+
+
+def test_a_jump_that_stays_is_closed_and_repeated_fixes_are_left_out():
+    walks = np.cumsum(np.random.default_rng(4).normal(0, 1, (300, 2, 2)) + 1, axis=0)
+    expected = np.diff(walks[:, 0], axis=0)
+    walks[150:, 0] += 7000
+    walks[40:60, 1] = walks[40, 1]
+    tracks = pair(walks)
+    even = tracks.resample(1.0)
+    assert "1 jump closed: the track goes on from where it was before." in even.notes
+    flown = np.diff(even.position[:300, :2], axis=0)
+    np.testing.assert_allclose(np.delete(flown, 149, axis=0), np.delete(expected, 149, axis=0), atol=1e-9)
+    assert (even.samples, tracks.resample(1.0, keep_spikes=True).samples) == (581, 600)
+
+
+def test_heights_whose_grain_hides_the_movement_are_left_out():
+    rng = np.random.default_rng(5)
+    walks = np.cumsum(rng.normal(0, 1, (200, 2, 3)) + 1, axis=0)
+    rough = walks * (1, 1, 0) + rng.integers(0, 5, (200, 2, 1)) * (0, 0, 25)
+    for places, dimensions in ((walks, 3), (rough, 2)):
+        even = pair(places).resample()
+        assert (even.dimensions, even.step) == (dimensions, 1.0)

@@ -235,7 +235,7 @@ BAD = {
     "no x": ("id,t,y\na,1,2\n", "for x,"),
     "no time": ("id,x,y\na,1,2\n", "for t,"),
     "a column twice": ("id,t,x,x,y\na,0,1,1,2\n", "'x'"),
-    "no names": ("a,0,1,2\nb,0,2,3\n", "row 1 names"),
+    "no names": ("a,0,1,2\nb,0,2,3\n", "must name its columns"),
     "NaN": ("id,t,x,y\na,0,1,2\nb,0,nan,2\n", "x must be a number"),
     "empty cell": ("id,t,x,y\na,0,1,2\nb,0,1,\n", "got none in column 'y'"),
     "empty id": ("id,t,x,y\na,0,1,2\n,0,1,3\n", "got none in column 'id'"),

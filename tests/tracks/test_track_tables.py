@@ -44,29 +44,31 @@ def test_times_every_tenth_of_a_second_are_exact(run, tmp_path, epoch):
     read = read_tracks(path)
     np.testing.assert_array_equal(read.time[:600], np.arange(600) / 10)
     assert "one every 0.1 s;" in read.report().facts[0]
-    status, out, _ = run("detect", path, *QUICK, "--step", "0.1", "--json")
+    status, out, _ = run("detect", path, *QUICK, "--step", "0.1", "--window", "100", "--json")
     assert status == 0
     windows = json.loads(out)["windows"]
     expected = [stamp(t, epoch) for t in range(0, 501, 100)]
     as_number = [float(each) if epoch else f"{each}Z" for each in expected]
-    assert [(each["start"], each["end"]) for each in windows] == list(pairwise(as_number))
+    assert [(each["start"], each["end"]) for each in windows[:-1]] == list(pairwise(as_number))
+    assert windows[-1]["end"] == (float(stamp(599, epoch)) if epoch else f"{stamp(599)}Z")
     delays = {link["delay"] for each in windows for link in each["links"]}
     assert delays
     assert delays <= {None, *(k / 10 for k in range(13))}
 
 
 @pytest.mark.parametrize(("unit", "number"), [(1e3, "0.001"), (1e6, "1e-06"), (1e9, "1e-09")])
-def test_times_that_are_no_seconds_are_reported_and_not_changed(run, tmp_path, unit, number):
+def test_times_that_count_from_1970_are_read_in_their_unit(run, tmp_path, unit, number):
     begin = 1714720000
     rows = [[row[0], int((begin + row[1]) * unit), *row[2:]] for row in rows_of(straight())]
     path = write_csv(tmp_path / "tracks.csv", rows)
     read = read_tracks(path)
     (found,) = read.report().warnings
-    assert f"--time-unit {number}" in found
-    assert (read.duration, read.file_time(0.0)) == (9.5 * unit, begin * unit)
+    assert "since 1970, not as seconds (--time-unit 1 reads seconds)" in found
+    assert (read.duration, read.file_time(0.0)) == (9.5, begin * unit)
+    assert read_tracks(path, time_unit=1).duration == 9.5 * unit
     again = read_tracks(path, time_unit=float(number))
     assert (again.duration, again.report().warnings) == (9.5, ())
-    assert f"--time-unit {number}" in run("detect", path, "--window", "10", *QUICK)[2]
+    assert "since 1970" in run("detect", path, "--window", "10", *QUICK)[2]
 
 
 @pytest.mark.parametrize("begin", [0, 1e6, 1714720000])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import warnings
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +30,9 @@ if TYPE_CHECKING:
 _DETECTOR = "reader(policy='map')"
 _MOST_ROWS, _MOST_NAMES = 40, 6  # of a table that is printed; ids in a row
 _COLUMN = "Name of a column; without NAME, the role is left out. May be repeated."
+_HEADER = "Names of the columns, with commas, of a file without them in row 1."
+_LENGTH = "Unit of x, y and z; beside degrees of z.  [default: m]"
+_DUPLICATES = "Of several places of an id at one time, keep one.  [default: error]"
 _EXAMPLES = """
 \b
 Examples:
@@ -49,31 +53,51 @@ def _parse_columns(context: click.Context, option: click.Parameter, words: Seque
     return mapping
 
 
+def _parse_names(context: click.Context, option: click.Parameter, words: str | None) -> list[str] | None:
+    return None if words is None else [name.strip() for name in words.split(",")]
+
+
+def _parse_place(context: click.Context, option: click.Parameter, words: str | None) -> tuple[float, ...] | None:
+    try:
+        place = None if words is None else tuple(map(float, words.split(",")))
+    except ValueError:
+        place = ()
+    if place is not None and len(place) != 2:
+        raise click.BadParameter("must be two numbers, such as 0,0.", context, option)
+    return place
+
+
 @click.command(short_help="Find the leaders in recorded tracks.", epilog=_EXAMPLES)
 @click.argument("tracks", nargs=-1, required=True, metavar="TRACKS…")
 @click.option(
     "--detector", default=_DETECTOR, show_default=True, shell_complete=complete_names, metavar="NAME",
     help="See `usnet list detectors`.",
 )  # fmt: skip
-@click.option("--window", type=WholeNumber(1, 10**6), default=100, show_default=True, help="Steps of a window.")
+@click.option("--window", type=WholeNumber(1, 10**6), help="Steps of a window.  [default: as many as fit, about 100]")
 @click.option("--stride", type=WholeNumber(1, 10**9), help="Steps from window to window.  [default: --window]")
 @click.option("--step", type=PositiveNumber(), help="Seconds of a step.  [default: chosen from the tracks]")
 @click.option("--max-gap", type=PositiveNumber(), help="Longest gap in seconds that is interpolated.")
 @click.option("--keep-spikes", is_flag=True, help="Keep single samples off the track, to which it jumps and back.")
 @click.option("--column", "columns", multiple=True, callback=_parse_columns, metavar="ROLE=NAME", help=_COLUMN)
-@click.option("--time-unit", type=PositiveNumber(), help="Seconds in one unit of the time column.  [default: 1]")
+@click.option("--time-unit", type=PositiveNumber(), help="Seconds in one unit of the time column.  [default: guessed]")
+@click.option("--columns", "header", callback=_parse_names, metavar="NAMES", help=_HEADER)
+@click.option("--time-format", metavar="FORMAT", help="Of timestamps, such as '%d/%m/%Y %H:%M:%S'.")
+@click.option("--length-unit", type=click.Choice(["m", "cm", "mm", "km", "ft", "px"]), help=_LENGTH)
+@click.option("--duplicates", type=click.Choice(["error", "first", "mean"]), default="error", help=_DUPLICATES)
 @click.option("--skip-missing", "missing", flag_value="skip", default="refuse", help="Skip incomplete rows.")
+@click.option("--missing", "missing_place", callback=_parse_place, metavar="X,Y", help="A place that means none.")
 @click.option("--encoding", default="utf-8", show_default=True, metavar="NAME", help="Encoding of a CSV file.")
 @click.option("--decimal", type=click.Choice([".", ","]), default=".", help="Decimal sign of a CSV file.  [default: .]")
 @click.option("--seed", type=WholeNumber(0, 2**63 - 1), default=0, show_default=True, help="Seed of the detector.")
 @click.option("--unconfirmed", is_flag=True, help="Also name leaders whose followers don't move like them later.")
 @click.option("--out", metavar="DIR", help="Folder for tables, JSON and a picture.")
 @click.option("--record", is_flag=True, help="Also write an episode file and a replay; needs --out.")
+@click.option("--windows", "by_windows", is_flag=True, help="Also print the leaders of each window.")
 @click.option("--json", "as_json", is_flag=True, help="Print only the leaders, as JSON.")
 def detect(
     tracks: tuple[str, ...],
     detector: str,
-    window: int,
+    window: int | None,
     stride: int | None,
     step: float | None,
     max_gap: float | None,
@@ -82,6 +106,7 @@ def detect(
     unconfirmed: bool,
     out: str | None,
     record: bool,
+    by_windows: bool,
     as_json: bool,
     **reading: Any,
 ) -> None:
@@ -102,8 +127,9 @@ def detect(
     report = read.report()
     for sentence in report.warnings:
         print_message(f"warning: {sentence}")
-    even = read.resample(step, max_gap=max_gap, keep_spikes=keep_spikes)
+    even = read.resample(step, max_gap=max_gap, keep_spikes=keep_spikes, length=window or 0)
     facts = [*report.facts, *even.notes[len(read.notes) :]]
+    window = even.choose_length() if window is None else window
     if window < LEAST_STEPS and not unconfirmed:
         facts.append(f"Windows of fewer than {LEAST_STEPS} steps are too short for the test that confirms leaders.")
     if folder is not None:
@@ -124,7 +150,14 @@ def detect(
         click.echo(content)
     else:
         click.echo("\n".join(map(printable, facts)))
-        show(*_tables(found))
+        over_file, by_window = _tables(found)
+        show(over_file)
+        events = [printable(str(event)) for event in found.events]
+        if len(events) > _MOST_ROWS:
+            events[_MOST_ROWS:] = [f"{len(events) - _MOST_ROWS} more changes; --out DIR writes all windows."]
+        click.echo("\n".join(["", *events]))
+        if by_windows:
+            show(by_window)
     if folder is not None:
         title = ", ".join(Path(name).name for name in tracks)
         episode = _make_record(even, kept, title, found.detector, seed) if record else None
@@ -143,8 +176,8 @@ def _tables(found: FoundLeaders) -> list[Table]:
     over_file = [[*_cells(leader), f"{leader.share or 0.0:.0%}"] for leader in found.leaders]
     headings = ["leader", "p", "followers", "why"]
     return [
-        _make_table(f"Windows, by {found.detector}", ["from", "to", *headings], rows),
-        _make_table("Over the file", [*headings, "windows"], over_file or [["none found"]]),
+        _make_table(f"Over the file, by {found.detector}", [*headings, "windows"], over_file or [["none found"]]),
+        _make_table("Windows", ["from", "to", *headings], rows),
     ]
 
 
@@ -173,11 +206,20 @@ def _write_files(folder: Path, found: FoundLeaders, episode: EpisodeRecord | Non
     from usnet_env.replay import write_recording
     from usnet_env.tracks.picture import draw_leaders
 
-    for name in ("picture.png", "episode.npz", "replay.rrd"):  # of an earlier run, which this one may not replace
+    pictures = {"network": found.plot, "delays": found.plot_delays, "timeline": found.plot_timeline}
+    pictures["picture"] = lambda: draw_leaders(found, *drawn)
+    for name in (
+        "episode.npz",
+        "replay.rrd",
+        *(f"{each}.png" for each in pictures),
+    ):  # of an earlier run, which this one may not replace
         (folder / name).unlink(missing_ok=True)
     for name, table in found.tables().items():
         write_text(folder / f"{name}.csv", table.to_csv(index=False))
-    writers: dict[str, Any] = {"picture": lambda: write_figure(draw_leaders(found, *drawn), folder / "picture.png")}
+    writers: dict[str, Any] = {
+        name: partial(lambda name, draw: write_figure(draw(), folder / f"{name}.png"), name, draw)
+        for name, draw in pictures.items()
+    }
     if episode is not None:
         episode.save(folder / "episode.npz")
         writers["replay"] = lambda: write_recording(episode, folder / "replay.rrd")
@@ -187,8 +229,8 @@ def _write_files(folder: Path, found: FoundLeaders, episode: EpisodeRecord | Non
                 write()
             except MissingExtraError as error:
                 print_message(f"the {name} is left out. {error}")
-    for warning in caught:
-        print_message(f"warning: {warning.message}")
+    for message in dict.fromkeys(str(warning.message) for warning in caught):
+        print_message(f"warning: {message}")
 
 
 def _make_record(even: Tracks, kept: Sequence[Kept], title: str, detector: str, seed: int) -> EpisodeRecord:

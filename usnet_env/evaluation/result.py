@@ -133,6 +133,9 @@ class EvaluationResult:
     def __repr__(self) -> str:
         return f"<EvaluationResult of {self._title}>"
 
+    def __str__(self) -> str:
+        return self.to_markdown()
+
     @property
     def _title(self) -> str:
         """What was played, such as ``paper (version 1), 4 cells, 5 to 20 of 40 episodes of each detector``."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from usnet_env.tracks.events import Event
 from usnet_env.tracks.leaders import DetectedWindow, FoundLeaders, Leader, Link, find_leaders
 from usnet_env.tracks.read import read_tracks
 from usnet_env.tracks.report import TrackReport
@@ -9,4 +10,4 @@ from usnet_env.tracks.samples import Clock
 from usnet_env.tracks.tracks import Tracks, TrackWindow
 
 __all__ = ["Clock", "TrackReport", "TrackWindow", "Tracks", "read_tracks"]
-__all__ += ["DetectedWindow", "FoundLeaders", "Leader", "Link", "find_leaders"]
+__all__ += ["DetectedWindow", "Event", "FoundLeaders", "Leader", "Link", "find_leaders"]

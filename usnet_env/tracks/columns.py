@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NoReturn
 
@@ -16,42 +17,57 @@ from usnet_env.config import ArgumentError, quote
 from usnet_env.tracks.samples import is_none
 
 Role = Literal["id", "t", "frame", "lon", "lat", "x", "y", "z", "leader"]
-#: The roles of columns, with the names that are guessed, the preferred one first.
+#: The roles of columns, with the names that are guessed, the preferred one first; a unit may follow (``time_ms``).
 ROLES: dict[str, tuple[str, ...]] = {
     "id": (
-        "individual-local-identifier", "id", "ids", "track_id", "trackid", "track", "animal", "animal_id", "agent",
-        "agent_id", "uav", "uav_id", "drone", "drone_id", "vehicle", "vehicle_id", "individual", "individual_id",
-        "bird", "bird_id", "ped_id", "pedestrian_id", "name",
+        "individual-local-identifier", "id", "ids", "track_id", "trackid", "trajectory_id", "track", "animal",
+        "animal_id", "agent", "agent_id", "uav", "uav_id", "drone", "drone_id", "vehicle", "vehicle_id", "individual",
+        "individual_id", "ind", "bird", "bird_id", "ped_id", "pedestrian_id", "person_id", "object_id", "user_id",
+        "uid", "tag_id", "tag", "collar_id", "device_id", "mmsi", "icao24", "icao", "callsign", "name",
     ),
-    "t": ("t", "time", "time_s", "timestamp", "seconds", "datetime", "date_time", "utc"),
-    "frame": ("frame", "frame_id", "frame_number", "frame_nr"),
+    "t": (
+        "t", "time", "timestamp", "seconds", "sec", "datetime", "date_time", "utc", "timestamp_utc", "time_utc",
+        "base_date_time", "fix_time", "fixtime", "date",
+    ),
+    "frame": ("frame", "frame_id", "frame_number", "frame_nr", "frame_index", "frameid"),
     "lon": ("lon", "longitude", "location-long", "lng", "long"),
     "lat": ("lat", "latitude", "location-lat"),
-    "x": ("x", "x_m", "pos_x", "position_x", "easting", "utm-easting", "utm_easting"),
-    "y": ("y", "y_m", "pos_y", "position_y", "northing", "utm-northing", "utm_northing"),
+    "x": ("x", "pos_x", "position_x", "x_position", "easting", "utm-easting", "utm_easting"),
+    "y": ("y", "pos_y", "position_y", "y_position", "northing", "utm-northing", "utm_northing"),
     "z": (
-        "z", "z_m", "pos_z", "position_z", "altitude", "alt", "height", "elevation", "ele",
-        "height-above-ellipsoid", "height-above-msl",
+        "z", "pos_z", "position_z", "altitude", "alt", "height", "elevation", "ele",
+        "height-above-ellipsoid", "height-above-msl", "geoaltitude", "baroaltitude",
     ),
     "leader": ("leader", "leader_id", "head", "follows"),
 }  # fmt: skip
+TIME_UNITS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # seconds
+LENGTH_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "ft": 0.3048, "px": 1.0}  # metres
 LABELS = ("id", "leader")  # all others are numbers
 TIMES = ("t", "frame")
 MOVEBANK = {"individual-local-identifier", "tag-local-identifier"}  # one of these is in each of its files
 _LARGEST = 1e15  # of a number in a file: float64 has no fractions beyond
 _LIMITS = {"lon": 360.0, "lat": 90.0, "t": 1e19, "frame": 1e19}  # degrees; nanoseconds since 1970 until 2286
 _SWAP = str.maketrans(",.", ".,")
+_DAYS = re.compile(r"(\d{1,2})[/.-](\d{1,2})[/.-]\d{4}\b")  # and months, or the reverse
+_DATE = re.compile(
+    r"\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{1,2}[-/. ](\d{1,2}|[A-Za-z]{3,})[-/. ]\d{4}|[A-Za-z]{3,} \d{1,2},? \d{4}"
+)
+_WHOLE = re.compile(r"([+-]?\d+)(\.0+)?")
+_AXIS = re.compile(r"(?P<axis>[xyz])_?(?P<id>\w+)|(?P<name>\w+?)_(?P<last>[xyz])")
 _COMMA = re.compile(r"\s*[+-]?(\d*,\d+|\d+,)([eE][+-]?\d+)?\s*")
 
 
-def choose_columns(header: Sequence[str], mapping: Mapping[Any, str], where: str) -> dict[str, str]:
+def choose_columns(
+    header: Sequence[str], mapping: Mapping[Any, str], where: str, *, one_id: bool = False
+) -> dict[str, str]:
     """Choose the name of the column of each role: x and y or lon and lat, t or frame, and others.
 
-    Degrees, which name their datum, go before x and y, unless the caller's ``mapping`` has these.
+    Degrees, which name their datum, go before x and y, unless the caller's ``mapping`` has these. ``one_id``: the file
+    may have no id, as all of it is one track.
     """
     found = {role: name for role, name in mapping.items() if name}
     given = set(found)
-    plain = {_normalise(name): name for name in reversed(header)}
+    plain = {split_unit(name)[0]: name for name in reversed(header)}
     for role, names in ROLES.items():
         guess = next((plain[name] for name in map(_normalise, names) if name in plain), None)
         if role not in mapping and guess is not None and guess not in found.values():
@@ -61,8 +77,12 @@ def choose_columns(header: Sequence[str], mapping: Mapping[Any, str], where: str
     time = "frame" if "frame" in found and ("frame" in given or "t" not in found) else "t"
     found = {role: name for role, name in found.items() if role in ("id", time, *plane, "z", "leader")}
     must, chosen = "", list(found.values())
-    if missing := [role for role in ("id", time, *plane) if role not in found]:
+    if missing := [role for role in ("id", time, *plane) if role not in found and not (one_id and role == "id")]:
         must = f"name those of {where} for {', '.join(missing)}"
+        if any(_is_number(name) for name in header):
+            first = quote(" ".join(header)[:80])
+            hint = "header=['frame', 'id', 'x', 'y'], or --columns frame,id,x,y,"
+            raise ArgumentError(f"row 1 of {where} must name its columns, got values: {first} ({hint} names them).")
     elif len(set(chosen)) < len(chosen) or any(header.count(name) != 1 for name in chosen):
         must = f"give each role a column that {where} has once"
     if must:
@@ -71,24 +91,50 @@ def choose_columns(header: Sequence[str], mapping: Mapping[Any, str], where: str
 
 
 def _normalise(name: str) -> str:
-    return name.strip().lower().replace(" ", "_").replace("-", "_")
+    return re.sub(r"\W+", "_", name.lower()).strip("_")
 
 
-def read_numbers(column: pd.Series[Any], role: str, where: str, decimal: str = ".") -> Floats:
-    """The numbers of a column, or its timestamps as microseconds since 1970; NaN where there is none."""
+def split_unit(name: str) -> tuple[str, str]:
+    """The plain name of a column, and the unit behind it, or ``""``: ``"X (cm)"`` is ``"x"`` in ``"cm"``."""
+    plain, _, unit = _normalise(name).rpartition("_")
+    return (plain, unit) if plain and unit in TIME_UNITS | LENGTH_UNITS else (_normalise(name), "")
+
+
+def find_wide(header: Sequence[str]) -> dict[str, dict[str, str]]:
+    """The columns x, y and perhaps z of each id of a table with a row for each time, such as ``x1, y1, x2, y2``."""
+    found: dict[str, dict[str, str]] = {}
+    for name in header:
+        if match := _AXIS.fullmatch(_normalise(name)):
+            found.setdefault(match["id"] or match["name"], {})[match["axis"] or match["last"]] = name
+    return {label: axes for label, axes in found.items() if {"x", "y"} <= axes.keys()}
+
+
+def _is_number(cell: str) -> bool:
+    return not math.isnan(_parse(cell, "."))
+
+
+def read_numbers(
+    column: pd.Series[Any], role: str, where: str, decimal: str = ".", time_format: str | None = None
+) -> Floats:
+    """The numbers of a column, or its timestamps as microseconds since 1970; NaN where there is none, or no end."""
     if column.dtype.kind in "fiu":
         numbers = column.to_numpy(np.float64)
     else:
         codes, different = pd.factorize(column)
         cells = pd.Series(different)
-        dated = role in TIMES and has_timestamps(column)
-        values = _parse_timestamps(cells) if dated else np.array([_parse(cell, decimal) for cell in cells], np.float64)
+        dated = role in TIMES and (bool(time_format) or has_timestamps(column))
+        values = (
+            _parse_timestamps(cells, time_format)
+            if dated
+            else np.array([_parse(cell, decimal) for cell in cells], np.float64)
+        )
         wrong = np.isnan(values) & ~cells.map(is_none).to_numpy(bool)
         if wrong.any():
             refuse_cell(role, column, cells[wrong].iloc[0], where)
         numbers = np.append(values, math.nan)[codes]
         if dated:
             return numbers
+    numbers = np.where(np.isinf(numbers), math.nan, numbers)
     wild = np.abs(numbers) > _LIMITS.get(role, _LARGEST)
     if wild.any():
         refuse_cell(role, column, numbers[wild][0], where)
@@ -116,20 +162,35 @@ def _parse(cell: Any, decimal: str) -> float:
         return math.nan
 
 
-def _parse_timestamps(cells: pd.Series[Any]) -> Floats:
-    """Microseconds from 1970 to dates, or to texts in ISO 8601 (in UTC if they have no time zone); NaN for others."""
+def _parse_timestamps(cells: pd.Series[Any], time_format: str | None) -> Floats:
+    """Microseconds from 1970 to dates, or to texts (in UTC if they have no time zone); NaN for others.
+
+    Texts are in the given format or in ISO 8601. Others with a year of four digits are read too, if it is plain from
+    all of them whether days or months come first.
+    """
     texts = cells if cells.dtype.kind == "M" else cells.map(to_text).str.replace(",", ".")
-    moments = pd.to_datetime(texts, format="ISO8601", utc=True, errors="coerce").dt.tz_localize(None).dt.round("us")
+    moments = pd.to_datetime(texts, format=time_format or "ISO8601", utc=True, errors="coerce")
+    if not time_format and moments.isna().any() and texts.dtype.kind != "M":
+        pairs = texts.str.extract(_DAYS).dropna().astype(int)
+        day_first, month_first = (bool((pairs[k] > 12).any()) for k in (0, 1))
+        plain = texts.str.contains(_DATE.pattern.replace("(", "(?:")) & (pairs.empty | (day_first != month_first))
+        with warnings.catch_warnings(action="ignore"):  # of days and months
+            read = pd.to_datetime(texts.where(plain), format="mixed", dayfirst=day_first, utc=True, errors="coerce")
+        moments = moments.fillna(read)
+    moments = moments.dt.tz_localize(None).dt.round("us")
     return np.where(moments.isna(), math.nan, moments.to_numpy("datetime64[us]").astype(np.float64))
 
 
 def read_labels(column: pd.Series[Any]) -> NDArray[np.object_]:
-    """Labels as texts, or as whole numbers; ``""`` is none."""
+    """Labels as texts, or as whole numbers; ``""`` is none. Where all are whole numbers, 1.0 is 1."""
     codes, cells = pd.factorize(column)
     labels: list[str | int] = []
     for cell in pd.Series(cells).tolist():
-        whole = isinstance(cell, int | float) and not isinstance(cell, bool) and float(cell).is_integer()
-        labels.append(int(cell) if whole else to_text(cell))
+        number = isinstance(cell, int | float) and not isinstance(cell, bool) and float(cell).is_integer()
+        labels.append(int(cell) if number else to_text(cell))
+    matches = [_WHOLE.fullmatch(label) for label in labels if isinstance(label, str) and not is_none(label)]
+    whole = [label if isinstance(label, int) else label.partition(".")[0] for label in labels]
+    labels = whole if matches and all(matches) and len(set(whole)) == len(set(labels)) else labels
     return np.array([*labels, ""], object)[codes]
 
 
@@ -137,10 +198,12 @@ def refuse_cell(role: str, column: pd.Series[Any], cell: Any, where: str) -> NoR
     """Refuse a value of a column; the sentence says which option may help."""
     limit = _LIMITS.get(role, _LARGEST)
     must = "a text or a number" if role == "id" else f"a number from {-limit:g} to {limit:g}"
-    must += ", or an ISO 8601 timestamp throughout," * (role in TIMES)
+    must += ", or a timestamp throughout," * (role in TIMES)
     got, hint = quote(cell), ""
     if is_none(cell):
         got, hint = "none", " (missing='skip', or --skip-missing, skips such rows)"
     elif _COMMA.fullmatch(str(cell)):
         hint = " (decimal=',', or --decimal , reads decimal commas)"
+    elif role in TIMES and re.search(r"\d\D\d", str(cell)):
+        hint = " (time_format='%d/%m/%Y %H:%M:%S', or --time-format, names another format)"
     raise ArgumentError(f"{role} must be {must} in every row of {where}, got {got} in column {column.name!r}{hint}.")

@@ -1,4 +1,4 @@
-"""Confirm leaders: does a group follow its leader later, and does the leader follow no UAV itself?"""
+"""Confirm leaders: does a group copy its leader's velocity later, or go to its places, and the leader nobody's?"""
 
 from __future__ import annotations
 
@@ -20,16 +20,69 @@ LEVEL = 0.05  # of a group and window: how often a leaderless group gets a leade
 _LEVEL_OUTSIDE = 0.5
 _NEAREST, _SHIFTS, _DEVIATIONS = 5, 9, 3.0
 _LEAST_SHIFT = 3 * _LAGS  # a smaller shift leaves a part of the likeness at some lag
+_SHORT = 48  # steps; in shorter windows, trends hide who is first, and changes of velocity count as much
+_DEVIATION_OF_BOTH = 1.7  # of the sum of two scores with a correlation of 0.45
+_LONGEST, _THIRD = 30.0, 3  # seconds, and part of a window, in which a place is reached later
+_SAME_WAY = 0.03  # squared distances to the way of a leader, as a share of those to where it is
+_MOST_OF = 0.75  # of a group
 _MOST_ALIKE = 0.999  # the logarithm of equal tracks is infinite
 
 
 def confirm_leaders(
     window: Window, leaders: Sequence[int] | NDArray[np.integer[Any]], followers: Sequence[Sequence[int]]
 ) -> tuple[Mask, list[list[int]]]:
-    """Which of c leaders pass the three tests of this module, ``(c,)`` bool, and the followers that each keeps."""
+    """Which of c leaders are confirmed, ``(c,)`` bool, and the followers that each keeps.
+
+    Its followers copy its velocity later (:func:`keep_group`, :func:`confirm_lead`) and it doesn't follow another
+    (:func:`find_followers`); or else they go to the places where it was (:func:`follow_places`).
+    """
     kept = [keep_group(window, int(leader), members) for leader, members in zip(leaders, followers, strict=True)]
     leads = [confirm_lead(window, int(leader), members) for leader, members in zip(leaders, kept, strict=True)]
-    return np.array(leads, bool) & ~find_followers(window, leaders, kept), kept
+    confirmed = np.array(leads, bool) & ~find_followers(window, leaders, kept)
+    for c in np.flatnonzero(~confirmed).tolist():
+        if behind := follow_places(window, int(leaders[c]), followers[c]):
+            confirmed[c], kept[c] = True, behind
+    return confirmed, kept
+
+
+def follow_places(window: Window, leader: int, followers: Sequence[int]) -> list[int]:
+    """The followers that go later to the places where their leader was, or a follower that does so.
+
+    UAV i follows the way of UAV j if the mean squared distance of its places to those of j some time before, up to 30 s
+    and a third of the window, is at most 3 % of the least one to those of j now or later. Empty if fewer than three
+    quarters of the followers do, if the leader follows the way of any UAV, or in a window of fewer than 16 steps.
+    """
+    most = int(min(_LONGEST / (window.step or 1.0), window.observation_steps / _THIRD))
+    if not followers or most < 1 or window.observation_steps < LEAST_STEPS:
+        return []
+    group = np.array([leader, *followers])
+    if (_compare_ways(window, group[:1], np.arange(window.uavs), most) < _SAME_WAY).any():
+        return []
+    links = _compare_ways(window, group[1:], group, most) < _SAME_WAY
+    reached = links[:, 0]
+    while (more := reached | (links[:, 1:] & reached).any(axis=1)).sum() > reached.sum():
+        reached = more
+    return group[1:][reached].tolist() if reached.sum() >= _MOST_OF * len(followers) else []
+
+
+def _compare_ways(window: Window, behind: Indices, ahead: Indices, most: int) -> Floats:
+    """``(b, a)`` mean squared distance to a UAV's places up to ``most`` steps before, as a share of that to others.
+
+    It is infinite where both are seen in fewer than half of the window.
+    """
+    seen = window.seen.astype(np.float64)
+    place = np.where(window.seen[..., None], window.position - window.position[window.seen].mean(axis=0), 0.0)
+    squares, instants = (place**2).sum(axis=2), len(place)
+    distance = np.empty((2 * most + 1, len(behind), len(ahead)))
+    for lag in range(-most, most + 1):
+        now, then = slice(max(0, lag), instants + min(0, lag)), slice(max(0, -lag), instants - max(0, lag))
+        both = seen[now][:, behind].T @ seen[then][:, ahead]
+        total = squares[now][:, behind].T @ seen[then][:, ahead] + seen[now][:, behind].T @ squares[then][:, ahead]
+        total -= 2 * np.einsum("tbk,tak->ba", place[now][:, behind], place[then][:, ahead], optimize=True)
+        distance[lag + most] = np.where(both >= instants / 2, np.maximum(total, 0.0) / np.maximum(both, 1.0), np.inf)
+    before, other = distance[most + 1 :].min(axis=0), distance[: most + 1].min(axis=0)
+    known = np.isfinite(before) & np.isfinite(other) & (other > 0)
+    return np.where(known, before / np.where(known, other, 1.0), np.inf)
 
 
 def keep_group(window: Window, leader: int, followers: Sequence[int]) -> list[int]:
@@ -122,20 +175,36 @@ def find_alike(window: Window, uavs: Indices, half: slice) -> list[list[int]]:
 
 
 def _is_ahead(group: Floats, ahead: Floats, both: Mask, level: float) -> bool:
-    """Whether ``group`` ``(T, 3)`` repeats ``ahead`` later; ``both`` ``(T,)``: where both are seen."""
+    """Whether ``group`` ``(T, 3)`` repeats ``ahead`` later; ``both`` ``(T,)``: where both are seen.
+
+    Its changes must do so as well, by more than one standard deviation at a strict level; in a window of fewer than 48
+    steps, the sum of both scores counts.
+    """
     group, ahead = _centre(group, both), _centre(ahead, both)
-    by_chance = [_measure_lead(group[order] * sign, ahead[order] * sign) for order, sign in _reversals(len(group))]
+    limit = max(0.0, -NormalDist().inv_cdf(level))
+    changes = _measure_score(np.diff(group, axis=0), np.diff(ahead, axis=0), 1.0)
+    velocity = _measure_score(group, ahead, -1.0)
+    if len(group) < _SHORT:
+        return velocity + changes > _DEVIATION_OF_BOTH * limit
+    return velocity > limit and (limit == 0.0 or changes > min(limit, 1.0))
+
+
+def _measure_score(group: Floats, ahead: Floats, sign: float) -> float:
+    """The lead in standard deviations of those with time reversed in blocks, where values have this ``sign``."""
+    by_chance = [
+        _measure_lead(group[order] * turn, ahead[order] * turn) for order, turn in _reversals(len(group), sign)
+    ]
     deviation = float(np.sqrt(np.mean(np.square(by_chance))))
-    return _measure_lead(group, ahead) > max(0.0, -NormalDist().inv_cdf(level) * deviation)
+    return _measure_lead(group, ahead) / deviation if deviation else 0.0
 
 
-def _reversals(steps: int) -> Iterator[tuple[NDArray[np.intp], Floats]]:
-    """Orders ``(T,)`` of the steps, with time reversed in 4 of 8 blocks, and the sign ``(T, 1)`` of the velocities."""
+def _reversals(steps: int, sign: float) -> Iterator[tuple[NDArray[np.intp], Floats]]:
+    """Orders ``(T,)`` of the steps, with time reversed in 4 of 8 blocks, and ``sign`` there, 1 elsewhere."""
     parts = np.array_split(np.arange(steps), _BLOCKS)
     for chosen in combinations(range(1, _BLOCKS), _BLOCKS // 2):  # the other 35 choices are these, reversed
         order = np.concatenate([part[::-1] if b in chosen else part for b, part in enumerate(parts)])
-        sign = np.repeat([-1.0 if b in chosen else 1.0 for b in range(_BLOCKS)], [len(part) for part in parts])
-        yield order, sign[:, None]
+        turn = np.repeat([sign if b in chosen else 1.0 for b in range(_BLOCKS)], [len(part) for part in parts])
+        yield order, turn[:, None]
 
 
 def _measure_lead(group: Floats, ahead: Floats) -> float:

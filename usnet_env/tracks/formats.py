@@ -12,23 +12,56 @@ from xml.etree import ElementTree
 import numpy as np
 import pandas as pd
 
+from usnet_env.tracks import columns as roles
+
 #: The names of the columns, and what reads some of them: it takes names by role, and its columns are the roles.
 Table = tuple[list[str], Callable[[Mapping[str, str]], pd.DataFrame]]
+NUMBERS = roles.ROLES.keys() - set(roles.LABELS)
 _TOPICS = {
     "vehicle_global_position": {"lon": "lon", "lat": "lat", "z": "alt"},
     "vehicle_local_position": {"x": "y", "y": "x", "z": "z"},  # its columns are north, east and down
 }
 
 
-def _as_table(frame: pd.DataFrame) -> Table:
+def as_table(frame: pd.DataFrame) -> Table:
+    """The columns of a data frame."""
     return list(frame), lambda names: frame[list(names.values())].set_axis(list(names), axis=1)
+
+
+def as_long(table: Table) -> Table:
+    """A table with a row for each time, such as ``t, x1, y1, x2, y2``, as one with a row for each sample of an id."""
+    header, read = table
+    plain, wide = {roles.split_unit(name)[0] for name in header}, roles.find_wide(header)
+    if len(wide) < 2 or plain & {name.replace("-", "_") for name in roles.ROLES["id"]}:
+        return table
+    rest = [name for name in header if not any(name in axes.values() for axes in wide.values())]
+    if not plain & {*roles.ROLES["t"], *roles.ROLES["frame"]}:
+        rest.append("frame")  # the number of the row
+
+    def read_long(names: Mapping[str, str]) -> pd.DataFrame:
+        own = {f"{axis}:{label}": axes[axis] for label, axes in wide.items() for axis in names if axis in axes}
+        times = {role: name for role, name in names.items() if name in header}
+        rows = read(times | own)
+        frame = rows[list(times)] if times else pd.DataFrame({"frame": np.arange(len(rows))})
+        parts = [
+            frame.assign(id=label, **{axis: rows[f"{axis}:{label}"] for axis in axes if f"{axis}:{label}" in rows})
+            for label, axes in wide.items()
+        ]
+        return pd.concat(parts, ignore_index=True).dropna(subset=["x", "y"], ignore_index=True)
+
+    return ["id", *rest, "x", "y", *(["z"] if all("z" in axes for axes in wide.values()) else [])], read_long
+
+
+def read_json(data: bytes, *, lines: bool) -> Table:
+    """Read records, or one on each line."""
+    return as_table(pd.read_json(io.BytesIO(data), lines=lines, convert_dates=False))
 
 
 def read_parquet(path: Path) -> Table:
     """Read a Parquet file; an index that pandas has written into it is a column like others."""
     import pyarrow.parquet
 
-    return _as_table(pyarrow.parquet.read_table(path).to_pandas(ignore_metadata=True))
+    return as_table(pyarrow.parquet.read_table(path).to_pandas(ignore_metadata=True))
 
 
 def read_npz(path: Path, mapping: Mapping[Any, str]) -> Table:
@@ -40,7 +73,7 @@ def read_npz(path: Path, mapping: Mapping[Any, str]) -> Table:
     with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}
     if arrays.get("position", np.empty(0)).ndim != 3:
-        return _as_table(pd.DataFrame(arrays))
+        return as_table(pd.DataFrame(arrays))
     place = arrays.pop("position")
     seen = np.isfinite(place).all(axis=2) & arrays.pop("seen", np.ones((), bool)).astype(bool)
     who, when = np.nonzero(seen.T)
@@ -53,7 +86,7 @@ def read_npz(path: Path, mapping: Mapping[Any, str]) -> Table:
         columns["id"] = who
     if not {"t", "time", "frame", mapping.get("t"), mapping.get("frame")} & arrays.keys():
         columns["frame"] = when
-    return _as_table(pd.DataFrame(columns))
+    return as_table(pd.DataFrame(columns))
 
 
 def read_gpx(data: bytes, stem: str) -> Table:
@@ -70,7 +103,7 @@ def read_gpx(data: bytes, stem: str) -> Table:
         for point in track.iterfind(".//{*}trkpt"):
             cells = {role: (point.findtext(f"{{*}}{role}") or "").strip() for role in ("ele", "time")}
             points.append({"name": label, "lon": point.get("lon"), "lat": point.get("lat"), **cells})
-    return _as_table(pd.DataFrame(points, columns=["name", "lon", "lat", "ele", "time"]))
+    return as_table(pd.DataFrame(points, columns=["name", "lon", "lat", "ele", "time"]))
 
 
 def read_ulog(path: Path) -> Table:
@@ -84,4 +117,4 @@ def read_ulog(path: Path) -> Table:
     frame = pd.DataFrame({role: np.asarray(data[name], float) for role, name in _TOPICS.get(topic, {}).items()})
     if topic == "vehicle_local_position":
         frame["z"] *= -1
-    return _as_table(frame.assign(t=np.asarray(data["timestamp"], float) / 1e6, id=path.stem))
+    return as_table(frame.assign(t=np.asarray(data["timestamp"], float) / 1e6, id=path.stem))

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -21,7 +21,11 @@ from usnet_env.objectives import list_followers
 from usnet_env.parts import describe_error
 from usnet_env.plugins import DetectorLike, detector_label, make_detector
 from usnet_env.tracks.confirm import LEVEL, confirm_leaders
+from usnet_env.tracks.events import Event, find_events
 from usnet_env.tracks.tracks import Tracks, TrackWindow
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 DEFAULT_DETECTOR = "reader(policy='map')"
 _SAME_GROUP = 0.25  # two groups are one if they share this part of all their members
@@ -32,6 +36,7 @@ _LEAST_STEPS = 4  # of the window for each step of the longest lag
 _COLUMNS = {  # of the tables
     "windows": "start end group id probability score followers reason not_confirmed left_out",
     "leaders": "id probability followers reason group score share",
+    "rows": "start end id leader head delay probability group",
     "links": "start end follower leader head delay",
 }
 
@@ -115,11 +120,63 @@ class FoundLeaders:
         windows: in the order of time.
         leaders: an entry for each id that leads a group in a window, the one with the most windows first.
         detector: label of the detector.
+        ids: all ids of the tracks.
     """
 
     windows: tuple[DetectedWindow, ...]
     leaders: tuple[Leader, ...]
     detector: str
+    ids: tuple[str | int, ...] = ()
+
+    def __repr__(self) -> str:
+        names = ", ".join(str(leader.id) for leader in self.leaders[:6]) + ", …" * (len(self.leaders) > 6)
+        return f"<FoundLeaders in {format_count(len(self.windows), 'window')} by {self.detector}: {names or 'nobody'}>"
+
+    def __str__(self) -> str:
+        said = [(each.id, format_count(len(each.followers), "id"), each.share or 0.0) for each in self.leaders]
+        lines = [f"{name} leads {count} in {share:.0%} of the windows." for name, count, share in said]
+        return "\n".join([*(lines or ["No leader was found."]), *map(str, self.events)])
+
+    def _repr_html_(self) -> str:
+        table = pd.DataFrame([vars(leader) for leader in self.leaders], columns=_COLUMNS["leaders"].split())
+        return str(table.to_html(index=False)) if self.leaders else "<p>No leader was found.</p>"
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """Who leads, joins, leaves and takes over when, from window to window."""
+        return find_events(self.windows)
+
+    def to_frame(self) -> pd.DataFrame:
+        """A row for each window and each id that leads or follows in it.
+
+        The columns are ``start``, ``end``, ``id``, ``leader`` (the id that it follows directly, missing for a head),
+        ``head``, ``delay`` in seconds, and ``probability`` and ``group`` of the head.
+        """
+        rows = []
+        for window in self.windows:
+            of = {leader.id: {"probability": leader.probability, "group": leader.group} for leader in window.leaders}
+            found: list[Any] = [{"id": leader.id, "head": leader.id} for leader in window.leaders]
+            found += [vars(link) | {"id": link.follower} for link in window.links]
+            rows += [{"start": window.start, "end": window.end} | each | of[each["head"]] for each in found]
+        return pd.DataFrame(rows, columns=[*_COLUMNS["rows"].split()])
+
+    def plot(self) -> Figure:
+        """Draw who follows whom: an arrow leads to the one that is followed; see :mod:`usnet_env.tracks.plots`."""
+        from usnet_env.tracks.plots import draw_network
+
+        return draw_network(self.to_frame(), len(self.windows))
+
+    def plot_delays(self) -> Figure:
+        """Draw the median delay in seconds of each id behind each one that it follows."""
+        from usnet_env.tracks.plots import draw_delays
+
+        return draw_delays(self.to_frame())
+
+    def plot_timeline(self) -> Figure:
+        """Draw which head each id follows in each window."""
+        from usnet_env.tracks.plots import draw_timeline
+
+        return draw_timeline(self.to_frame(), self.ids, [window.start for window in self.windows])
 
     def as_dict(self) -> dict[str, Any]:
         """The windows and the leaders over the file as plain values for JSON."""
@@ -145,6 +202,7 @@ class FoundLeaders:
         return {
             name: pd.DataFrame(rows[name], columns=names.split(), dtype=object).map(_cell)
             for name, names in _COLUMNS.items()
+            if name in rows
         }
 
 
@@ -158,7 +216,7 @@ def find_leaders(
     tracks: Tracks,
     detector: str | DetectorLike = DEFAULT_DETECTOR,
     *,
-    length: int = 100,
+    length: int | None = None,
     stride: int | None = None,
     seed: int = 0,
     confirm: bool = True,
@@ -172,7 +230,7 @@ def find_leaders(
     Args:
         tracks: the tracks; if they are not resampled, the step is chosen.
         detector: a name as :func:`usnet_env.make_detector` takes it, or a detector.
-        length: steps of a window.
+        length: steps of a window; ``None``: as many as fit the tracks (:meth:`Tracks.choose_length`).
         stride: steps from the start of a window to the start of the next; ``None``: ``length``.
         seed: seeds the detector.
         confirm: whether to leave out candidates that have no followers, whose followers don't move like them later, or
@@ -187,7 +245,8 @@ def find_leaders(
     groups: list[Group] = []
     windows: list[DetectedWindow] = []
     seen = np.zeros(len(tracks.ids), np.int64)
-    for number, cut in enumerate(tracks.windows(length, stride)):
+    even = tracks if tracks.step is not None else tracks.resample(length=length or 0)
+    for number, cut in enumerate(even.windows(length, stride)):
         times = tracks.file_time(cut.start), tracks.file_time(cut.end)
         detection = _answer(player, cut, seed, number, times)
         found = _detect_window(cut, detection, confirm, groups, times)
@@ -198,7 +257,7 @@ def find_leaders(
     if not windows:
         raise ArgumentError("tracks must hold a window in which at least 2 ids are seen together; no window does.")
     leaders = _summarise(windows, tracks.ids, seen if confirm else None)
-    return FoundLeaders(tuple(windows), leaders, detector_label(player))
+    return FoundLeaders(tuple(windows), leaders, detector_label(player), tracks.ids)
 
 
 def _answer(player: DetectorLike, cut: TrackWindow, seed: int, number: int, times: tuple[Any, Any]) -> Detection:

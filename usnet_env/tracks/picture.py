@@ -72,7 +72,7 @@ def _draw_map(axes: Axes, cut: TrackWindow, window: DetectedWindow, tracks: Trac
     root, none = window.roots(cut.ids), np.zeros(len(cut.ids), bool)
     head = np.array([name in groups for name in cut.ids])
     number = np.array([groups.get(name, 0) for name in cut.ids])  # a group has one colour in all windows
-    origin = cut.origin + (tracks.origin if tracks.frame == "metres" else 0.0)
+    origin = cut.origin + (tracks.origin if "degrees" not in tracks.frame else 0.0)
     position: Any = cut.window.position + origin  # in float64: coordinates may be large
     seen, alive = cut.window.seen, cut.window.alive
     limits = drawing.limits_around(position[seen], 0.08, 1e-6)

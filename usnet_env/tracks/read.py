@@ -6,11 +6,13 @@ import csv
 import gzip
 import io
 import os
+import re
 import warnings
 import zipfile
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from inspect import signature
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -28,7 +30,10 @@ from usnet_env.tracks.samples import Clock, match_leaders, sort_samples
 from usnet_env.tracks.tracks import Tracks
 
 _DELIMITERS = ",;\t|"
-_TEXTS = (".csv", ".tsv", ".txt", ".gpx")  # in zip archives
+_TEXTS = (".csv", ".tsv", ".gpx", ".json", ".txt")  # in zip archives; one of the last only if there is no other
+_TIME_OF_DAY = r"\d{1,2}:\d\d"
+_RECORDED = (315_532_800, 4_102_444_800)  # seconds from 1970 to 1980 and to 2100
+_SHORT = 0.05  # seconds between samples, or 72 minutes in days
 _NO_NUMBER = ["", "NA", "na", "N/A", "n/a", "NaN", "nan", "NULL", "null", "None", "none"]  # others are read one by one
 
 
@@ -36,8 +41,13 @@ class _Options(Config):
     """The arguments of :func:`read_tracks` but for the files."""
 
     columns: Mapping[roles.Role, str] | None
+    header: Sequence[str] | None
     time_unit: Annotated[float, Field(ge=1e-12, le=1e9)] | None
+    time_format: str | None
+    length_unit: Literal["m", "cm", "mm", "km", "ft", "px"] | None
     missing: Literal["refuse", "skip"]
+    missing_place: tuple[float, float] | None
+    duplicates: Literal["error", "first", "mean"]
     encoding: str
     decimal: Literal[".", ","]
 
@@ -46,15 +56,20 @@ def read_tracks(
     path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     *,
     columns: Mapping[str, str] | None = None,
+    header: Sequence[str] | None = None,
     time_unit: float | None = None,
+    time_format: str | None = None,
+    length_unit: Literal["m", "cm", "mm", "km", "ft", "px"] | None = None,
     missing: Literal["refuse", "skip"] = "refuse",
+    missing_place: tuple[float, float] | None = None,
+    duplicates: Literal["error", "first", "mean"] = "error",
     encoding: str = "utf-8",
     decimal: Literal[".", ","] = ".",
 ) -> Tracks:
     """Read recorded tracks from one file, or from several with the same clock and coordinates.
 
-    The format follows from the suffix: ``.parquet`` or ``.pq``, ``.npz``, ``.gpx``, ``.ulg`` (PX4); any other file is
-    read as CSV. CSV and GPX may be compressed (gzip, or zip with one file in it).
+    The format follows from the suffix: ``.parquet`` or ``.pq``, ``.npz``, ``.gpx``, ``.json``, ``.ulg`` (PX4); any
+    other file is read as CSV. Texts may be compressed (gzip, or zip with one such file in it).
 
     Args:
         path: the file or files. ULog files hold one track each, whose id is the name of the file. The tracks of one
@@ -62,10 +77,17 @@ def read_tracks(
         columns: names of columns by role, where they can't be guessed: ``id``, ``t`` (seconds or timestamps) or
             ``frame``, ``x`` and ``y`` (metres) or ``lon`` and ``lat`` (degrees), ``z``, ``leader``. ``""`` leaves one
             out. If heights are missing in some rows, all are left out unless their column is named here.
+        header: names of the columns of a CSV file whose row 1 holds values.
         time_unit: seconds in one unit of the time column, such as 0.001 for milliseconds or 1 / 30 for frames of a
-            video; ``None``: 1.
+            video; ``None``: the unit in its name (``time_ms``), that of numbers that count from 1970, or of a
+            spreadsheet's days, or else 1.
+        time_format: of timestamps, as ``strftime`` writes it; ``None``: ISO 8601, or days and months in plain order.
+        length_unit: of x, y and z (heights only beside degrees); ``None``: that in the name (``x_cm``), or metres.
         missing: ``"refuse"`` a row without a time, place or id, or ``"skip"`` it. Such rows of a Movebank file, which
-            are missed fixes, are always skipped; so are those that Movebank marks as outliers.
+            are missed fixes, are always skipped; so are those that Movebank marks as outliers, and empty cells of a
+            table with a column for each id (``x1, y1, x2, y2``).
+        missing_place: a place that stands for a missing one, such as (0, 0).
+        duplicates: of several places of an id at one time, keep the ``"first"`` or the ``"mean"``, or refuse them.
         encoding: of a CSV file.
         decimal: the decimal sign of a CSV file.
 
@@ -76,14 +98,15 @@ def read_tracks(
         ArgumentError: an argument is refused, a file is damaged or empty, a column is missing, a value is no number,
             an id has two places at one time, or there are fewer than two ids.
     """
+    asked = {name: value for name, value in locals().items() if name != "path"}
     given = [as_path("path", file) for file in (path if isinstance(path, list | tuple) else [path])]
     if not given:
         raise ArgumentError("path must be a file of tracks, or a list of such files, got an empty one.")
-    options = _Options(columns=columns, time_unit=time_unit, missing=missing, encoding=encoding, decimal=decimal)  # type: ignore[arg-type]  # checked there
+    options = _Options(**asked)
     paths = list({file.resolve(): file for file in reversed(given)}.values())[::-1]  # two paths may be of one file
     where = ", ".join(quote(os.fspath(file)) for file in paths[:3])
     try:
-        return _make_tracks(paths, [_read_file(file, options) for file in paths], options, where)
+        return _make_tracks(paths, [_read_file(file, options, len(paths) > 1) for file in paths], options, where)
     except ImportError as error:
         hint = f"{where}, which needs {error.name}; {how_to_install('tracks')}"
         raise ArgumentError(f"path must be in a format that can be read, got {hint}.") from None
@@ -100,42 +123,84 @@ class _Part:
     for_itself: bool  # an id means nothing in another file
 
 
-def _read_file(path: Path, options: _Options) -> _Part:
-    """Read a file."""
-    where, mapping = quote(os.fspath(path)), options.columns or {}
+def _read_file(path: Path, options: _Options, several: bool) -> _Part:
+    """Read a file; one of several may be the track of one id, that of its name."""
+    where = quote(os.fspath(path))
     try:
-        (header, read_columns), for_itself = _open_table(path, options)
-        names = roles.choose_columns(header, mapping, where)
-        movebank = roles.MOVEBANK & {name.replace("_", "-") for name in header}
-        marks = {"visible": "visible"} if movebank and "visible" in header else {}
-        table = read_columns(names | marks)
-        count = len(table)
-        if marks:
-            table = table[~table["visible"].astype(str).str.strip().str.lower().isin({"false", "f", "no", "0"})]
-        rows = pd.DataFrame(index=table.index)
-        skip = options.missing == "skip" or bool(movebank)
-        good = np.ones(len(rows), bool)
-        for role, name in names.items():
-            column = table[role].rename(name)
-            if role in roles.LABELS:
-                rows[role] = roles.read_labels(column)
-            else:
-                rows[role] = roles.read_numbers(column, role, where, options.decimal)
-            if role == "leader" or (role == "z" and not mapping.get("z")):
-                continue
-            none = rows[role].isin(["", np.nan]).to_numpy()
-            if none.any() and not skip:
-                roles.refuse_cell(role, column, "", where)
-            good &= ~none
-        timestamps = any(roles.has_timestamps(table[role]) for role in roles.TIMES if role in names)
-        counts = Counter(rows=count, marked=count - len(rows), skipped=int((~good).sum()))
-        return _Part(names, rows[good], counts, timestamps, for_itself)
+        table, for_itself = _open_table(path, options)
+        part = _read_part(table, options, where, path.stem if several else None)
+        return replace(part, for_itself=part.for_itself or for_itself)
     except (ArgumentError, ImportError, MemoryError):
         raise
     except Exception as error:  # libraries raise many kinds for damaged files
         reason = " ".join((getattr(error, "strerror", None) or str(error)).split()).rstrip(".") or type(error).__name__
         hint = " (encoding= names another one)" * isinstance(error, UnicodeError | LookupError)
         raise ArgumentError(f"path must be an intact file of tracks, got {where}: {reason}{hint}.") from error
+
+
+def read_frame(frame: pd.DataFrame, **options: Any) -> Tracks:
+    """Read a data frame; see :meth:`Tracks.from_dataframe`."""
+    given = {name: each.default for name, each in signature(read_tracks).parameters.items() if name != "path"}
+    if unknown := options.keys() - given.keys():
+        raise ArgumentError(f"options must be among {', '.join(given)}, got {', '.join(sorted(unknown))}.")
+    checked = _Options(**given | options)
+    plain = frame.reset_index() if any(frame.index.names) else frame
+    part = _read_part(formats.as_table(plain.rename(columns=str)), checked, "the frame", None)
+    return _make_tracks([Path("the frame")], [part], checked, "the frame")
+
+
+def _read_part(table_of_file: formats.Table, options: _Options, where: str, stem: str | None) -> _Part:
+    """Read the columns of a table; ``stem`` is its id if it has none."""
+    (header, read_columns), mapping, for_itself = table_of_file, options.columns or {}, False
+    names = roles.choose_columns(header, mapping, where, one_id=stem is not None)
+    movebank = roles.MOVEBANK & {name.replace("_", "-") for name in header}
+    marks = {"visible": "visible"} if movebank and "visible" in header else {}
+    if "t" in names and (dates := [name for name in header if name.strip().lower() == "date"]):
+        marks["date"] = dates[0]
+    table = read_columns(names | marks)
+    if "id" in names and not mapping.get("id") and len(table) > 1 and table["id"].is_unique:
+        other = [name for name in header if name != names["id"]]  # it numbers the rows
+        again = roles.choose_columns(other, mapping, where, one_id=True)
+        if "id" in again:
+            names, table = again, read_columns(again | marks)
+    if "id" not in names:
+        names, table, for_itself = {"id": "file", **names}, table.assign(id=stem), True
+    count = len(table)
+    if "t" in names and count and re.match(_TIME_OF_DAY, roles.to_text(table["t"].iloc[0])):
+        table["t"] = _join_date(table["t"].astype(str), table.get("date"))
+        names["t"] += " + date" * ("date" in marks)
+    if "visible" in marks:
+        table = table[~table["visible"].astype(str).str.strip().str.lower().isin({"false", "f", "no", "0"})]
+    rows = pd.DataFrame(index=table.index)
+    skip = options.missing == "skip" or bool(movebank)
+    good = np.ones(len(rows), bool)
+    for role, name in names.items():
+        column = table[role].rename(name)
+        if role in roles.LABELS:
+            rows[role] = roles.read_labels(column)
+        else:
+            rows[role] = roles.read_numbers(column, role, where, options.decimal, options.time_format)
+        if role == "leader" or (role == "z" and not mapping.get("z")):
+            continue
+        none = rows[role].isin(["", np.nan]).to_numpy()
+        if none.any() and not skip:
+            roles.refuse_cell(role, column, "", where)
+        good &= ~none
+    if options.missing_place is not None:
+        place = [role for role in names if role in ("lon", "lat", "x", "y")]
+        good &= (rows[place] != options.missing_place).any(axis=1)
+    dated = any(roles.has_timestamps(table[role]) for role in roles.TIMES if role in names)
+    timestamps = dated or options.time_format is not None
+    counts = Counter(rows=count, marked=count - len(rows), skipped=int((~good).sum()))
+    return _Part(names, rows[good], counts, timestamps, for_itself)
+
+
+def _join_date(clock: pd.Series[Any], date: pd.Series[Any] | None) -> pd.Series[Any]:
+    """Times of day with their dates, or as seconds after midnight; if some are none, as they are."""
+    if date is not None:
+        return date.astype(str) + " " + clock
+    seconds = pd.to_timedelta(clock, errors="coerce").dt.total_seconds()
+    return seconds if seconds.notna().all() else clock
 
 
 def _open_table(path: Path, options: _Options) -> tuple[formats.Table, bool]:
@@ -150,7 +215,11 @@ def _open_table(path: Path, options: _Options) -> tuple[formats.Table, bool]:
     data, name = _expand(path)
     if name.lower().endswith(".gpx"):
         return formats.read_gpx(data, Path(name).stem), True
-    return _read_csv(data, options), False
+    if name.lower().endswith((".json", ".jsonl", ".ndjson")):
+        return formats.read_json(data, lines=not name.lower().endswith(".json")), False
+    table = _read_csv(data, options)
+    has_places = {"id", "x", "lon"} & (options.columns or {}).keys()
+    return (table if has_places else formats.as_long(table)), False
 
 
 def _expand(path: Path) -> tuple[bytes, str]:
@@ -163,22 +232,32 @@ def _expand(path: Path) -> tuple[bytes, str]:
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         names = archive.namelist()
         texts = [name for name in names if name.lower().endswith(_TEXTS) and not name.startswith("__MACOSX/")]
+        texts = [name for name in texts if not name.lower().endswith(".txt")] or texts
         if len(texts) != 1:
             raise ValueError(f"the archive must hold one file of {', '.join(_TEXTS)}, not {quote(names)}")
         return archive.read(texts[0]), texts[0]
 
 
 def _read_csv(data: bytes, options: _Options) -> formats.Table:
-    """Read a CSV file with names in row 1, separated by commas, semicolons, tabs or bars."""
+    """Read a CSV file with names in row 1, separated by commas, semicolons, tabs, bars or blanks."""
     encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else options.encoding
+    if encoding == "utf-8" and b"\0" in data[:1024]:
+        raise ValueError("it is no text, and its suffix names no format that is read")
+    comments = 0
     with io.TextIOWrapper(io.BytesIO(data), encoding) as lines:
-        first = lines.readline(2**20).removeprefix("\ufeff")
+        while (first := lines.readline(2**20).removeprefix("\ufeff")).startswith("#"):
+            comments += 1
     delimiter = max(_DELIMITERS, key=first.count)
-    header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter), [])]
+    if blanks := delimiter not in first and len(first.split()) > 1:
+        delimiter = r"\s+"
+    cells = first.split() if blanks else next(csv.reader([first], delimiter=delimiter), [])
+    header = [name.strip() for name in (options.header or cells)]
+    if len(header) != len(cells):
+        raise ValueError(f"row 1 has {len(cells)} cells for {len(header)} names in header (--columns)")
 
     def read(names: Mapping[str, str]) -> pd.DataFrame:
         places = {header.index(name): role for role, name in names.items()}
-        numbers = [place for place, role in places.items() if role in roles.ROLES and role not in roles.LABELS]
+        numbers = [place for place, role in places.items() if role.partition(":")[0] in formats.NUMBERS]
         with warnings.catch_warnings():
             warnings.simplefilter("error", ParserWarning)  # a row has more cells than the header
             rows = pd.read_csv(
@@ -186,7 +265,8 @@ def _read_csv(data: bytes, options: _Options) -> formats.Table:
                 sep=delimiter,
                 encoding=encoding,
                 decimal=options.decimal,
-                header=0,
+                header=None if options.header else 0,
+                skiprows=comments,
                 names=list(range(len(header))),
                 index_col=False,
                 dtype={place: "category" for place in range(len(header)) if place not in numbers},
@@ -227,19 +307,47 @@ def _make_tracks(paths: list[Path], parts: list[_Part], options: _Options, where
         found = f"{counts['rows']} rows of {', '.join(map(quote, ids)) or 'no id'}"
         raise ArgumentError(f"path must hold the tracks of at least 2 ids, got {where} with {found}.")
     time = rows["frame" if "frame" in names else "t"].to_numpy()
-    clock = Clock(unit=options.time_unit or 1.0, timestamps=timestamps, whole=bool((time == np.floor(time)).all()))
+    unit, why = (
+        _guess_time_unit(time, names) if options.time_unit is None and not timestamps else (options.time_unit, "")
+    )
+    whole = bool((time == np.floor(time)).all())
+    clock = Clock(unit=unit or 1.0, timestamps=timestamps, whole=whole, guessed=why)
     if timestamps:
         if options.time_unit is not None:
             raise ArgumentError(f"time_unit must be left out for timestamps, got {options.time_unit:g} (--time-unit).")
         start = float(time.min())  # whole microseconds: their differences are exact
         time, clock = (time - start) / 1e6, replace(clock, origin=start / 1e6)
-    axes, origin, frame = _place(rows)
+    axes, origin, frame = _place(_scale(rows, names, options))
     leader = None
     if "leader" in rows:
         leader, sentences = match_leaders(*_number(rows["leader"]), codes, ids, f" in column {names['leader']}")
         notes += sentences
-    fields = sort_samples(ids, codes, time, axes, clock=clock, origin=origin, leader=leader, notes=notes)
-    return Tracks(**fields, frame=frame)
+    given: Any = {"clock": clock, "origin": origin, "leader": leader, "notes": notes, "duplicates": options.duplicates}
+    frame = "pixels" if options.length_unit == "px" and frame == "metres" else frame
+    return Tracks(**sort_samples(ids, codes, time, axes, **given), frame=frame)
+
+
+def _guess_time_unit(time: Floats, names: Mapping[str, str]) -> tuple[float, str]:
+    """Seconds in one unit of times that are numbers, and what they seem to be if the column's name doesn't say it."""
+    if named := roles.split_unit(names["frame" if "frame" in names else "t"])[1]:
+        return roles.TIME_UNITS.get(named, 1.0), ""
+    first = float(np.min(time))
+    for unit, words in ((1e-3, "milliseconds"), (1e-6, "microseconds"), (1e-9, "nanoseconds")):
+        if _RECORDED[0] <= first * unit <= _RECORDED[1]:
+            return unit, f"{words} since 1970"
+    steps = np.diff(np.unique(time))
+    if 25_569 <= first <= 73_050 and len(steps) and np.median(steps) < _SHORT and (time != np.floor(time)).any():
+        return 86_400.0, "days of a spreadsheet"
+    return 1.0, ""
+
+
+def _scale(rows: pd.DataFrame, names: Mapping[str, str], options: _Options) -> pd.DataFrame:
+    """The rows with lengths in metres."""
+    for axis in ("x", "y", "z"):
+        unit = options.length_unit or roles.split_unit(names.get(axis, ""))[1]
+        if axis in rows and unit in roles.LENGTH_UNITS:
+            rows[axis] *= roles.LENGTH_UNITS[unit]
+    return rows
 
 
 def _number(labels: pd.Series[Any]) -> tuple[Indices, tuple[str | int, ...]]:

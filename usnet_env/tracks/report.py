@@ -14,7 +14,6 @@ from usnet_env.tracks.samples import Clock, Samples
 
 _GAP = 3.0  # a gap is an interval of more than this many typical intervals of its id
 _UNEVEN = 0.1  # sampling is uneven if a tenth of the intervals differ from the typical one by more than this share
-_RECORDED = (315_532_800, 4_102_444_800)  # seconds from 1970 to 1980 and to 2100
 
 
 @dataclass(frozen=True)
@@ -58,10 +57,9 @@ def _place(tracks: Samples, sample: int) -> str:
 
 
 def _doubt_time_unit(clock: Clock) -> Iterator[str]:
-    """Times that were read as seconds and are probably smaller units since 1970."""
-    for unit in () if clock.timestamps or clock.unit != 1.0 else (1e-3, 1e-6, 1e-9):
-        if _RECORDED[0] <= clock.origin * unit <= _RECORDED[1]:
-            yield f"Times are read as seconds, but seem to count {unit:g} s since 1970 (--time-unit {unit:g})."
+    """Times whose unit was guessed."""
+    if clock.guessed:
+        yield f"Times are read as {clock.guessed}, not as seconds (--time-unit 1 reads seconds)."
 
 
 def _doubt_gaps(tracks: Samples, typical: Floats) -> Iterator[str]:

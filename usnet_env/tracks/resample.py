@@ -17,6 +17,7 @@ SamplesT = TypeVar("SamplesT", bound=Samples)
 JUMP = 5.0  # a jump is faster than this many times the speed that 95 % of the steps don't exceed
 _GROSS = 20.0  # times the usual speed; such a jump has the squared length of more than 400 steps
 
+_ROUNDS = 3  # a part between two excursions may be left out first, and they as one after it
 _LEAST_FIT = 3  # samples within a grid step from which a straight line is fitted
 _SNAP = 1e-6  # grid steps; times that differ by less are the same
 _TYPICAL_SHARE, _BRIDGE = 0.9, 1.5  # intervals up to 1.5 times that of this quantile are interpolated
@@ -45,39 +46,60 @@ class Jumps(NamedTuple):
     """The jumps of some tracks."""
 
     steps: Indices  # the samples after which a track jumps
-    spikes: Indices  # the samples to and from which a track jumps, although the way past them is no jump
+    spikes: Indices  # samples off the track: see find_jumps
     speed: Floats  # (S - 1,) metres per second from each sample to the next of its id; 0 between ids
     usual: float  # the speed that 95 % of the steps of moving ids don't exceed
 
 
 def find_jumps(tracks: Samples) -> Jumps:
-    """Find the steps that are more than 5 times as fast as 95 % of the steps, and the single samples off the track."""
+    """Find the steps that are more than 5 times as fast as 95 % of the steps, and the samples off the track.
+
+    These are the samples between two jumps if the way past them is no jump, at most half of an id's; repetitions of a
+    place before a jump that is none from the first of them on; and two or more equal places at an end, apart by a jump.
+    """
+    samples, inner = np.arange(tracks.samples), tracks.inner_steps
     length = np.linalg.norm(np.diff(tracks.position, axis=0), axis=1)
-    speed = length / np.where(tracks.inner_steps, np.diff(tracks.time), np.inf)
+    speed = length / np.where(inner, np.diff(tracks.time), np.inf)
     moving = speed[speed > 0]
     usual = float(np.quantile(moving, 0.95)) if len(moving) else 0.0
-    fast = speed > JUMP * usual
-    between = np.flatnonzero(fast[:-1] & fast[1:]) + 1
-    past = np.linalg.norm(tracks.position[between + 1] - tracks.position[between - 1], axis=1)
-    returns = past <= JUMP * usual * (tracks.time[between + 1] - tracks.time[between - 1])
-    return Jumps(np.flatnonzero(fast), between[returns], speed, usual)
+    steps = np.flatnonzero(speed > JUMP * usual)
+    owner = np.searchsorted(tracks.offsets, steps, side="right") - 1
+    begin, end = tracks.offsets[owner], tracks.offsets[owner + 1]
+    equal = np.maximum.accumulate(np.where(np.append(True, (length > 0) | ~inner), samples, 0))  # the first of a place
+    low, high = np.append(steps[:-1], equal[steps]), np.append(steps[1:], steps) + 1  # what is between may be left out
+    way = np.linalg.norm(tracks.position[high] - tracks.position[low], axis=1)
+    good = way <= JUMP * usual * (tracks.time[high] - tracks.time[low])
+    good &= (low >= np.append(begin[1:], begin)) & (
+        high - low <= 1 + np.append(end - begin, 2 * tracks.samples)[: len(low)] / 2
+    )
+    off = np.zeros(tracks.samples, bool)
+    for k in np.argsort(high - low, kind="stable"):  # a short excursion is not the way between two others
+        if good[k] and not off[[low[k], high[k]]].any():
+            off[low[k] + 1 : high[k]] = True
+    for step, first, last in zip(steps, begin, end, strict=True):
+        if equal[step] == first < step and 2 * (step + 1 - first) < last - first:
+            off[first : step + 1] = True
+        if equal[last - 1] == step + 1 < last - 1 and 2 * (last - step - 1) < last - first:
+            off[step + 1 : last] = True
+    return Jumps(steps, np.flatnonzero(off), speed, usual)
 
 
 def leave_out_spikes(tracks: SamplesT) -> SamplesT:
-    """The tracks without their spikes."""
-    spikes = find_jumps(tracks).spikes
-    if not len(spikes):
-        return tracks
-    return replace(
-        tracks,
-        offsets=tracks.offsets - np.searchsorted(spikes, tracks.offsets),
-        time=np.delete(tracks.time, spikes),
-        position=np.delete(tracks.position, spikes, axis=0),
-        leader=None if tracks.leader is None else np.delete(tracks.leader, spikes),
-    )
+    """The tracks without the samples off the track."""
+    for _ in range(_ROUNDS):
+        if not len(spikes := find_jumps(tracks).spikes):
+            break
+        tracks = replace(
+            tracks,
+            offsets=tracks.offsets - np.searchsorted(spikes, tracks.offsets),
+            time=np.delete(tracks.time, spikes),
+            position=np.delete(tracks.position, spikes, axis=0),
+            leader=None if tracks.leader is None else np.delete(tracks.leader, spikes),
+        )
+    return tracks
 
 
-def close_jumps(tracks: SamplesT) -> SamplesT:
+def close_jumps(tracks: SamplesT) -> tuple[SamplesT, int]:
     """The tracks with gross jumps, 20 times as fast as usual, of no length: each goes on from where it was before."""
     found = find_jumps(tracks)
     jumps = found.steps[found.speed[found.steps] > _GROSS * found.usual]
@@ -85,7 +107,29 @@ def close_jumps(tracks: SamplesT) -> SamplesT:
     moved[jumps + 1] = tracks.position[jumps + 1] - tracks.position[jumps]
     moved = np.cumsum(moved, axis=0)  # within an id: all jumps up to a sample, less those of the ids before
     first = np.repeat(tracks.offsets[:-1], np.diff(tracks.offsets))
-    return replace(tracks, position=tracks.position - (moved - moved[first])) if len(jumps) else tracks
+    return (replace(tracks, position=tracks.position - (moved - moved[first])) if len(jumps) else tracks), len(jumps)
+
+
+def leave_out_heights(tracks: SamplesT) -> tuple[SamplesT, float]:
+    """The tracks without heights whose noise exceeds the movement of the other axes, and that noise in metres.
+
+    Otherwise the noise is 0.
+    """
+    if tracks.dimensions == 2:
+        return tracks, 0.0
+    velocity = _sample_velocities(tracks, float(np.nanmedian(typical_intervals(tracks))))
+    noise, needed = _noise(velocity[..., 2:])[0], _noise(velocity[..., :2])[1]
+    place = np.cumsum(np.nan_to_num(velocity[..., :2]), axis=0)
+    moved = float(((place[needed:] - place[:-needed]) ** 2).sum(axis=2).mean()) if len(place) > needed else np.inf
+    if 2 * noise**2 <= max(moved, 1e-6 * float(np.nanmean(velocity[..., 2] ** 2))):
+        return tracks, 0.0
+    return replace(tracks, position=tracks.position * (1.0, 1.0, 0.0)), noise
+
+
+def typical_stay(tracks: Samples) -> float:
+    """The median of the seconds from the first to the last sample of an id that has two."""
+    filled = np.flatnonzero(np.diff(tracks.offsets) > 1)
+    return float(np.median(tracks.time[tracks.offsets[filled + 1] - 1] - tracks.time[tracks.offsets[filled]]))
 
 
 def resample_positions(tracks: SamplesT, step: float, max_gap: float | None) -> SamplesT:
@@ -155,15 +199,17 @@ def _fit_lines(at: Floats, position: Floats, number: Indices, place: Floats) -> 
     place[fitted] = (position[starts] + line)[where[fitted]]
 
 
-def choose_step(tracks: Samples) -> tuple[float, str]:
+def choose_step(tracks: Samples, length: int = 0) -> tuple[float, str]:
     """Choose the step of the grid, in seconds, and say why in a sentence; an id must have two samples.
 
-    Steps are tried from one in which the movement exceeds its noise four times, each √2 times as long as the last.
+    Steps are tried from one in which the movement exceeds its noise four times, each √2 times as long as the last, as
+    long as the typical stay of an id has 100 of them; it has 16, or half a window of ``length``, if it lasts so long.
     """
     interval = float(f"{np.nanmedian(typical_intervals(tracks)):.9g}")  # differences of times have rounding errors
-    tracks = close_jumps(tracks)
     noise, needed = _noise(_sample_velocities(tracks, interval))
-    longest = tracks.duration / interval / (_LEAST_STEPS * needed)  # compared with the shortest step
+    stay = typical_stay(tracks) / interval
+    needed = min(needed, max(1, int(stay / max(_FEWEST_STEPS, length / 2))))
+    longest = max(1.0, stay / (_LEAST_STEPS * needed))  # compared with the shortest step
     powers = np.arange(1 + max(0, int(np.floor(np.log(longest) / np.log(_GROWTH) + 1e-9))))
     factors = sorted({round(needed * _GROWTH ** int(k)) for k in powers})
     leads = [_measure_leads(_sample_velocities(tracks, factor * interval)) for factor in factors]

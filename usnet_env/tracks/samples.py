@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from usnet_env.config import ArgumentError, format_count, quote
 
 _DIGITS = 9  # decimals of a time that is written as a number, where float64 has as many
 _EPOCH = datetime(1970, 1, 1)
-_NO_VALUE = {"", "na", "n/a", "nan", "null", "none", "nat"}
+_NO_VALUE = {"", "-", "na", "n/a", "#n/a", "nan", "null", "none", "nat", "\\n"}
 
 
 @dataclass(frozen=True)
@@ -28,12 +28,14 @@ class Clock:
         unit: seconds in one unit of the file's times; 1 for timestamps.
         timestamps: whether the file's times are dates with a time of day; they are written as ISO 8601 in UTC.
         whole: whether the file's times are whole numbers.
+        guessed: what the times were taken for by the size of their numbers, such as "days of a spreadsheet".
     """
 
     origin: float = 0.0
     unit: float = 1.0
     timestamps: bool = False
     whole: bool = False
+    guessed: str = ""
 
     def file_time(self, seconds: float) -> float | int | str:
         """Write ``seconds`` after the start as a time of the file."""
@@ -101,8 +103,11 @@ def sort_samples(
     origin: Floats | None = None,
     leader: Indices | None = None,
     notes: Sequence[str] = (),
+    duplicates: Literal["error", "first", "mean"] = "error",
 ) -> dict[str, Any]:
     """The fields of :class:`Samples` but for ``frame`` and ``step``, of samples in any order, without repetitions.
+
+    Of several places of an id at one time, ``duplicates`` keeps the first or the mean.
 
     ``codes`` ``(S,)`` is the index of the id of each sample, ``time`` ``(S,)`` is in the clock's unit, or in seconds
     for timestamps, and ``axes`` are the two or three coordinates ``(S,)``, relative to ``origin`` if it is given.
@@ -121,12 +126,17 @@ def sort_samples(
     doubled = np.flatnonzero((np.diff(codes) == 0) & (np.diff(time) <= 0))
     if len(doubled):
         differ = doubled[(position[doubled] != position[doubled + 1]).any(axis=1)]
-        if len(differ):
+        if len(differ) and duplicates == "error":
             moment, who = quote(clock.file_time(float(time[differ[0]]))), quote(ids[codes[differ[0]]])
             raise ArgumentError(
-                f"time must differ between samples of an id, got {moment} with two places for id {who}."
+                f"time must differ between samples of an id, got {moment} with two places for id {who} "
+                f"({format_count(len(differ), 'such pair')}; duplicates='first' or 'mean', or --duplicates, helps)."
             )
-        notes = [*notes, f"Left out as repetitions (same id, time and place): {format_count(len(doubled), 'sample')}."]
+        if duplicates == "mean":
+            first = np.setdiff1d(np.arange(len(time)), doubled + 1)
+            position[first] = np.add.reduceat(position, first) / np.diff(np.append(first, len(time)))[:, None]
+        same = "same id and time" if len(differ) else "same id, time and place"
+        notes = [*notes, f"Left out as repetitions ({same}): {format_count(len(doubled), 'sample')}."]
         order = np.delete(order, doubled + 1)
         codes, time, position = (np.delete(values, doubled + 1, axis=0) for values in (codes, time, position))
     if origin is None:

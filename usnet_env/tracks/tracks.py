@@ -13,9 +13,19 @@ from numpy.typing import ArrayLike
 from usnet_env.arrays import Floats, Indices
 from usnet_env.config import ArgumentError, format_count, quote, real_number, whole_number
 from usnet_env.tracks.report import TrackReport, find_problems
-from usnet_env.tracks.resample import choose_step, leave_out_spikes, resample_positions
+from usnet_env.tracks.resample import (
+    choose_step,
+    close_jumps,
+    leave_out_heights,
+    leave_out_spikes,
+    resample_positions,
+    typical_stay,
+)
 from usnet_env.tracks.samples import Samples, match_leaders, sort_samples
 from usnet_env.window import Window, as_array, frozen_array
+
+_USUAL, _SHORTEST = 100, 16  # steps of a window
+_LITTLE = 0.1  # of a window; so many steps at the end are no reason for one more window
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +55,9 @@ class TrackWindow:
     origin: Floats
     leader: Indices | None = None
     left_out: tuple[str | int, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"<TrackWindow of {len(self.ids)} ids from {self.start:g} s to {self.end:g} s, {self.window!r}>"
 
 
 class Tracks(Samples):
@@ -93,17 +106,37 @@ class Tracks(Samples):
             leaders, notes = match_leaders(*_read_ids("leader", leader, len(places)), codes, names)
         return cls(**sort_samples(names, codes, seconds, list(places.T), leader=leaders, notes=notes))
 
+    @classmethod
+    def from_dataframe(cls, frame: pd.DataFrame, **options: Any) -> Tracks:
+        """Make tracks of a data frame with a row for each sample; columns and options are as for :func:`read_tracks`.
+
+        A named index is a column.
+
+        Raises:
+            ArgumentError: as :func:`read_tracks`.
+        """
+        from usnet_env.tracks.read import read_frame
+
+        return read_frame(frame, **options)
+
+    def __repr__(self) -> str:
+        step = f", one every {self.step:g} s" if self.step else ""
+        return f"<Tracks: {len(self.ids)} ids, {self.samples} samples, {self.duration:g} s{step}, {self.dimensions}-D>"
+
     def report(self) -> TrackReport:
         """What the tracks hold, and what is doubtful about them: nothing of it is repaired."""
         return find_problems(self)
 
-    def resample(self, step: float | None = None, *, max_gap: float | None = None, keep_spikes: bool = False) -> Tracks:
+    def resample(
+        self, step: float | None = None, *, max_gap: float | None = None, keep_spikes: bool = False, length: int = 0
+    ) -> Tracks:
         """Resample all tracks to one grid of times, which starts at the earliest sample.
 
         Where a grid step has at least three samples, the value at the grid time is that of a straight line that is
         fitted to the samples within half a step; otherwise it is interpolated linearly between the two samples around
         it. An id has no sample at grid times that no two samples enclose, or whose two samples are further apart than
-        ``max_gap``. Spikes, single samples to which a track jumps and back, are left out.
+        ``max_gap``. Samples off the track, to which it jumps and back, are left out (``find_jumps``), gross jumps
+        that stay are closed, and heights are left out if their noise exceeds the movement of the other axes.
 
         Args:
             step: seconds between grid times. ``None`` chooses it: at least so long that the movement in a step exceeds
@@ -111,7 +144,8 @@ class Tracks(Samples):
                 4 steps; ``notes`` say which and why.
             max_gap: longest time in seconds between two samples that is interpolated; ``None``: one and a half times
                 the interval that 90 % of the id's intervals don't exceed, at least the step.
-            keep_spikes: whether to keep spikes.
+            keep_spikes: whether to keep spikes, jumps and noisy heights.
+            length: steps of the windows that will be cut, for which a chosen step leaves room; 0: not known.
 
         Raises:
             ArgumentError: ``step`` or ``max_gap`` is not a positive number, or no id has two samples.
@@ -120,47 +154,69 @@ class Tracks(Samples):
         step = None if step is None else real_number("step", step, 1e-9, 1e9)
         if (np.diff(self.offsets) < 2).all():
             raise ArgumentError("tracks must hold an id with at least 2 samples; each id has only one.")
-        tracks = self if keep_spikes else leave_out_spikes(self)
-        notes = [*self.notes]
+        tracks, notes = self, [*self.notes]
+        if not keep_spikes:
+            tracks, jumps = close_jumps(leave_out_spikes(self))
+            tracks, noise = leave_out_heights(tracks)
+            if jumps:
+                notes.append(f"{format_count(jumps, 'jump')} closed: the track goes on from where it was before.")
+            if noise:
+                notes.append(f"Heights are left out: their noise of about {noise:.2g} m hides the movement in a step.")
         if step is None:
-            step, why = choose_step(tracks)
+            step, why = choose_step(tracks, length)
             notes.append(why)
         if spikes := self.samples - tracks.samples:
             notes.append(f"{format_count(spikes, 'spike')} left out, unless keep_spikes (--keep-spikes) is given.")
         return replace(resample_positions(tracks, step, max_gap), notes=tuple(notes))
 
     def windows(
-        self, length: int = 100, stride: int | None = None, *, least_steps: int | None = None
+        self, length: int | None = None, stride: int | None = None, *, least_steps: int | None = None
     ) -> Iterator[TrackWindow]:
         """Cut resampled tracks into windows; tracks that are not resampled are resampled with a step that is chosen.
 
         Args:
-            length: number of steps of a window (T_ob); it has one more instant.
-            stride: number of steps from the start of a window to the start of the next; ``None``: ``length``.
+            length: number of steps of a window (T_ob); it has one more instant. ``None``: :meth:`choose_length`.
+            stride: number of steps from the start of a window to the start of the next; ``None``: ``length``. The last
+                window ends at the end of the tracks.
             least_steps: number of steps in which an id must be seen, at most ``length``; ``None``: half of them. A
                 window with fewer than two such ids is left out.
 
         Raises:
             ArgumentError: an argument is out of range, or the tracks are shorter than one window.
         """
-        length = whole_number("length", length, 1, 10**7)
+        even = self if self.step is not None else self.resample()
+        length = even.choose_length() if length is None else whole_number("length", length, 1, 10**7)
         stride = length if stride is None else whole_number("stride", stride, 1, 10**9)
         least_steps = -(-length // 2) if least_steps is None else whole_number("least_steps", least_steps, 1, length)
-        even = self if self.step is not None else self.resample()
-        count, step = even.count_windows(length, stride), float(even.step or 1.0)
-        if not count:
+        starts, step = even._window_starts(length, stride), float(even.step or 1.0)
+        if not len(starts):
             most = f"{round(even.duration / step)}, the steps of {step:g} s in the tracks"
             raise ArgumentError(f"length must be at most {most}, got {length} (--window sets it).")
         number = np.round(even.time / step).astype(np.int64)
-        known, starts = np.unique(number), np.arange(count) * stride
+        known = np.unique(number)
         filled = np.searchsorted(known, starts + length, side="right") > np.searchsorted(known, starts)
         cuts = (_cut(even, number, int(first), length, least_steps) for first in starts[filled])
         return (cut for cut in cuts if cut is not None)
 
+    def choose_length(self) -> int:
+        """Steps of windows that fit resampled tracks: 100 to 199, or fewer if ids typically stay for fewer steps."""
+        step = self.step or 1.0
+        steps, stay = round(self.duration / step), round(typical_stay(self) / step)
+        least = max(1, min(_USUAL, steps, max(stay, _SHORTEST)))
+        return max(1, steps // max(1, steps // least))
+
     def count_windows(self, length: int, stride: int) -> int:
         """Number of windows in resampled tracks."""
-        steps = round(self.duration / (self.step or 1.0))
-        return 0 if steps < length else (steps - length) // stride + 1
+        return len(self._window_starts(length, stride))
+
+    def _window_starts(self, length: int, stride: int) -> Indices:
+        """First steps of the windows. The last one ends at the last step: one more, or the last, moved by a little."""
+        last = round(self.duration / (self.step or 1.0)) - length
+        starts = np.arange(0, last + 1, stride)
+        if len(starts) and last - starts[-1] > length * _LITTLE:
+            return np.append(starts, last)
+        starts[-1:] = last
+        return starts
 
 
 def _read_ids(name: str, value: Any, samples: int) -> tuple[Indices, tuple[str | int, ...]]:

@@ -1,0 +1,99 @@
+"""What can be done with found leaders: events, a frame, pictures, and short texts."""
+
+import pandas as pd
+import pytest
+from track_files import Answers, answer_of, example, rows_of, straight
+
+import usnet_env
+from usnet_env import ArgumentError, Detection
+from usnet_env.tracks import DetectedWindow, FoundLeaders, Leader, Link, Tracks, find_leaders
+
+pytest.importorskip("matplotlib")
+
+
+def window_of(start, heads):
+    """A window from a text of heads with their followers, such as ``"a: b c, d: e"``; links have a delay of 2 s."""
+    leaders, links = [], []
+    for group, part in enumerate(filter(None, heads.split(", ")), start=1):
+        head, _, behind = part.partition(": ")
+        leaders.append(Leader(head, 0.9, tuple(behind.split()), "", group, 1.0))
+        links += [Link(name, head, head, 2.0) for name in behind.split()]
+    return DetectedWindow(start, start + 10, tuple(leaders), links=tuple(links))
+
+
+def found_in(*texts):
+    return FoundLeaders(tuple(window_of(10 * k, text) for k, text in enumerate(texts)), (), "test", tuple("abcdef"))
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "sentences"),
+    [
+        ("", "a: b c", ["a leads b, c."]),
+        ("a: b c", "", ["a leads no more."]),
+        ("a: b", "a: b c", ["c follows a."]),
+        ("a: b c d", "a: b", ["c, d no longer follow a."]),
+        ("a: b c, d: e f", "a: b c d e f", ["d and those behind it follow a."]),
+        ("a: b c d e", "a: b c, d: e", ["d, which followed a, leads e."]),
+        ("a: b c", "b: a c", ["b leads c instead of a."]),
+        ("a: b c, d: e", "a: b, d: c e", ["c follows d instead of a."]),
+        ("a: b c", "a: b c", []),
+    ],
+)
+def test_events_say_who_follows_whom_from_when_on(before, after, sentences):
+    events = [event for event in found_in(before, after).events if event.time == 10]
+    assert [str(event).removeprefix("From 10: ") for event in events] == sentences
+
+
+def test_a_frame_has_a_row_for_each_id_with_a_role():
+    frame = found_in("a: b c, d: e", "", "a: b").to_frame()
+    assert frame[["start", "id", "head"]].to_numpy().tolist() == [
+        *([0, name, head] for name, head in (("a", "a"), ("d", "d"), ("b", "a"), ("c", "a"), ("e", "d"))),
+        *([20, name, "a"] for name in "ab"),
+    ]
+    assert frame["leader"].isna().tolist() == [True, True, False, False, False, True, False]
+    assert frame["delay"].max() == 2.0
+    assert len(found_in("", "").to_frame()) == 0
+
+
+def test_pictures_show_links_delays_and_heads():
+    found = found_in("a: b c, d: e", "a: b c", "a: b")
+    (network,), (delays, _), (timeline,) = (
+        draw().axes for draw in (found.plot, found.plot_delays, found.plot_timeline)
+    )
+    widths = [each.arrow_patch.get_linewidth() for each in network.texts if getattr(each, "arrow_patch", None)]
+    assert widths == pytest.approx([0.5 + 3.5 * share for share in (1, 2 / 3, 1 / 3)])
+    assert sum(each.get_text() == "2 s" for each in network.texts) == 3
+    assert sorted(each.get_text() for each in network.texts if each.get_text() in "abcdef" and each.get_text()) == [
+        *"abcde"
+    ]
+    assert [each.get_text() for each in delays.texts] == ["2"] * 3
+    assert sum(bar.get_width() > 0 for bar in timeline.patches) == 5 + 3 + 2
+    assert len(timeline.lines) == 4  # stars
+    for draw in (found_in("").plot, found_in("").plot_delays, found_in("").plot_timeline):
+        assert draw().axes[0].get_title() == "No leader was found."
+
+
+def test_a_data_frame_is_read_like_a_file():
+    frame = pd.DataFrame(rows_of(straight()), columns=["uid", "time_ms", "x", "y"])
+    tracks = Tracks.from_dataframe(frame.set_index("uid"), columns={"z": ""})
+    assert (tracks.ids, tracks.samples, tracks.duration) == (("a", "b", "c"), 60, 0.0095)
+    assert repr(tracks) == "<Tracks: 3 ids, 60 samples, 0.0095 s, 2-D>"
+    with pytest.raises(ArgumentError, match="options must be among columns"):
+        Tracks.from_dataframe(frame, colums={})
+    with pytest.raises(ArgumentError, match="name those of the frame for id"):
+        Tracks.from_dataframe(frame.drop(columns="uid"))
+
+
+def test_texts_are_short_and_names_are_listed():
+    tracks = Tracks.from_dataframe(pd.DataFrame(example().flock(), columns=["id", "t", "x", "y", "leader"]))
+    found = find_leaders(tracks, Answers(lambda uavs, k: answer_of(uavs, 0, [0] * uavs)), length=100, confirm=False)
+    assert repr(found).startswith("<FoundLeaders in 6 windows by ")
+    assert str(found).splitlines()[0] == "bird-0 leads 11 ids in 100% of the windows."
+    assert "bird-0" in found._repr_html_()
+    cut = next(tracks.resample(0.5).windows(100))
+    assert repr(cut) == "<TrackWindow of 12 ids from 0 s to 50 s, <Window of 12 UAVs, 100 steps of 0.5 s, round 1>>"
+    detection = Detection([True, False, *[False] * 10], [1.0] * 12, leader=[0] * 12)
+    assert repr(detection) == "<Detection for 12 UAVs, 1 named: 0>"
+    assert len(detection.plot(cut.window).axes) == 1
+    assert {"read_tracks", "find_leaders", "Tracks", "evaluate"} <= set(dir(usnet_env))
+    assert usnet_env.Tracks is Tracks

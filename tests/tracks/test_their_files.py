@@ -1,0 +1,108 @@
+"""Files as trackers, collars and spreadsheets write them: each is read as the plain CSV of the same tracks."""
+
+import gzip
+import json
+
+import numpy as np
+import pytest
+from track_files import HEADER, refusal, rows_of, straight, write_csv
+
+from usnet_env.tracks import read_tracks
+
+ROWS = rows_of(straight(), step=60)
+IDS, TIMES = [row[0] for row in ROWS], [row[1] for row in ROWS]
+
+
+def stamps(day="2024-03-31", hours="{:02}"):
+    """The times as texts, from half past 7 on."""
+    return [f"{day} {hours.format((450 + t // 60) // 60)}:{(450 + t // 60) % 60:02.0f}:00" for t in map(int, TIMES)]
+
+
+def rows(times=TIMES, ids=IDS, places=None):
+    return [
+        [name, time, *(row[2:] if places is None else place)]
+        for name, time, row, place in zip(ids, times, ROWS, places or ROWS, strict=True)
+    ]
+
+
+def table(names, *columns):
+    return [[*names], *map(list, zip(*columns, strict=True))]
+
+
+X, Y = ([row[k] for row in ROWS] for k in (2, 3))
+MILLIS, DATES = [1000 * t for t in TIMES], [each.split() for each in stamps()]
+CENTS, FEET = np.array(X) * 100, np.array(Y) / 0.3048
+CASES = {  # rows of the file, delimiter, options
+    "names": (table(["uid", "fixtime", "X", "Y"], IDS, TIMES, X, Y), ",", {}),
+    "id of rows": (table(["id", "trajectory_id", "t", "x", "y"], range(60), IDS, TIMES, X, Y), ",", {}),
+    "units": (table(["id", "time (ms)", "x_cm", "Y [ft]"], IDS, MILLIS, CENTS, FEET), ",", {}),
+    "lengths": (table(HEADER, IDS, TIMES, np.array(X) / 0.3048, np.array(Y) / 0.3048), ",", {"length_unit": "ft"}),
+    "blanks": (table(["t", "id", "x", "y"], TIMES, IDS, X, Y)[1:], " ", {"header": ["t", "id", "x", "y"]}),
+    "comments": ([["# by a tracker"], HEADER, *rows()], ",", {}),
+    "one digit": ([HEADER, *rows(stamps(hours="{}"))], ",", {}),
+    "days first": ([HEADER, *rows(stamps("31/03/2024"))], ",", {}),
+    "months first": ([HEADER, *rows(stamps("3/31/2024"))], ";", {}),
+    "AM": ([HEADER, *rows([f"{each} AM" for each in stamps(hours="{}")])], ",", {}),
+    "a zone": ([HEADER, *rows([f"{each} UTC" for each in stamps()])], ",", {}),
+    "a format": ([HEADER, *rows(stamps("03.04.2024"))], ",", {"time_format": "%d.%m.%Y %H:%M:%S"}),
+    "date and time": (table(["id", "x", "y", "date", "time"], IDS, X, Y, *zip(*DATES, strict=True)), ",", {}),
+    "times of day": ([HEADER, *rows([each.split()[1] for each in stamps(hours="{}")])], ",", {}),
+    "microseconds": ([HEADER, *rows([int(1.7e15 + 1e6 * t) for t in TIMES])], ",", {}),
+    "spreadsheet": ([HEADER, *rows([45382.3125 + t / 86400 for t in TIMES])], ",", {}),
+    "two places": ([HEADER, *rows(), ["a", 60, 1e3, 1e3]], ",", {"duplicates": "first"}),
+    "no place": ([HEADER, *rows(), ["a", 5e3, 0, 0], ["a", 5e3, 0, 0.0]], ",", {"missing_place": (0, 0)}),
+    "marks": ([HEADER, *rows(), ["a", 5e3, "-", 1], ["b", 5e3, "inf", "#N/A"]], ",", {"missing": "skip"}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_other_ways_to_write_tracks_are_read(tmp_path, case):
+    cells, delimiter, options = CASES[case]
+    read = read_tracks(write_csv(tmp_path / "theirs.txt", cells[1:], cells[0], delimiter=delimiter), **options)
+    plain = read_tracks(write_csv(tmp_path / "plain.csv", ROWS))
+    assert (set(read.ids), read.samples) == (set(plain.ids), plain.samples)
+    for k, name in enumerate(plain.ids):
+        part, same = (slice(*each.offsets[[i, i + 1]]) for each, i in ((read, read.ids.index(name)), (plain, k)))
+        np.testing.assert_allclose(read.time[part] - read.time[part][0], plain.time[same], atol=2e-3)
+        np.testing.assert_allclose(
+            (read.position + read.origin)[part], (plain.position + plain.origin)[same], atol=1e-6
+        )
+
+
+def test_wide_tables_json_and_a_file_for_each_id(tmp_path):
+    places = straight()
+    wide = [[t / 2, *place[:, :2].ravel()] for t, place in enumerate(places)]
+    wide[3][1:3] = ["", ""]
+    read = read_tracks(write_csv(tmp_path / "wide.csv", wide, ["seconds", "x1", "y1", "x2", "y2", "x3", "y3"]))
+    assert (read.ids, read.samples, read.duration) == (("1", "2", "3"), 59, 9.5)
+    np.testing.assert_allclose((read.position + read.origin)[:3], places[:3, 0], atol=1e-9)
+    frames = [row[1:] for row in wide]
+    read = read_tracks(write_csv(tmp_path / "w.csv", frames, ["a_x", "a_y", "b_x", "b_y", "c_x", "c_y"]), time_unit=0.5)
+    assert (read.ids, read.samples, read.duration) == (("a", "b", "c"), 59, 9.5)
+    (tmp_path / "t.json.gz").write_bytes(
+        gzip.compress(json.dumps([dict(zip(HEADER, row, strict=True)) for row in ROWS]).encode())
+    )
+    assert read_tracks(tmp_path / "t.json.gz").ids == ("a", "b", "c")
+    files = [
+        write_csv(tmp_path / f"{name}.csv", [row[1:] for row in ROWS if row[0] == name], HEADER[1:]) for name in "ab"
+    ]
+    assert read_tracks(files).ids == ("a", "b")
+    assert "for id" in refusal(files[0])
+
+
+def test_what_cannot_be_known_is_refused_with_the_option_that_helps(tmp_path):
+    assert "--time-format" in refusal(write_csv(tmp_path / "days.csv", rows(stamps("03/04/2024"))))
+    assert "--columns" in refusal(write_csv(tmp_path / "t.txt", ROWS[1:], list(map(str, ROWS[0])), delimiter=" "))
+    assert "--duplicates" in refusal(write_csv(tmp_path / "two.csv", [*ROWS, ["a", 60, 1e3, 1e3]]))
+    (tmp_path / "tracks.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(99))
+    assert "it is no text" in refusal(tmp_path / "tracks.h5")
+    assert "names in header" in refusal(tmp_path / "two.csv", header=["id", "t"])
+
+
+def test_the_mean_of_two_places_is_taken(tmp_path):
+    path = write_csv(
+        tmp_path / "two.csv", [["a", 0, 0, 0], ["a", 1, 1, 1], ["a", 1, 3, 5], ["b", 0, 0, 0], ["b", 1, 1, 1]]
+    )
+    read = read_tracks(path, duplicates="mean")
+    np.testing.assert_array_equal((read.position + read.origin)[:, :2], [[0, 0], [2, 3], [0, 0], [1, 1]])
+    assert "Left out as repetitions (same id and time): 1 sample." in read.notes
