@@ -16,6 +16,7 @@ from usnet_env.swarm import register_follow_strategy, register_mobility
 from usnet_env.window import Window
 
 if TYPE_CHECKING:
+    from usnet_env.drawing import plot_detection
     from usnet_env.evaluation import evaluate, results
     from usnet_env.plugins import make_detector, register_detector
     from usnet_env.tracks import Tracks, find_leaders, read_tracks
@@ -29,6 +30,7 @@ __all__ = ["ArgumentError", "Detection", "Window", "__version__", "evaluate", "m
 __all__ += [
     "Tracks",
     "find_leaders",
+    "plot_detection",
     "read_tracks",
     "register_detector",
     "register_follow_strategy",
@@ -39,7 +41,8 @@ __all__ += [
 register_environments()
 
 
-_LATER = {"evaluate": "evaluation", "results": "evaluation", "make_detector": "plugins", "register_detector": "plugins"}
+_LATER = {"plot_detection": "drawing", **dict.fromkeys(("evaluate", "results"), "evaluation")}
+_LATER |= dict.fromkeys(("make_detector", "register_detector"), "plugins")
 _LATER |= dict.fromkeys(("Tracks", "find_leaders", "read_tracks"), "tracks")
 
 

@@ -5,16 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.config import ArgumentError, named_values, quote
 from usnet_env.window import Window, frozen_array
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _ROUNDING = 1e-6  # probabilities in single precision may exceed 1 by so much
 
@@ -85,21 +82,6 @@ class Detection:
         named = np.flatnonzero(self.candidates)
         which = ", ".join(map(str, named[:6])) + ", …" * (len(named) > 6)
         return f"<Detection for {len(self.candidates)} UAVs, {len(named)} named: {which or 'none'}>"
-
-    def plot(self, window: Window) -> Figure:
-        """Draw the window from above: stars are the candidates, lines connect the others to those that lead them.
-
-        Raises:
-            MissingExtraError: matplotlib is not installed.
-        """
-        from usnet_env.drawing import draw_round
-        from usnet_env.objectives import find_roots
-
-        root = np.full(window.uavs, -1) if self.leader is None else find_roots(self.leader)
-        heads, none = np.flatnonzero(self.candidates), np.zeros(window.uavs, bool)
-        root = np.where(np.isin(root, heads), root, -1)
-        root[heads] = heads
-        return draw_round(window.position, window.seen, window.alive, self.candidates, root, none)
 
 
 def read_tags(detector: Any) -> Tags:

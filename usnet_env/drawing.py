@@ -19,7 +19,10 @@ from numpy.typing import NDArray
 from usnet_env.arrays import Floats, Indices, Mask, Singles
 from usnet_env.config import MissingExtraError as MissingExtraError  # others import it from here
 from usnet_env.config import how_to_install
+from usnet_env.detection import Detection
 from usnet_env.files import atomic_write
+from usnet_env.objectives import find_roots
+from usnet_env.window import Window
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -167,6 +170,19 @@ def _set_up_axes(axes: Axes, limits: Limits, title: str) -> None:
     axes.set_axisbelow(True)
     axes.spines[:].set_color("#CCCCCC")
     axes.set_title(title, fontsize=11, loc="left")
+
+
+def plot_detection(detection: Detection, window: Window) -> Figure:
+    """Draw a window from above: stars are the candidates, lines connect the others to those that lead them.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
+    root = np.full(window.uavs, -1) if detection.leader is None else find_roots(detection.leader)
+    heads, none = np.flatnonzero(detection.candidates), np.zeros(window.uavs, bool)
+    root = np.where(np.isin(root, heads), root, -1)
+    root[heads] = heads
+    return draw_round(window.position, window.seen, window.alive, detection.candidates, root, none)
 
 
 def draw_round(

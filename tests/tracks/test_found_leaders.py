@@ -5,7 +5,7 @@ import pytest
 from track_files import Answers, answer_of, example, rows_of, straight
 
 import usnet_env
-from usnet_env import ArgumentError, Detection
+from usnet_env import ArgumentError, Detection, plot_detection
 from usnet_env.tracks import DetectedWindow, FoundLeaders, Leader, Link, Tracks, find_leaders
 
 pytest.importorskip("matplotlib")
@@ -94,6 +94,6 @@ def test_texts_are_short_and_names_are_listed():
     assert repr(cut) == "<TrackWindow of 12 ids from 0 s to 50 s, <Window of 12 UAVs, 100 steps of 0.5 s, round 1>>"
     detection = Detection([True, False, *[False] * 10], [1.0] * 12, leader=[0] * 12)
     assert repr(detection) == "<Detection for 12 UAVs, 1 named: 0>"
-    assert len(detection.plot(cut.window).axes) == 1
+    assert len(plot_detection(detection, cut.window).axes) == 1
     assert {"read_tracks", "find_leaders", "Tracks", "evaluate"} <= set(dir(usnet_env))
     assert usnet_env.Tracks is Tracks
