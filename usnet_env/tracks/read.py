@@ -12,7 +12,6 @@ import zipfile
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from inspect import signature
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -53,7 +52,7 @@ class _Options(Config):
 
 
 def read_tracks(
-    path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | pd.DataFrame,
     *,
     columns: Mapping[str, str] | None = None,
     header: Sequence[str] | None = None,
@@ -66,14 +65,15 @@ def read_tracks(
     encoding: str = "utf-8",
     decimal: Literal[".", ","] = ".",
 ) -> Tracks:
-    """Read recorded tracks from one file, or from several with the same clock and coordinates.
+    """Read recorded tracks from one file, from several with the same clock and coordinates, or from a data frame.
 
     The format follows from the suffix: ``.parquet`` or ``.pq``, ``.npz``, ``.gpx``, ``.json``, ``.ulg`` (PX4); any
     other file is read as CSV. Texts may be compressed (gzip, or zip with one such file in it).
 
     Args:
-        path: the file or files. ULog files hold one track each, whose id is the name of the file. The tracks of one
-            name in several GPX or ULog files are different ids, which have the path added.
+        path: the file or files, or a frame with a row for each sample, of which a named index is a column. ULog files
+            hold one track each, whose id is the name of the file. The tracks of one name in several GPX or ULog files
+            are different ids, which have the path added.
         columns: names of columns by role, where they can't be guessed: ``id``, ``t`` (seconds or timestamps) or
             ``frame``, ``x`` and ``y`` (metres) or ``lon`` and ``lat`` (degrees), ``z``, ``leader``. ``""`` leaves one
             out. If heights are missing in some rows, all are left out unless their column is named here.
@@ -99,6 +99,10 @@ def read_tracks(
             an id has two places at one time, or there are fewer than two ids.
     """
     asked = {name: value for name, value in locals().items() if name != "path"}
+    if isinstance(path, pd.DataFrame):
+        plain, options = path.reset_index() if any(path.index.names) else path, _Options(**asked)
+        part = _read_part(formats.as_table(plain.rename(columns=str)), options, "the frame", None)
+        return _make_tracks([Path("the frame")], [part], options, "the frame")
     given = [as_path("path", file) for file in (path if isinstance(path, list | tuple) else [path])]
     if not given:
         raise ArgumentError("path must be a file of tracks, or a list of such files, got an empty one.")
@@ -136,17 +140,6 @@ def _read_file(path: Path, options: _Options, several: bool) -> _Part:
         reason = " ".join((getattr(error, "strerror", None) or str(error)).split()).rstrip(".") or type(error).__name__
         hint = " (encoding= names another one)" * isinstance(error, UnicodeError | LookupError)
         raise ArgumentError(f"path must be an intact file of tracks, got {where}: {reason}{hint}.") from error
-
-
-def read_frame(frame: pd.DataFrame, **options: Any) -> Tracks:
-    """Read a data frame; see :meth:`Tracks.from_dataframe`."""
-    given = {name: each.default for name, each in signature(read_tracks).parameters.items() if name != "path"}
-    if unknown := options.keys() - given.keys():
-        raise ArgumentError(f"options must be among {', '.join(given)}, got {', '.join(sorted(unknown))}.")
-    checked = _Options(**given | options)
-    plain = frame.reset_index() if any(frame.index.names) else frame
-    part = _read_part(formats.as_table(plain.rename(columns=str)), checked, "the frame", None)
-    return _make_tracks([Path("the frame")], [part], checked, "the frame")
 
 
 def _read_part(table_of_file: formats.Table, options: _Options, where: str, stem: str | None) -> _Part:

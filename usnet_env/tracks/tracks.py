@@ -106,19 +106,6 @@ class Tracks(Samples):
             leaders, notes = match_leaders(*_read_ids("leader", leader, len(places)), codes, names)
         return cls(**sort_samples(names, codes, seconds, list(places.T), leader=leaders, notes=notes))
 
-    @classmethod
-    def from_dataframe(cls, frame: pd.DataFrame, **options: Any) -> Tracks:
-        """Make tracks of a data frame with a row for each sample; columns and options are as for :func:`read_tracks`.
-
-        A named index is a column.
-
-        Raises:
-            ArgumentError: as :func:`read_tracks`.
-        """
-        from usnet_env.tracks.read import read_frame
-
-        return read_frame(frame, **options)
-
     def __repr__(self) -> str:
         step = f", one every {self.step:g} s" if self.step else ""
         return f"<Tracks: {len(self.ids)} ids, {self.samples} samples, {self.duration:g} s{step}, {self.dimensions}-D>"
