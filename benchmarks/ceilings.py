@@ -192,6 +192,13 @@ def play(game: Game, seed: int) -> list[dict[str, Any]]:
     return [{**game, "bound": bound, **right, "false": (named & ~state.head).sum()}]
 
 
+def report(rows: pd.DataFrame) -> str:
+    """A line for each cell."""
+    columns = {"n": size, "the oracle is exact": rate("exact")}
+    columns |= {name: lambda part, name=name: f"{part[name].mean():.2f}" for name in ("missed", "false")}
+    return pivot(rows, {"suite": "suite", "cell": "cell", "bound": "bound"}, columns)
+
+
 def main(argv: list[str] | None = None) -> None:
     parser = parse(__doc__, Path("out/ceilings.csv"))
     parser.add_argument("--suite", nargs="+", default=["field-v2", "sensing-v2", "limit"])
@@ -207,9 +214,7 @@ def main(argv: list[str] | None = None) -> None:
     games = [{"suite": suite, "cell": cell, "episode": k} for suite, cell in cells for k in range(given.episodes)]
     if not given.draw:
         measure(given.rows, games, partial(play, seed=given.seed), given.workers)
-    columns = {"n": size, "the oracle is exact": rate("exact")}
-    columns |= {name: lambda part, name=name: f"{part[name].mean():.2f}" for name in ("missed", "false")}
-    print(pivot(pd.DataFrame(read_rows(given.rows)), {"suite": "suite", "cell": "cell", "bound": "bound"}, columns))
+    print(report(read_rows(given.rows)))
 
 
 if __name__ == "__main__":

@@ -270,6 +270,13 @@ def play(game: Game, seed: int, python: Path | None) -> list[dict[str, Any]]:
     return rows
 
 
+def report(rows: pd.DataFrame) -> str:
+    """A line for each detector in each suite, and what others published."""
+    columns = {name: mean(name, group="run") for name in ("auroc", "auprc", "top", "chance", "named")}
+    published = (f"Published, AUROC/AUPRC, {suite}: {text}." for suite, text in PUBLISHED.items())
+    return "\n\n".join([pivot(rows, {"suite": "suite", "detector": "detector"}, columns), *published])
+
+
 def main(argv: list[str] | None = None) -> None:
     parser = parse(__doc__, Path("out/peers.csv"))
     parser.add_argument("--suite", nargs="+", choices=list(SUITES), default=list(SUITES))
@@ -281,9 +288,7 @@ def main(argv: list[str] | None = None) -> None:
     games = [{"suite": suite, "detector": name, "runs": given.runs} for suite in given.suite for name in given.detector]
     if not given.draw:
         measure(given.rows, games, partial(play, seed=given.seed, python=given.tigramite), given.workers)
-    columns = {name: mean(name, group="run") for name in ("auroc", "auprc", "top", "chance", "named")}
-    print(pivot(pd.DataFrame(read_rows(given.rows)), {"suite": "suite", "detector": "detector"}, columns))
-    print("\n".join(f"Published, AUROC/AUPRC, {suite}: {text}." for suite, text in PUBLISHED.items()))
+    print(report(read_rows(given.rows)))
 
 
 if __name__ == "__main__":

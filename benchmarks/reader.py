@@ -5,7 +5,7 @@
     python benchmarks/reader.py ablation                   # a group of features without information; also --retrained
     python benchmarks/reader.py calibration                # of the shipped weights, in suites and families
 
-Trainings are kept in --readers and rows in --rows, and the same command goes on where it stopped. A source is a cell of
+Trainings are kept in the folder --readers and rows in the folder --rows, and the same command goes on where it stopped. A source is a cell of
 a suite, of which the first round is read, or a family of the prior. A row is a window and a tenth of the range of
 p(head), with the number of its UAVs, the sum of their p and the number of their heads.
 """
@@ -187,7 +187,7 @@ def draw_sizes(rows: pd.DataFrame, readers: Path, images: Path) -> None:
 
 
 def main(argv: list[str] | None = None) -> None:
-    parser = shared.parse(__doc__, Path("out/reader/windows.csv"))
+    parser = shared.parse(__doc__, Path("out/reader"))
     parser.add_argument("study", choices=["families", "scaling", "ablation", "calibration"])
     parser.add_argument("names", nargs="*", help="families or groups of features; by default all")
     parser.add_argument("--episodes", type=int, default=50, help="windows of each source")
@@ -196,7 +196,7 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu")
     parser.add_argument("--retrained", action="store_true", help="ablation: train without each group")
     given = parser.parse_args(argv)
-    path = given.rows.with_stem(f"{given.rows.stem}-{given.study}")
+    path = given.rows / f"{given.study}.csv.gz"
     played = product(dict.fromkeys(choose(given)), range(given.episodes))
     games = [dict(zip(KEYS, (*key, episode), strict=True)) for key, episode in played]
     if not given.draw:

@@ -16,8 +16,12 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
+import ceilings
 import numpy as np
 import pandas as pd
+import peers
+import reader
+import scenarios
 from paper.shared import RESULTS, ROOT, parse, read_rows
 from paper_tables import leaks_block, losses_block, paper_algorithms, purity_block, rounds_block, table2_block
 from pivot import Say, across, markdown, mean, median, name_detector, pivot, rate, size
@@ -27,7 +31,7 @@ from usnet_env.files import write_text
 
 DETECTOR = {"detector": "detector"}  # lines of a table
 BLOCK = re.compile(r"(<!-- results:begin ?([\w-]*) -->)\n.*?<!-- results:end -->", re.DOTALL)
-PAGES = ("README.md", *(f"docs/results/{name}.md" for name in ("suites", "paper", "tracks", "speed")))
+PAGES = ("README.md", *(f"docs/results/{name}.md" for name in ("suites", "reader", "paper", "tracks", "speed")))
 SUITES = {  # those of README.md; `reader` solves the others
     "paper-hard": "the paper's problems, where the odd one out isn't the answer",
     "paper": "the game of the paper; in 11 of 12 cells one track alone shows a head",
@@ -172,10 +176,18 @@ def _spread(ratios: list[float]) -> str:
     return f"{np.median(ratios):.3g} ({min(ratios):.3g}–{max(ratios):.3g})"
 
 
+def _report(name: str, report: Callable[[pd.DataFrame], str]) -> Callable[[], str]:
+    return lambda: report(read_rows(RESULTS / "reader" / f"{name}.csv.gz"))
+
+
 BLOCKS: dict[str, Callable[[], str]] = {
     "": readme_block,
     **{f"suite-{name}": lambda name=name: suite_block(name) for name in (*SUITES, *SOLVED, *OLDER, "scale")},
     "leaks": leaks_block,
+    "scenarios": _report("scenarios", scenarios.report),
+    "calibration": _report("calibration", lambda rows: reader.report(rows, "calibration")),
+    "peers": _report("peers", peers.report),
+    "ceilings": _report("ceilings", ceilings.report),
     "table2": table2_block,
     "rounds": rounds_block,
     "purity": purity_block,

@@ -6,7 +6,7 @@ import numpy as np
 
 from usnet_env.arrays import Floats
 
-PRIOR_VERSION = 1  # increases when a draw changes
+PRIOR_VERSION = 2  # increases when a draw changes
 
 MODELS = {  # follow strategies; flocks are the hardest, and come twice as often; two hold f1 to f6 as parts
     "random": 2.5,
@@ -25,8 +25,8 @@ WORLDS = {  # without the simulator
     **dict.fromkeys(("people", "springs", "initiators"), 1.4),
     **dict.fromkeys(("graded", "set_off", "file", "cars", "boids_signed"), 1.0),
     **dict.fromkeys(("changes", "fission", "convoy"), 0.7),
-    **dict.fromkeys(("driver", "leaderless"), 2.0),  # in these and the next ones nobody leads
-    **dict.fromkeys(("herd", "route", "walkers", "ring_road", "springs_unseen"), 1.0),
+    **dict.fromkeys(("driver", "route", "leaderless"), 2.5),  # in these and the next ones nobody leads
+    **dict.fromkeys(("herd", "walkers", "ring_road", "springs_unseen"), 1.0),
 }
 SHARES = (0.32, MODELS), (0.18, FAULTS), (0.28, WORLDS), (0.22, {"field": 1.0})  # the last: the field environment
 

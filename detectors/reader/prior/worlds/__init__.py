@@ -44,6 +44,7 @@ _LAWS: dict[str, tuple[Callable[[np.random.Generator, Stage], Flight], int, int,
     "route": (followers.draw_route, 2, 40, 0.5),
     "springs_unseen": (lambda rng, stage: _hide_first(rng, stage, crowds.draw_springs), 3, 12, 0.5),
 }
+_SAMPLED = ("star", "path", "driver", "route")  # often flown in finer steps, so that delays are no whole numbers
 
 
 def fly_world(rng: np.random.Generator, name: str, windows: int, steps: int, most_uavs: int) -> Examples:
@@ -51,4 +52,6 @@ def fly_world(rng: np.random.Generator, name: str, windows: int, steps: int, mos
     law, least, most, flat = _LAWS[name]
     uavs = draw_whole(rng, least, max(least, min(most, most_uavs * 3 // 4)))  # a quarter is left for lone UAVs
     stage = Stage(windows, steps, uavs, np.array([1.0, 1.0, 0.0 if rng.random() < flat else 1.0]))
-    return finish(rng, stage, law(rng, stage))
+    finer = int(rng.integers(2, 5)) if name in _SAMPLED and rng.random() < 0.4 else 1
+    flight = law(rng, stage._replace(steps=finer * steps))
+    return finish(rng, stage, Flight(flight.position[:, ::finer], flight.leader, np.asarray(flight.delay) / finer))

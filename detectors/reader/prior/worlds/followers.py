@@ -147,13 +147,21 @@ def draw_ring_road(rng: np.random.Generator, stage: Stage) -> Flight:
 
 
 def draw_route(rng: np.random.Generator, stage: Stage) -> Flight:
-    """UAVs on one winding way, from their own places on it, at their own paces, some backwards: nobody leads."""
+    """UAVs on one winding way, from their own places on it, at their own paces, some backwards: nobody leads.
+
+    In half of the draws all begin near each other and keep similar paces, as if they followed.
+    """
     shape = stage.windows, stage.steps + 1, stage.uavs
     road = travel(stage.draw_normals(rng, 1), draw_ways(rng, stage, 3 * stage.steps, 1, 0.1))[:, :, 0]
     vary = keep_noise(rng.standard_normal(shape), rng.uniform(0.5, 0.98, stage.windows))
-    gone = np.cumsum(stage.draw_each(rng, 0.3, 1.0)[:, None] * np.exp(rng.uniform(0.0, 0.4) * vary), axis=1)
-    along = rng.uniform(0.0, 1.2 * stage.steps, (stage.windows, 1, stage.uavs)) + np.minimum(gone, 1.7 * stage.steps)
-    along = np.where(rng.random(stage.uavs) < rng.choice([0.0, 0.5]), 3 * stage.steps - along, along)
+    alike, pace = rng.random() < 0.5, stage.draw_each(rng, 0.3, 1.0)
+    if alike:
+        pace = pace[:, :1] * rng.uniform(0.85, 1.15, pace.shape)
+    gone = np.cumsum(pace[:, None] * np.exp(rng.uniform(0.0, 0.2 if alike else 0.4) * vary), axis=1)
+    begin = rng.uniform(0.0, rng.uniform(0.05, 0.5) if alike else 1.2, (stage.windows, 1, stage.uavs)) * stage.steps
+    along = begin + np.minimum(gone, 1.7 * stage.steps)
+    back = rng.random(stage.uavs) < (0.0 if alike else rng.choice([0.0, 0.5]))
+    along = np.where(back, 3 * stage.steps - along, along)
     before, part, window = along.astype(np.int64), along[..., None] % 1.0, np.arange(stage.windows)[:, None, None]
     place = (1.0 - part) * road[window, before] + part * road[window, before + 1]
     sway = keep_noise(stage.draw_normals(rng, *shape[1:]), np.full(stage.windows, 0.9))

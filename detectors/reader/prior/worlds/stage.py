@@ -29,9 +29,12 @@ class Stage(NamedTuple):
         return np.broadcast_to(drawn, (self.windows, self.uavs))
 
     def draw_delays(self, rng: np.random.Generator, most: int = 1000) -> Indices:
-        """Delays ``(B, n)`` in steps: up to 12 in half of the draws, else up to a third of the window."""
+        """Delays ``(B, n)``, often similar: up to 12 steps in half of the draws, else up to a third of the window."""
         most = max(2, min(most, 12 if rng.random() < 0.5 else most, self.steps // 3))
-        return np.maximum(np.rint(self.draw_each(rng, 0.6, most)), 1).astype(np.int64)
+        drawn = self.draw_each(rng, 0.6, most)
+        if rng.random() < 0.4:
+            drawn = drawn[:, :1] * rng.uniform(0.7, 1.3, drawn.shape)
+        return np.maximum(np.rint(drawn), 1).astype(np.int64)
 
 
 class Flight(NamedTuple):
