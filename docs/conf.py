@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+from importlib.metadata import metadata
 from importlib.metadata import version as installed_version
 from pathlib import Path
 from typing import Any
@@ -45,7 +46,11 @@ html_static_path = ["_static"]
 html_css_files = ["usnet.css"]
 html_js_files = ["usnet.js"]
 html_logo = html_favicon = "_static/logo.svg"
-html_theme_options = {"navigation_with_keys": True, "sidebar_hide_name": False}
+html_theme_options: dict[str, Any] = {"navigation_with_keys": True, "sidebar_hide_name": False}
+for _url in metadata("usnet").get_all("Project-URL") or ():
+    if _url.startswith("Repository, "):  # then every page has a link to edit it
+        html_theme_options |= {"source_repository": _url.partition(", ")[2], "source_branch": "main"}
+        html_theme_options |= {"source_directory": "docs/"}
 
 
 def _keep_bars(_app: Any, _what: str, _name: str, _obj: Any, _options: Any, lines: list[str]) -> None:

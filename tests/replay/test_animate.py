@@ -127,6 +127,12 @@ def test_the_page_holds_everything_and_loads_nothing(page):
     assert page.stat().st_size < 2_000_000
 
 
+def test_a_button_of_each_round_goes_to_its_first_frame(page):
+    found = re.findall(r"(anim\w+)\.set_frame\((\d+)\); return", page.read_text())
+    assert [number for _, number in found] == ["0", "6"]
+    assert f"{found[0][0]} = new Animation" in page.read_text()
+
+
 def test_a_page_of_many_rounds_animates_the_first_and_names_cannot_break_it(tmp_path, monkeypatch):
     monkeypatch.setattr("usnet_env.replay.page._MOST_ROUNDS", 1)
     record = small_episode(detector="<b>&amp;</script>", **dict.fromkeys(MIND))

@@ -28,8 +28,8 @@ _ICONS = {
 }  # fmt: skip
 
 
-def _animate(record: EpisodeRecord) -> str:
-    """The animation of the first rounds with its controls, as matplotlib writes it."""
+def _animate(record: EpisodeRecord) -> tuple[str, dict[int, str]]:
+    """The animation of the first rounds with its controls, and for each round a button that goes there."""
     from matplotlib.animation import HTMLWriter
 
     drawing.new_figure(1, 1)  # refuses without matplotlib
@@ -41,7 +41,11 @@ def _animate(record: EpisodeRecord) -> str:
         write_frames(record, scenes, writer, path, _DPI, rate=0)
         text = re.sub("<link[^>]*>", "", path.read_text(encoding="utf-8"))
     text = text.replace("<img id", '<img alt="animation of the episode" id')
-    return re.sub(r'<i class="fa fa-([^"]*)"></i>', lambda icon: _ICONS[icon[1]], text)
+    text = re.sub(r'<i class="fa fa-([^"]*)"></i>', lambda icon: _ICONS[icon[1]], text)
+    player = re.findall(r"(anim\w+) = new Animation", text)[0]
+    numbers = [scene.round for scene in scenes]
+    show = ' <button onclick="{0}.pause_animation(); {0}.set_frame({1}); return false">show</button>'
+    return text, {number: show.format(player, numbers.index(number)) for number in numbers}
 
 
 def write_page(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path:
@@ -52,17 +56,18 @@ def write_page(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path:
         MissingExtraError: matplotlib is not installed.
     """
     more = f" The animation shows the first {format_count(_MOST_ROUNDS, name_round(record).lower())}."
+    animation, shows = _animate(record)
     rounds = []
     for number in range(1, record.rounds + 1):
         marked = [(name_uav(record, i), word, why) for i, word, why in list_marked(record, number)]
         lines = "".join(f"<li><b>{escape(uav)}</b> {word}, {escape(why)}</li>" for uav, word, why in marked)
-        title = escape(f"{name_round(record)} {number}: {describe_round(record, number)}")
+        title = escape(f"{name_round(record)} {number}: {describe_round(record, number)}") + shows.get(number, "")
         rounds.append(f"<details{' open' * (number == 1)}><summary>{title}</summary><ul>{lines}</ul></details>")
     page = f"""<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
 <title>{escape(name_game(record))}</title><style>{_STYLE}</style></head><body>
 <h1>{escape(name_game(record))}</h1><p>{escape(describe_outcome(record))}{more * (record.rounds > _MOST_ROUNDS)}</p>
-{_animate(record)}{"".join(rounds)}
+{animation}{"".join(rounds)}
 </body></html>
 """
     with atomic_write(path) as aside:
