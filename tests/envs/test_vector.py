@@ -3,6 +3,7 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.vector import AutoresetMode
 
 from usnet_env import ArgumentError
 from usnet_env.envs import ENVIRONMENTS
@@ -13,6 +14,14 @@ MULTI = "USNET/MultiCluster-v0"
 def same(one, other):
     assert one.keys() == other.keys()
     for key in one:
+        if isinstance(one[key], dict):
+            same(one[key], other[key])
+            continue
+        if one[key].dtype == object:
+            assert [value is None for value in one[key]] == [value is None for value in other[key]]
+            for mine, theirs in zip(one[key], other[key], strict=True):
+                same(mine or {}, theirs or {})
+            continue
         np.testing.assert_array_equal(one[key], other[key], err_msg=key)
         assert one[key].dtype == other[key].dtype, key
 
@@ -21,6 +30,9 @@ def same(one, other):
     ("name", "arguments"),
     [
         *((name, {}) for name in sorted(ENVIRONMENTS)),
+        ("USNET/SingleCluster-v0", {"autoreset_mode": "SameStep", "observe": ("velocity",)}),
+        (MULTI, {"autoreset_mode": "SameStep", "reveal_truth": True, "max_rounds": 2, "miss_rate": 0.1}),
+        ("USNET/Field-v1", {"autoreset_mode": "SameStep", "max_rounds": 2}),
         ("USNET/SingleCluster-v0", {"follow": "f7", "reveal_truth": True}),
         (MULTI, {"follow": "f7", "reveal_truth": True, "max_rounds": 2}),
         ("USNET/Field-v1", {"follow": "f7", "reveal_truth": True, "max_rounds": 2}),
@@ -29,7 +41,9 @@ def same(one, other):
 def test_equal_to_single_envs_over_many_episodes(name, arguments):
     arguments = {**arguments, "observation_steps": 10}
     batch = gym.make_vec(f"usnet_env:{name}", num_envs=5, **arguments)
-    singles = gym.make_vec(name, num_envs=5, vectorization_mode="sync", **arguments)
+    mode = {"autoreset_mode": AutoresetMode(arguments.pop("autoreset_mode", "NextStep"))}
+    singles = gym.make_vec(name, num_envs=5, vectorization_mode="sync", vector_kwargs=mode, **arguments)
+    assert batch.metadata["autoreset_mode"] is mode["autoreset_mode"]
     assert batch.unwrapped.__class__.__name__.endswith("VectorEnv")
     one, other = batch.reset(seed=0), singles.reset(seed=0)
     same(one[0], other[0])
@@ -61,7 +75,7 @@ def test_seeds_as_a_list_and_generators_that_go_on():
 
 
 def test_bad_input_is_named():
-    for arguments in ({"num_envs": 0}, {"follow": "f0"}, {"render_mode": "rgb_array"}):
+    for arguments in ({"num_envs": 0}, {"follow": "f0"}, {"autoreset_mode": "never"}, {"observe": ["speed"]}):
         with pytest.raises(ArgumentError, match=f"^{next(iter(arguments))} must"):
             gym.make_vec(MULTI, **{"num_envs": 2, **arguments})
     batch = gym.make_vec(MULTI, num_envs=2, observation_steps=10)
@@ -82,3 +96,57 @@ def test_bad_seeds_are_named(seed):
         batch.reset(seed=seed)
     one = batch.reset(seed=[3, None])[0]["position"][0]
     np.testing.assert_array_equal(batch.reset(seed=np.array([3, 4]))[0]["position"][0], one)
+
+
+def make_pair(**arguments):
+    """A batch and Gymnasium's vectorisation of single environments, in which the caller resets the games."""
+    arguments = {"clusters": 2, "uavs": 12, "observation_steps": 10, "max_rounds": 2, **arguments}
+    mode = AutoresetMode.DISABLED
+    batch = gym.make_vec(MULTI, num_envs=4, autoreset_mode=mode, **arguments)
+    options = {"vectorization_mode": "sync", "vector_kwargs": {"autoreset_mode": mode}}
+    return batch, gym.make_vec(MULTI, num_envs=4, **options, **arguments)
+
+
+def test_games_that_the_caller_resets():
+    batch, singles = make_pair(reveal_truth=True)
+    for envs in (batch, singles):
+        envs.reset(seed=3)
+    assert batch.np_random_seed == singles.np_random_seed == (3, 4, 5, 6)
+    rng = np.random.default_rng(0)
+    for k in range(6):
+        actions = (rng.random((4, 12)) < 0.5).astype(np.int8)
+        one, other = batch.step(actions), singles.step(actions)
+        same(one[0], other[0])
+        same(one[4], other[4])
+        over = one[2] | one[3]
+        if over.any():
+            with pytest.raises(ArgumentError, match="reset must be called"):
+                batch.step(actions)
+            one, other = (envs.reset(seed=[k] * 4, options={"reset_mask": over.copy()}) for envs in (batch, singles))
+            same(one[0], other[0])
+            same(one[1], other[1])
+    for wrong in (np.zeros(4, bool), np.ones(3, bool), [1, 0, 0, 0]):
+        with pytest.raises(ArgumentError, match=r"^reset_mask must"):
+            batch.reset(options={"reset_mask": wrong})
+
+
+def test_single_games_of_a_batch():
+    """Pictures, attributes and states are those of single environments."""
+    batch, singles = make_pair(render_mode="rgb_array")
+    for envs in (batch, singles):
+        envs.reset(seed=3)
+    for _ in range(2):
+        np.testing.assert_array_equal(batch.render(), singles.render())
+        action = np.eye(4, 12, dtype=np.int8)
+        batch.step(action), singles.step(action)
+        states = batch.get_state()
+    np.testing.assert_equal(states, list(singles.call("get_state")))
+    np.testing.assert_array_equal(batch.call("action_masks"), batch.action_masks())
+    batch.set_attr("note", [1, 2, 3, 4])
+    assert batch.get_attr("note") == (1, 2, 3, 4)
+    with pytest.raises(ArgumentError, match=r"^name must be no attribute"):
+        batch.set_attr("rules", None)
+    batch.reset(seed=9)
+    window = batch.set_state(states)
+    np.testing.assert_equal(batch.get_state(), states)
+    np.testing.assert_array_equal(window["velocity"], [state["observation"]["velocity"] for state in states])

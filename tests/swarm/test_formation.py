@@ -13,7 +13,7 @@ from usnet_env.swarm.simulator import draw_roles, random_cluster_sizes
 
 @given(seed=st.integers(0, 2**32), clusters=st.integers(1, 12), rest=st.integers(0, 200))
 def test_cluster_sizes_are_at_least_two_and_add_up(seed, clusters, rest):
-    sizes = random_cluster_sizes(np.random.default_rng(seed), clusters, 2 * clusters + rest)
+    (sizes,) = random_cluster_sizes([np.random.default_rng(seed)], clusters, 2 * clusters + rest)
     assert len(sizes) == clusters
     assert sizes.min() >= 2
     assert sizes.sum() == 2 * clusters + rest
@@ -21,7 +21,7 @@ def test_cluster_sizes_are_at_least_two_and_add_up(seed, clusters, rest):
 
 def test_all_splits_are_equally_likely():
     rng = np.random.default_rng(0)
-    draws = [tuple(random_cluster_sizes(rng, 3, 10) - 2) for _ in range(6000)]
+    draws = random_cluster_sizes([rng] * 6000, 3, 10) - 2
     splits, counts = np.unique(draws, axis=0, return_counts=True)
     assert len(splits) == 15  # C(4 + 2, 2)
     expected = 6000 / 15
@@ -30,7 +30,9 @@ def test_all_splits_are_equally_likely():
 
 @given(seed=st.integers(0, 2**32), decoys=st.integers(0, 3))
 def test_roles_are_consistent(seed, decoys):
-    roles = draw_roles(np.random.default_rng(seed), SwarmConfig(clusters=4, uavs=30 + decoys, decoys=decoys))
+    (roles,) = draw_roles(
+        [np.random.default_rng(seed)], SwarmConfig(clusters=4, uavs=30 + decoys, decoys=decoys)
+    ).split()
     assert roles.head.sum() == 4
     assert roles.decoy.sum() == decoys
     assert not (roles.head & roles.decoy).any()
@@ -74,7 +76,7 @@ def test_gathered_tells_no_head_from_its_followers_by_place():
     middles, far, spread = [], [], []
     for seed in range(40):
         rng = np.random.default_rng(seed)
-        roles = draw_roles(rng, config)
+        (roles,) = draw_roles([rng], config).split()
         position = FORMATIONS.find("gathered")(rng, roles)
         middle = position[~roles.traffic].mean(axis=0)
         middles.append(middle / ARENA)
@@ -92,7 +94,7 @@ def test_orphans_take_the_nearest_remaining_head(seed, uavs, share):
     """Against a literal reading: living followers without a living head look at all remaining heads."""
     rng = np.random.default_rng(seed)
     clusters = int(rng.integers(1, uavs // 3 + 1))
-    roles = draw_roles(rng, SwarmConfig(clusters=clusters, uavs=uavs))
+    (roles,) = draw_roles([rng], SwarmConfig(clusters=clusters, uavs=uavs)).split()
     alive = rng.random(uavs) >= share
     position = rng.uniform(0, 1000, (uavs, 3)).astype(np.float32)
     leader = roles.root.copy()

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, Literal
 
 import numpy as np
-from gymnasium.vector import SyncVectorEnv
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from pydantic import Field
 
 from usnet_env.arrays import Mask
@@ -189,8 +189,9 @@ class FieldEnv(UsnetEnv):
 class FieldVectorEnv(SyncVectorEnv):
     """B games of :class:`FieldEnv`, one after another; see ``gym.make_vec("usnet_env:USNET/Field-v1", num_envs=B)``."""
 
-    def __init__(self, num_envs: int = 1, **arguments: Any) -> None:
-        super().__init__([lambda: FieldEnv(**arguments)] * check_batch(num_envs, arguments))
+    def __init__(self, num_envs: int = 1, *, autoreset_mode: Any = AutoresetMode.NEXT_STEP, **arguments: Any) -> None:
+        games, mode = check_batch(num_envs, autoreset_mode)
+        super().__init__([lambda: FieldEnv(**arguments)] * games, autoreset_mode=mode)
 
     def action_masks(self) -> Mask:
         """``(B, 2 N)`` bool, the masks of :meth:`UsnetEnv.action_masks` of each game."""

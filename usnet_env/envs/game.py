@@ -17,6 +17,7 @@ from usnet_env.objectives import hits_and_redundant, single_cluster_objective
 from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState, advance, destroy, start
 from usnet_env.swarm.config import Count, Price
 
+PARTS = ("position", "velocity", "seen", "alive", "round")  # of the observation
 COUNTERS = ("rounds", "redundant", "terminated", "truncated")
 UNANSWERED = "round 1: observed, no answer yet"  # the title of the picture of a window before the first round
 
@@ -58,6 +59,20 @@ class GameState:
     terminated: Mask  # whether the game ended by its rules
     truncated: Mask  # whether the game was stopped after ``max_rounds``
 
+    def rows(self, episodes: NDArray[np.intp]) -> Self:
+        """Some games of the batch."""
+        return replace(
+            self, swarm=self.swarm.rows(episodes), **{name: getattr(self, name)[episodes] for name in COUNTERS}
+        )
+
+    @classmethod
+    def join(cls, states: Sequence[Self]) -> Self:
+        """The batch of all games of some batches."""
+        counters = {name: np.concatenate([getattr(state, name) for state in states]) for name in COUNTERS}
+        swarms = [state.swarm.arrays() for state in states]
+        swarm = SwarmState(**{name: np.concatenate([arrays[name] for arrays in swarms]) for name in swarms[0]})
+        return cls(swarm, **counters)
+
     def with_rows(self, episodes: NDArray[np.intp], other: GameState) -> Self:
         """A copy of this batch in which ``other`` replaces some games."""
         changed: dict[str, Any] = {"swarm": self.swarm.with_rows(episodes, other.swarm)}
@@ -78,11 +93,12 @@ def window_spaces(steps: int, uavs: int, rounds: int, far: float, fast: float) -
     }
 
 
-def observation_space(config: SwarmConfig, rules: Rules) -> spaces.Dict:
-    """The observation space of one environment: bounded boxes and masks."""
+def observation_space(config: SwarmConfig, rules: Rules, observe: Sequence[str] = PARTS) -> spaces.Dict:
+    """The space of the observed parts of one environment's windows: bounded boxes and masks."""
     rounds = rules.max_rounds + 1  # after the last round of a truncated episode another window is observed
     far, fast = config.position_bound(rounds), config.velocity_bound()
-    return spaces.Dict(window_spaces(config.observation_steps, config.uavs, rounds, far, fast))
+    parts = window_spaces(config.observation_steps, config.uavs, rounds, far, fast)
+    return spaces.Dict({name: parts[name] for name in observe})
 
 
 def require_game(state: GameState | None) -> GameState:

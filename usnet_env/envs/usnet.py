@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, ClassVar, Literal
 
 import gymnasium as gym
 import numpy as np
@@ -44,10 +44,15 @@ INFO_P2 = f"""{INFO}
     | `reward_round` | the part of the reward for the round, −1 |
     | `reward_redundancy` | the rest of the reward: the price of redundant candidates |"""
 
+LastRound = tuple[Observation, SwarmState, Mask, str]
+
 
 class OutputArguments(game.RenderArguments):
     """The arguments about the output of an environment: ``info`` and pictures."""
 
+    observe: Sequence[Literal["position", "velocity", "seen", "alive", "round"]] = Field(
+        game.PARTS, min_length=1, description="the parts of the observation to return; a detector needs all"
+    )
     reveal_truth: bool = Field(
         False, description="``info`` also holds ``head``, ``decoy``, ``root``, ``leader``, ``heads_left``"
     )
@@ -86,12 +91,13 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         self.rules = rules
         self.reveal_truth = output.reveal_truth
         self.render_mode = output.render_mode
-        self.observation_space = game.observation_space(config, rules)  # type: ignore[assignment]  # Dict is invariant
+        self.observe = tuple(output.observe)
+        self.observation_space = game.observation_space(config, rules, self.observe)  # type: ignore[assignment]  # Dict is invariant
         self.action_space = spaces.MultiBinary(config.uavs)
         self._game: game.GameState | None = None
         self._window: Observation = {}  # the present observation
         # The round before it: window, swarm, candidates, and title of its frame.
-        self._last_round: tuple[Observation, SwarmState, Mask, str] | None = None
+        self._last_round: LastRound | None = None
         self._frames = EpisodeFrames()
 
     @property
@@ -153,7 +159,18 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         self._window = window
         if self.render_mode is not None:
             self._frames.watch(window["position"], window["seen"].astype(bool))
-        return copy.deepcopy(window)
+        return {name: window[name].copy() for name in self.observe}
+
+    def show_round(self, window: Observation, last_round: LastRound | None) -> None:
+        """Keep the present window and the round before it, for pictures; without a last round a game begins."""
+        self._last_round = last_round
+        if last_round is None:
+            self._frames = EpisodeFrames()
+        self._show(window)
+
+    def place(self, state: game.GameState, window: Observation, rng: np.random.Generator, seed: int) -> None:
+        """Become a game that is played elsewhere, with its generator."""
+        self._game, self._window, self._np_random, self._np_random_seed = state, window, rng, seed
 
     def _info(self, metrics: dict[str, NDArray[Any]]) -> dict[str, Any]:
         info: dict[str, Any] = {name: values[0].item() for name, values in metrics.items()}

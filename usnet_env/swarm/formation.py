@@ -32,7 +32,7 @@ def draw_corridors(rng: np.random.Generator, uavs: int) -> tuple[Floats, Floats]
 
 def _uniform(rng: np.random.Generator, roles: Roles) -> Floats:
     """All UAVs uniform in the arena."""
-    return rng.uniform(0.0, ARENA, (len(roles.root), 3))
+    return np.asarray(rng.random((len(roles.root), 3)) * ARENA)
 
 
 def _draw_offsets(rng: np.random.Generator, uavs: int) -> Floats:
@@ -45,7 +45,7 @@ def _draw_offsets(rng: np.random.Generator, uavs: int) -> Floats:
 def _around(rng: np.random.Generator, roles: Roles) -> Floats:
     """Heads and decoys uniform in the arena, followers uniform in a ball of 60 m around their head."""
     uavs = len(roles.root)
-    position = rng.uniform(0.0, ARENA, (uavs, 3))
+    position = rng.random((uavs, 3)) * ARENA
     offset = _draw_offsets(rng, uavs)
     followers = ~(roles.head | roles.decoy | roles.bystander)
     return np.where(followers[:, None], position[roles.root] + offset, position)
@@ -58,7 +58,7 @@ def _gathered(rng: np.random.Generator, roles: Roles) -> Floats:
     place tells a head from its followers.
     """
     uavs = len(roles.root)
-    place = rng.uniform(0.0, ARENA, (uavs, 3))
+    place = rng.random((uavs, 3)) * ARENA
     gathered = _draw_offsets(rng, uavs)
     ball = np.where(roles.decoy | roles.bystander, rng.choice(roles.drawn, uavs), roles.root)
     gathered += place[ball]

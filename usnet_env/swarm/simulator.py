@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.arrays import Floats, Indices, Singles
+from usnet_env.arrays import Floats, Indices, Mask, Singles
 from usnet_env.swarm import kernels
 from usnet_env.swarm.config import SwarmConfig
 from usnet_env.swarm.formation import FORMATIONS, draw_corridors
 from usnet_env.swarm.kinematics import Unit
 from usnet_env.swarm.mobility import MOBILITIES, CompiledMobility, Mobility
 from usnet_env.swarm.sensing import Generators, ObservationBatch, draw_normals, sense, shift_tracks
-from usnet_env.swarm.state import Roles, SwarmState
+from usnet_env.swarm.state import LASTING, Roles, SwarmState
 from usnet_env.swarm.strategy import TrajectoryBatch
 
 Laws = list[tuple[Mobility, slice]]  # the mobilities, each with its columns of ``SwarmState.free``
@@ -29,24 +29,26 @@ Laws = list[tuple[Mobility, slice]]  # the mobilities, each with its columns of 
 JITTER = 0.05  # kappa_n of the head jitter with follow="none", which has no follow strategy to define it
 
 
-def random_cluster_sizes(rng: np.random.Generator, clusters: int, followers: int) -> Indices:
-    """Draw the followers of each cluster, ``(clusters,)`` int64, at least 2; all splits are equally likely."""
-    rest = followers - 2 * clusters
-    bars = np.sort(rng.choice(rest + clusters - 1, clusters - 1, replace=False)) if clusters > 1 else np.empty(0, int)
-    edges = np.concatenate([[-1], bars, [rest + clusters - 1]])
-    return np.diff(edges) - 1 + 2
+def random_cluster_sizes(rngs: Generators, clusters: int, followers: int) -> Indices:
+    """Draw the followers of each cluster, ``(B, clusters)`` int64, at least 2; all splits are equally likely."""
+    slots = followers - clusters - 1
+    bars = np.array(
+        [rng.choice(slots, clusters - 1, replace=False) for rng in rngs] if clusters > 1 else [[]] * len(rngs)
+    )
+    return np.diff(np.sort(bars.astype(np.int64), axis=1), axis=1, prepend=-1, append=slots) + 1
 
 
-def draw_roles(rng: np.random.Generator, config: SwarmConfig) -> Roles:
-    """Draw the roles, with indices permuted at random."""
-    sizes = config.cluster_sizes or random_cluster_sizes(rng, config.clusters, config.followers)
+def draw_roles(rngs: Generators, config: SwarmConfig) -> Roles:
+    """Draw the roles of B swarms, with indices permuted at random; every array has a leading axis B."""
+    sizes = np.array([config.cluster_sizes] * len(rngs)) if config.cluster_sizes else None
+    sizes = random_cluster_sizes(rngs, config.clusters, config.followers) if sizes is None else sizes
     counts = (config.clusters, config.decoys, config.followers, config.bystanders, config.traffic, config.clutter)
-    order = rng.permutation(config.uavs)
-    kind = np.empty(config.uavs, np.int64)
-    kind[order] = np.repeat(np.arange(len(counts)), counts)
+    order = np.array([rng.permutation(config.uavs) for rng in rngs])
+    kind, root = np.empty_like(order), np.tile(np.arange(config.uavs), (len(rngs), 1))
+    np.put_along_axis(kind, order, np.repeat(np.arange(len(counts)), counts)[None], axis=1)
     head, decoy, _, bystander, traffic, clutter = (kind == k for k in range(len(counts)))
-    heads, root = order[: config.clusters], np.arange(config.uavs)
-    root[order[config.clusters + config.decoys :][: config.followers]] = np.repeat(heads, sizes)
+    heads, followers = order[:, : config.clusters], order[:, config.clusters + config.decoys :][:, : config.followers]
+    np.put_along_axis(root, followers, np.repeat(heads.ravel(), sizes.ravel()).reshape(followers.shape), axis=1)
     return Roles(head, decoy, root, bystander | traffic | clutter, traffic, clutter, root.copy(), heads)
 
 
@@ -55,8 +57,7 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
 
     In these T_0 steps followers move in random directions: they have no past of their head to follow yet.
     """
-    swarms = [_draw_swarm(config, rng) for rng in rngs]
-    drawn = {name: np.stack([swarm[name] for swarm in swarms]) for name in swarms[0]}
+    drawn = _draw_swarms(config, rngs)
     place, velocity = drawn.pop("place"), drawn.pop("velocity")
     (episodes, memory, all_uavs, _), uavs = velocity.shape, config.uavs
     position = np.zeros((episodes, memory + 1, all_uavs, 3), np.float32)
@@ -77,36 +78,49 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
     )
 
 
-def _draw_swarm(config: SwarmConfig, rng: np.random.Generator) -> dict[str, NDArray[Any]]:
+def _draw_swarms(config: SwarmConfig, rngs: Generators) -> dict[str, NDArray[Any]]:
     """Draw arrays of :class:`SwarmState` by name, and ``place`` and ``velocity`` of N UAVs and R references."""
     strategy, kinematics, uavs = config.follow_strategy, config.kinematics_model, config.uavs
     references = config.clusters if strategy is not None and strategy.has_references else 0
-    drawn = draw_roles(rng, config)
-    place = np.array(FORMATIONS.find(config.formation)(rng, drawn), np.float64).reshape(uavs, 3)
-    roles = drawn if strategy is None else strategy.arrange(rng, drawn)
+    drawn, formation = draw_roles(rngs, config), FORMATIONS.find(config.formation)
+    swarms = drawn.split()
+    place = np.array([formation(*pair) for pair in zip(rngs, swarms, strict=True)], np.float64).reshape(-1, uavs, 3)
+    if strategy is not None:
+        swarms = [strategy.arrange(*pair) for pair in zip(rngs, swarms, strict=True)]
+    roles = {name: np.array([getattr(one, name) for one in swarms]) for name in LASTING}
     if strategy is not None and strategy.has_followers:
         by_mobility = drawn.decoy | (drawn.head & (references == 0))
     else:
         by_mobility = ~drawn.bystander
     alone = drawn.bystander & ~drawn.traffic & ~drawn.clutter
-    others = map(np.flatnonzero, (alone, drawn.traffic, drawn.clutter))
-    free = np.concatenate([np.flatnonzero(by_mobility), np.arange(uavs, uavs + references), *others])
-    states = [mobility.start(rng, part.stop - part.start) for mobility, part in _find_laws(config, len(free))]
-    mobility_state = np.concatenate(states, dtype=np.float64)
+    points = np.tile(np.arange(uavs, uavs + references), (len(rngs), 1))
+    free = [_find_each(by_mobility), points, *map(_find_each, (alone, drawn.traffic, drawn.clutter))]
+    laws = _find_laws(config, sum(part.shape[1] for part in free))
+    states = [np.array([law.start(rng, part.stop - part.start) for rng in rngs]) for law, part in laws]
+    mobility_state = np.concatenate(states, axis=1, dtype=np.float64)
     if config.traffic:
-        end = len(free) - config.clutter
-        place[drawn.traffic], mobility_state[end - config.traffic : end, :3] = draw_corridors(rng, config.traffic)
-    velocity = rng.standard_normal((config.memory, uavs + references, 3), dtype=np.float32)
-    seeded = rng if config.follow_seed is None else np.random.default_rng(config.follow_seed)
+        end = mobility_state.shape[1] - config.clutter
+        corridors = zip(*(draw_corridors(rng, config.traffic) for rng in rngs), strict=True)
+        places, mobility_state[:, end - config.traffic : end, :3] = map(np.array, corridors)
+        place[drawn.traffic] = places.reshape(-1, 3)
+    velocity = draw_normals(rngs, config.memory, uavs + references, 3)
+    seeded = [np.random.default_rng(config.follow_seed) for _ in rngs] if config.follow_seed is not None else rngs
+    parameters = [np.empty(0, np.float32) if strategy is None else strategy.draw_for(rng, uavs) for rng in seeded]
+    from_heads = np.take_along_axis(place, drawn.drawn[:, :references, None], axis=1)
     return {
-        **{name: getattr(roles, name) for name in ("head", "decoy", "root", "bystander", "source")},
-        "free": free,
+        **roles,
+        "free": np.concatenate(free, axis=1),
         "mobility_state": mobility_state,
-        "parameters": np.empty(0, np.float32) if strategy is None else strategy.draw_for(seeded, uavs),
-        "kinematic_state": kinematics.start(rng, uavs + references),
-        "place": np.concatenate([place, place[drawn.drawn[:references]]]),
+        "parameters": np.array(parameters),
+        "kinematic_state": np.array([kinematics.start(rng, uavs + references) for rng in rngs]),
+        "place": np.concatenate([place, from_heads], axis=1),
         "velocity": velocity,
     }
+
+
+def _find_each(chosen: Mask) -> Indices:
+    """The indices of the UAVs that are chosen in each swarm, ``(B, n)``; n is the same in all."""
+    return np.asarray(np.nonzero(chosen)[1].reshape(len(chosen), -1))
 
 
 def advance(config: SwarmConfig, state: SwarmState, rngs: Generators) -> tuple[SwarmState, ObservationBatch]:
@@ -200,7 +214,8 @@ def _find_laws(config: SwarmConfig, free: int) -> Laws:
     first = free - sum(others.values())
     laws: Laws = [(config.head_mobility, slice(0, first))]
     for name, count in others.items():
-        laws.append((MOBILITIES[name], slice(first, first + count)))
+        if count:
+            laws.append((MOBILITIES[name], slice(first, first + count)))
         first += count
     return laws
 

@@ -11,10 +11,14 @@ from numpy.typing import NDArray
 from usnet_env.arrays import Floats, Indices, Mask, Singles
 from usnet_env.swarm import kernels
 
+LASTING = ("head", "decoy", "root", "bystander", "source")  # the roles that :class:`SwarmState` keeps
+
 
 @dataclass(frozen=True)
 class Roles:
-    """The role of every UAV in one swarm; ``head``, ``decoy``, ``root`` and ``bystander`` as in :class:`SwarmState`.
+    """The role of every UAV in one swarm, or in B swarms with a leading axis B.
+
+    ``head``, ``decoy``, ``root`` and ``bystander`` are those of :class:`SwarmState`.
 
     Args:
         traffic: ``(N,)`` bool, the bystanders that are civil traffic.
@@ -33,6 +37,11 @@ class Roles:
     source: Indices
     drawn: Indices
     references: int = 0
+
+    def split(self) -> list[Self]:
+        """The roles of each of B swarms."""
+        arrays = self.head, self.decoy, self.root, self.bystander, self.traffic, self.clutter, self.source, self.drawn
+        return [type(self)(*rows) for rows in zip(*arrays, strict=True)]
 
     def members(self, cluster: int) -> Indices:
         """The followers of a cluster, as drawn, in the order of their indices."""
