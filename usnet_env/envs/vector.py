@@ -208,8 +208,8 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
     @property
     def games(self) -> list[UsnetEnv]:
         """The games as they stand, as single environments that share the generators; to look at, not to play."""
-        state = game.require_game(self._game)
-        for b, env in enumerate(self._singles):
+        state = self._game
+        for b, env in enumerate(self._singles if state is not None else ()):
             window = {name: values[b].copy() for name, values in self._window.items()}
             env.place(state.rows(np.array([b])), window, self._rngs[b], self._seeds[b])
         return self._singles
