@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from detectors.rl.pair import PairNetwork
 
 
-class _PairFeatures(BaseFeaturesExtractor):  # type: ignore[misc]  # Stable-Baselines3 is an extra
+class _PairFeatures(BaseFeaturesExtractor):
     """``(B, N + 1)``: the logits of the UAVs and the value."""
 
     def __init__(self, observation_space: spaces.Dict, **sizes: int) -> None:
@@ -38,7 +38,7 @@ class _Split(nn.Module):
         return features[:, -1:]
 
 
-class PairPolicy(ActorCriticPolicy):  # type: ignore[misc]  # Stable-Baselines3 is an extra
+class PairPolicy(ActorCriticPolicy):
     """:class:`PairNetwork` for PPO and A2C, with ``MultiBinary(N)`` actions and an observation with velocity and alive.
 
     Args:
@@ -50,5 +50,8 @@ class PairPolicy(ActorCriticPolicy):  # type: ignore[misc]  # Stable-Baselines3 
         super().__init__(*args, **kwargs)
 
     def _build(self, lr_schedule: Any) -> None:
-        self.mlp_extractor, self.action_net, self.value_net = _Split(), nn.Identity(), nn.Identity()
-        self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
+        parts: dict[str, Any] = {"mlp_extractor": _Split(), "action_net": nn.Identity(), "value_net": nn.Identity()}
+        for name, part in parts.items():
+            setattr(self, name, part)
+        make_optimizer: Any = self.optimizer_class
+        self.optimizer = make_optimizer(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)

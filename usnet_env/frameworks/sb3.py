@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
@@ -13,7 +13,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from usnet_env.arrays import Floats, Mask, Observation
 
 
-class SwarmVecEnv(VecEnv):  # type: ignore[misc]  # Stable-Baselines3 is an extra
+class SwarmVecEnv(VecEnv):
     """``num_envs`` games of one environment, simulated in one batch.
 
     The ``info`` of a game that ended holds its metrics, ``episode``, ``terminal_observation`` and
@@ -26,7 +26,7 @@ class SwarmVecEnv(VecEnv):  # type: ignore[misc]  # Stable-Baselines3 is an extr
     """
 
     def __init__(self, id: str, num_envs: int, **arguments: Any) -> None:
-        self.envs: Any = gym.make_vec(id, num_envs, autoreset_mode="SameStep", **arguments).unwrapped
+        self.envs = cast(Any, gym.make_vec(id, num_envs, autoreset_mode="SameStep", **arguments).unwrapped)
         self._began, self._return, self._length = time.time(), np.zeros(num_envs), np.zeros(num_envs, np.int64)
         super().__init__(num_envs, self.envs.single_observation_space, self.envs.single_action_space)
 

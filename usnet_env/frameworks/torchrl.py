@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
@@ -25,7 +25,7 @@ class SwarmEnv(EnvBase):  # type: ignore[misc]  # TorchRL is an extra
 
     def __init__(self, id: str, num_envs: int, **arguments: Any) -> None:
         super().__init__(batch_size=torch.Size([num_envs]), device="cpu")
-        self.envs: Any = gym.make_vec(id, num_envs, autoreset_mode="Disabled", **arguments).unwrapped
+        self.envs = cast(Any, gym.make_vec(id, num_envs, autoreset_mode="Disabled", **arguments).unwrapped)
         parts = {name: _make_spec(space) for name, space in self.envs.observation_space.items()}
         self.observation_spec = Composite(parts, shape=self.batch_size)
         shape = self.envs.action_space.shape
