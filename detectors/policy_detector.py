@@ -48,7 +48,7 @@ class PolicyDetector(Detector):
     Args:
         policy: the policy: ``model.policy`` of a Stable-Baselines3 model, not the model with its environment.
         observe: function that converts a window to the observation of a policy that was trained in a wrapped
-            environment; ``None``: :func:`observation_of`, without ``step`` if its ``observation_space`` lacks it.
+            environment; ``None``: the parts of :func:`observation_of` that its ``observation_space`` has.
         threshold: threshold on the scores for the third interface: 0 for logits, 0.5 for probabilities.
 
     Raises:
@@ -81,8 +81,8 @@ class PolicyDetector(Detector):
         self.check_arguments()
         observation: Any = observation_of(window) if self.observe is None else self.observe(window)
         space = getattr(self.policy, "observation_space", None)
-        if self.observe is None and isinstance(space, spaces.Dict) and "step" not in space.spaces:
-            observation.pop("step", None)
+        if self.observe is None and isinstance(space, spaces.Dict):
+            observation = {name: observation[name] for name in space.spaces if name in observation}
         if callable(getattr(self.policy, "predict", None)):
             candidates, scores = self._act_by_predict(observation, window)
         elif hasattr(self.policy, "in_keys") and hasattr(self.policy, "out_keys"):

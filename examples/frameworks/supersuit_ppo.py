@@ -14,7 +14,6 @@ import supersuit
 import torch
 from how_copied import how_copied
 from observers_game import ARGUMENTS, PRICE, UAVS, compare_detectors
-from small_ppo import SETTINGS
 from stable_baselines3 import PPO
 from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import VecEnv
@@ -23,6 +22,8 @@ from wrappers import MultiDiscreteVotes
 from detectors.policy_detector import PolicyDetector
 from usnet_env import Window, make_detector
 from usnet_env.multiagent import usnet_observers_v0
+
+SETTINGS = {"learning_rate": 1e-2, "n_steps": 64, "batch_size": 128, "policy_kwargs": {"net_arch": [32]}}
 
 
 def observe_copied(observation: dict[str, Any], *_: Any) -> np.ndarray:
@@ -46,7 +47,7 @@ def make_envs(games: int, seed: int) -> VecEnv:
 def train(steps: int, games: int = 4, seed: int = 0) -> PPO:
     """Train one policy for all observers; a step of a game counts once for each observer."""
     set_random_seed(seed)
-    model = PPO("MlpPolicy", make_envs(games, seed), gamma=1.0, **SETTINGS)
+    model = PPO("MlpPolicy", make_envs(games, seed), gamma=1.0, device="cpu", **SETTINGS)
     model.learn(steps)
     model.predict(model.observation_space.sample())  # without gradients: a policy with gradients cannot be copied
     return model

@@ -1,4 +1,4 @@
-"""TorchRL: PPO with a custom network that reads raw windows and accepts swarms of any size.
+"""TorchRL: PPO with a network that reads raw windows and accepts swarms of any size.
 
 pip install -e '.[torchrl]'
 python examples/frameworks/torchrl_ppo.py
@@ -7,92 +7,85 @@ python examples/frameworks/torchrl_ppo.py
 import argparse
 from collections.abc import Sequence
 
-import gymnasium as gym
 import torch
-from comparison import compare_with_regression
-from copied_network import Bits, CopiedNetwork, copied_share
+from comparison import compare_detectors
+from copied_network import Bits
 from tensordict.nn import TensorDictModule
-from torch import Tensor, nn
 from torchrl.collectors import Collector
-from torchrl.envs import GymWrapper, InitTracker, TransformedEnv
-from torchrl.modules import ProbabilisticActor, ValueOperator
+from torchrl.envs import InitTracker, TransformedEnv
+from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
 from detectors.policy_detector import PolicyDetector
-from usnet_env.envs.wrappers import BoxMasks
+from detectors.rl import PairNetwork
+from usnet_env.frameworks.torchrl import SwarmEnv
 
-ENV = "USNET/MultiCluster-v0"
-ARGUMENTS = {"clusters": 2, "uavs": 12, "observation_steps": 20, "max_rounds": 5}
-LARGER = {"clusters": 4, "uavs": 40}
-PRICE = 3.0  # of a redundant candidate; at the paper's 1, naming all UAVs is too good to learn anything better
-SEEN = ["velocity", "alive"]
-BATCH = 512
+ENV, ARGUMENTS = "USNET/SingleCluster-v0", {"followers": 7, "observation_steps": 20}
+LARGER = {"followers": 15, "observation_steps": 20}
+GAMES, BATCH = 64, 1024
 
 
-class Critic(nn.Module):
-    """The value of a round, from the sorted shares of how much each UAV is copied."""
+class Critic(torch.nn.Module):
+    """The value of a round, from a network of its own."""
 
-    def __init__(self, uavs: int) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.layers = nn.Sequential(nn.Linear(uavs, 32), nn.Tanh(), nn.Linear(32, 1))
+        self.network = PairNetwork()
 
-    def forward(self, velocity: Tensor, alive: Tensor) -> Tensor:
-        """``(…, 1)``."""
-        return self.layers(copied_share(velocity, alive).sort(dim=-1, descending=True).values)
-
-
-def make_env() -> TransformedEnv:
-    """The environment in TorchRL, with masks as boxes, because TorchRL cannot read other masks.
-
-    ``InitTracker`` marks the first step of an episode, as the collector expects for an actor with random actions.
-    """
-    return TransformedEnv(GymWrapper(BoxMasks(gym.make(ENV, **ARGUMENTS, redundancy_price=PRICE))), InitTracker())
+    def forward(self, velocity: torch.Tensor, alive: torch.Tensor) -> torch.Tensor:
+        """``(…, 1)``, whatever the leading axes."""
+        value = self.network(velocity.flatten(0, -4), alive.flatten(0, -2))[1]
+        return value.reshape(*alive.shape[:-1], 1)
 
 
 def make_actor(env: TransformedEnv) -> ProbabilisticActor:
     """The network gives logits; the action is sampled from them during training, and is the mode otherwise."""
-    network = TensorDictModule(CopiedNetwork(), in_keys=SEEN, out_keys=["logits"])
+    network = TensorDictModule(PairNetwork(), in_keys=["velocity", "alive"], out_keys=["logits", "_value"])
     return ProbabilisticActor(
         network, in_keys=["logits"], spec=env.action_spec, distribution_class=Bits, return_log_prob=True
     )
 
 
 def train(steps: int, seed: int = 0) -> tuple[ProbabilisticActor, list[float]]:
-    """Return the actor, and the mean return of an episode in each batch."""
+    """Return the actor, and the mean reward of a round in each batch."""
     torch.manual_seed(seed)
-    env = make_env()
+    # InitTracker marks the first step of an episode, as the collector expects for an actor with random actions.
+    env = TransformedEnv(SwarmEnv(ENV, GAMES, observe=("velocity", "alive"), **ARGUMENTS), InitTracker())
     env.set_seed(seed)
-    actor, critic = make_actor(env), ValueOperator(Critic(ARGUMENTS["uavs"]), in_keys=SEEN)
+    actor = make_actor(env)
+    critic = TensorDictModule(Critic(), in_keys=["velocity", "alive"], out_keys=["state_value"])
     advantage = GAE(gamma=1.0, lmbda=0.95, value_network=critic)
-    loss = ClipPPOLoss(actor, critic, entropy_bonus=False)
-    optimizer = torch.optim.Adam(loss.parameters(), lr=2e-2)
-    returns = []
-    frames = {"frames_per_batch": BATCH, "total_frames": max(steps, BATCH)}
-    for batch in Collector(env, actor, **frames):
-        for _ in range(5):
+    loss = ClipPPOLoss(actor, critic, entropy_bonus=False, normalize_advantage=True)
+    optimizer = torch.optim.Adam(loss.parameters(), lr=5e-3)
+    rewards = []
+    for batch in Collector(env, actor, frames_per_batch=BATCH, total_frames=max(steps, BATCH)):
+        with torch.no_grad():
             advantage(batch)
-            for rows in torch.randperm(len(batch)).split(128):
-                parts = loss(batch[rows])
+        flat = batch.reshape(-1)
+        for _ in range(4):
+            for rows in torch.randperm(len(flat)).split(256):
+                parts = loss(flat[rows])
                 optimizer.zero_grad()
                 (parts["loss_objective"] + parts["loss_critic"]).backward()
                 optimizer.step()
-        after = batch["next"]
-        returns.append(float(after["reward"].sum() / after["done"].sum()))
-    return actor, returns
+        rewards.append(float(batch["next", "reward"].mean()))
+    return actor, rewards
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Train, and compare with detectors, on larger swarms too."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--steps", type=int, default=12 * BATCH, help="environment steps to train for")
+    parser.add_argument("--steps", type=int, default=16 * BATCH, help="environment steps to train for")
     parser.add_argument("--episodes", type=int, default=50, help="episodes to score")
     parser.add_argument("--seed", type=int, default=0)
     asked = parser.parse_args(arguments)
-    actor, returns = train(asked.steps, asked.seed)
-    print("mean return, batch by batch:", *(f"{value:.2f}" for value in returns))
-    swarms = (ARGUMENTS, {**ARGUMENTS, **LARGER})
-    compare_with_regression(ENV, swarms, ("PPO", "lagged-regression"), PolicyDetector(actor), asked.episodes)
+    actor, rewards = train(asked.steps, asked.seed)
+    print("mean reward, batch by batch:", *(f"{value:.2f}" for value in rewards))
+    for swarm in (ARGUMENTS, LARGER):
+        print(f"{swarm['followers']} followers")
+        others = {"lagged-regression": "lagged-regression(clusters=1)"}
+        compare_detectors(ENV, swarm, {"PPO": PolicyDetector(actor), **others}, asked.episodes)
 
 
 if __name__ == "__main__":

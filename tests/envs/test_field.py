@@ -76,11 +76,3 @@ def test_a_state_of_another_swarm_is_restored():
     np.testing.assert_array_equal(other.step(np.eye(82, dtype=np.int8)[0])[0]["position"], after[0]["position"])
     with pytest.raises(ArgumentError, match="state must come from"):
         FieldEnv(observation_steps=11).set_state(state)
-
-
-def test_a_vector_environment_has_no_pictures():
-    with pytest.raises(ArgumentError, match="render_mode must"):
-        gym.make_vec(FIELD, num_envs=2, render_mode="rgb_array")
-    envs = gym.make_vec(FIELD, num_envs=2)
-    envs.reset(seed=0)
-    assert envs.unwrapped.action_masks().shape == (2, 164)

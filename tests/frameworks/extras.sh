@@ -19,7 +19,7 @@ render|matplotlib moviepy|tests/replay
 replay|matplotlib rerun|tests/replay
 multiagent|pettingzoo|tests/multiagent tests/frameworks/test_wrappers.py
 ray|ray|tests/evaluation
-torch|torch|tests/detectors/gassl tests/detectors/mc_gassl tests/detectors/test_policy_detector.py
+torch|torch|tests/frameworks tests/detectors/gassl tests/detectors/mc_gassl tests/detectors/test_policy_detector.py
 rl|stable_baselines3 sb3_contrib|tests/frameworks tests/detectors/test_policy_detector.py
 torchrl|torchrl tensordict pettingzoo|tests/frameworks
 tianshou|tianshou|tests/frameworks

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 EXAMPLES = {
-    "sb3_ppo": ("stable_baselines3", "--steps 512 --episodes 2", ["PPO", "lagged-regression", "random"]),
-    "sb3_maskable_ppo": ("sb3_contrib", "--steps 512 --episodes 2", ["MaskablePPO", "lagged-regression", "random"]),
-    "torchrl_ppo": ("torchrl", "--steps 512 --episodes 2", ["PPO", "lagged-regression"] * 2),
+    "ppo": ("torch", "--steps 1024 --episodes 2", ["PPO", "lagged-regression", "random"]),
+    "sb3_ppo": ("stable_baselines3", "--steps 1024 --episodes 2", ["PPO", "lagged-regression", "random"]),
+    "torchrl_ppo": ("torchrl", "--steps 1024 --episodes 2", ["PPO", "lagged-regression"] * 2),
     "torchrl_observers": ("torchrl", "--updates 1 --games 2", ["REINFORCE", "lagged-regression", "random"]),
     "tianshou_ppo": ("tianshou", "--epochs 1 --episodes 2", ["PPO", "lagged-regression", "random"]),
     "minari_imitation": ("minari", "--games 3 --updates 2 --episodes 2", ["student", "teacher"] * 2),

@@ -17,7 +17,8 @@ from usnet_env.objectives import hits_and_redundant, single_cluster_objective
 from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState, advance, destroy, start
 from usnet_env.swarm.config import Count, Price
 
-PARTS = ("position", "velocity", "seen", "alive", "round")  # of the observation
+Part = Literal["position", "velocity", "seen", "alive", "round"]
+PARTS: tuple[Part, ...] = ("position", "velocity", "seen", "alive", "round")  # of an observation
 COUNTERS = ("rounds", "redundant", "terminated", "truncated")
 UNANSWERED = "round 1: observed, no answer yet"  # the title of the picture of a window before the first round
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -50,7 +50,7 @@ LastRound = tuple[Observation, SwarmState, Mask, str]
 class OutputArguments(game.RenderArguments):
     """The arguments about the output of an environment: ``info`` and pictures."""
 
-    observe: Sequence[Literal["position", "velocity", "seen", "alive", "round"]] = Field(
+    observe: Sequence[game.Part] = Field(
         game.PARTS, min_length=1, description="the parts of the observation to return; a detector needs all"
     )
     reveal_truth: bool = Field(

@@ -63,14 +63,14 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
         """A copy of the true state of the B swarms, for evaluation; a detector must not use it."""
         return SwarmState(**game.require_game(self._game).swarm.arrays())
 
-    @property
-    def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]  # as in Gymnasium's SyncVectorEnv
+    @property  # type: ignore[misc]  # Gymnasium's can be set
+    def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]  # as in SyncVectorEnv
         """The generator of each game."""
         self._seed([None] * self.num_envs, np.arange(0))
         return tuple(self._rngs)
 
     @property
-    def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]  # as in Gymnasium's SyncVectorEnv
+    def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]  # as in SyncVectorEnv
         """The seed of the generator of each game."""
         self._seed([None] * self.num_envs, np.arange(0))
         return tuple(self._seeds)
@@ -197,7 +197,7 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
                 title = game.title_round({name: value[b].item() for name, value in metrics.items()})
                 last = (
                     {name: values[b] for name, values in earlier.items()},
-                    before.swarm.rows([b]),
+                    before.swarm.rows(slice(b, b + 1)),
                     candidates[b],
                     title,
                 )
@@ -208,10 +208,10 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
     @property
     def games(self) -> list[UsnetEnv]:
         """The games as they stand, as single environments that share the generators; to look at, not to play."""
-        state = game.require_game(self._game)
         for b, env in enumerate(self._singles):
-            window = {name: values[b].copy() for name, values in self._window.items()}
-            env.place(state.rows(np.array([b])), window, self._rngs[b], self._seeds[b])
+            if self._game is not None:
+                window = {name: values[b].copy() for name, values in self._window.items()}
+                env.place(self._game.rows(np.array([b])), window, self._rngs[b], self._seeds[b])
         return self._singles
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:

@@ -31,11 +31,10 @@ JITTER = 0.05  # kappa_n of the head jitter with follow="none", which has no fol
 
 def random_cluster_sizes(rngs: Generators, clusters: int, followers: int) -> Indices:
     """Draw the followers of each cluster, ``(B, clusters)`` int64, at least 2; all splits are equally likely."""
-    slots = followers - clusters - 1
-    bars = np.array(
-        [rng.choice(slots, clusters - 1, replace=False) for rng in rngs] if clusters > 1 else [[]] * len(rngs)
-    )
-    return np.diff(np.sort(bars.astype(np.int64), axis=1), axis=1, prepend=-1, append=slots) + 1
+    slots, bars = followers - clusters - 1, np.empty((len(rngs), clusters - 1), np.int64)
+    for row, rng in zip(bars, rngs if clusters > 1 else (), strict=clusters > 1):
+        row[:] = np.sort(rng.choice(slots, clusters - 1, replace=False))
+    return np.asarray(np.diff(bars, axis=1, prepend=-1, append=slots) + 1, np.int64)
 
 
 def draw_roles(rngs: Generators, config: SwarmConfig) -> Roles:

@@ -1,0 +1,49 @@
+"""A small network that reads raw windows and learns by trial and error who leads."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+
+class PairNetwork(nn.Module):
+    """Compares each UAV with each other one, lets each choose whom it follows, and judges each by who follows it.
+
+    Two banks of filters over the last steps of a track make 2 x ``filters`` courses of each UAV. The mean products of
+    the courses of two UAVs are what is known about the pair. Neither the order of the UAVs matters, nor the orientation
+    of space, and their number may change.
+
+    Args:
+        filters: filters of each bank.
+        lags: steps of a filter.
+        width: hidden units.
+    """
+
+    def __init__(self, filters: int = 8, lags: int = 6, width: int = 24) -> None:
+        super().__init__()
+        self.lags = lags
+        self.banks = nn.Parameter(torch.randn(2, lags, filters) / lags**0.5)
+        self.compare = nn.Sequential(nn.Linear(2 * filters, width), nn.Tanh(), nn.Linear(width, 2))
+        self.judge = nn.Sequential(nn.Linear(2, width), nn.Tanh(), nn.Linear(width, 2))
+
+    def forward(self, velocity: Tensor, alive: Tensor) -> tuple[Tensor, Tensor]:
+        """``(B, N)`` logits of being a candidate, and ``(B,)`` values.
+
+        Args:
+            velocity: ``(B, T_ob, N, 3)``, T_ob at least ``lags``.
+            alive: ``(B, N)``; the logit of a destroyed UAV is -1000.
+        """
+        past = velocity.unfold(1, self.lags, 1)  # (B, T', N, 3, lags)
+        first, second = (torch.einsum("btncl,lk->btnck", past, bank) for bank in self.banks)
+        both = torch.einsum("btick,btjck->bijk", first, second) / past.shape[1]
+        known = torch.cat([both, both.transpose(1, 2)], dim=-1)
+        living, uavs = alive > 0, alive.shape[1]
+        barred = torch.eye(uavs, dtype=torch.bool, device=alive.device) | ~living[:, None]
+        choice = self.compare(4.0 * known).masked_fill(barred[..., None], -1e3).softmax(dim=2)
+        followers = (choice * living[:, :, None, None]).sum(dim=1)  # (B, N, 2)
+        share = followers / living.sum(dim=1).clamp(min=2)[:, None, None]
+        judged = self.judge(4.0 * share)
+        # At the start about one UAV is named: naming nobody, or all, teaches little.
+        logits = 4.0 * judged[..., 0] - torch.log(living.sum(dim=1).clamp(min=2) - 1.0)[:, None]
+        value = (judged[..., 1] * living).sum(dim=1) / living.sum(dim=1).clamp(min=1)
+        return logits.masked_fill(~living, -1e3), value

@@ -1,0 +1,57 @@
+"""The pair network as a policy of Stable-Baselines3 (extra ``rl``)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from gymnasium import spaces
+from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from torch import Tensor, nn
+
+from detectors.rl.pair import PairNetwork
+
+
+class _PairFeatures(BaseFeaturesExtractor):
+    """``(B, N + 1)``: the logits of the UAVs and the value."""
+
+    def __init__(self, observation_space: spaces.Dict, **sizes: int) -> None:
+        super().__init__(observation_space, features_dim=observation_space["alive"].shape[0] + 1)  # type: ignore[index]
+        self.network = PairNetwork(**sizes)
+
+    def forward(self, observations: dict[str, Tensor]) -> Tensor:
+        logits, value = self.network(observations["velocity"], observations["alive"])
+        return torch.cat([logits, value[:, None]], dim=1)
+
+
+class _Split(nn.Module):
+    """Gives the actor the logits and the critic the value."""
+
+    def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        return self.forward_actor(features), self.forward_critic(features)
+
+    def forward_actor(self, features: Tensor) -> Tensor:
+        return features[:, :-1]
+
+    def forward_critic(self, features: Tensor) -> Tensor:
+        return features[:, -1:]
+
+
+class PairPolicy(ActorCriticPolicy):
+    """:class:`PairNetwork` for PPO and A2C, with ``MultiBinary(N)`` actions and an observation with velocity and alive.
+
+    Args:
+        network: the arguments of the network, in ``policy_kwargs={"network": {...}}``.
+    """
+
+    def __init__(self, *args: Any, network: dict[str, int] | None = None, **kwargs: Any) -> None:
+        kwargs |= {"features_extractor_class": _PairFeatures, "features_extractor_kwargs": network or {}}
+        super().__init__(*args, **kwargs)
+
+    def _build(self, lr_schedule: Any) -> None:
+        parts: dict[str, Any] = {"mlp_extractor": _Split(), "action_net": nn.Identity(), "value_net": nn.Identity()}
+        for name, part in parts.items():
+            setattr(self, name, part)
+        make_optimizer: Any = self.optimizer_class
+        self.optimizer = make_optimizer(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)

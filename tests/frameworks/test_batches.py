@@ -1,0 +1,97 @@
+"""The batches of games in Stable-Baselines3 and TorchRL, and the policies that learn from raw windows."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+SMALL = {"clusters": 2, "uavs": 10, "observation_steps": 12, "max_rounds": 2}
+SEEN = {"observe": ("velocity", "alive")}
+
+
+def test_stable_baselines_plays_the_games_of_the_batch():
+    pytest.importorskip("stable_baselines3")
+    from usnet_env.frameworks.sb3 import SwarmVecEnv
+
+    envs = SwarmVecEnv("USNET/MultiCluster-v0", 3, render_mode="rgb_array", **SMALL)
+    batch = gym.make_vec("USNET/MultiCluster-v0", num_envs=3, autoreset_mode="SameStep", **SMALL)
+    envs.seed(5)
+    np.testing.assert_equal(envs.reset(), batch.reset(seed=5)[0])
+    rng, total, ends = np.random.default_rng(0), np.zeros(3), []
+    for _ in range(4):
+        action = (rng.random((3, 10)) < 0.3).astype(np.int8)
+        observation, reward, done, infos = envs.step(action)
+        expected, expected_reward, terminated, truncated, info = batch.step(action)
+        np.testing.assert_equal(observation, expected)
+        np.testing.assert_array_equal(done, terminated | truncated)
+        np.testing.assert_allclose(reward, expected_reward, rtol=1e-6)
+        total += expected_reward
+        for b in np.flatnonzero(done):
+            assert infos[b]["episode"]["r"] == total[b] == pytest.approx(-infos[b]["J"])
+            assert infos[b]["TimeLimit.truncated"] == truncated[b]
+            np.testing.assert_equal(infos[b]["terminal_observation"], info["final_obs"][b])
+            ends.append(infos[b]["episode"]["l"])
+        total[done] = 0.0
+    assert set(ends) == {1, 2}
+    masks = envs.env_method("action_masks", indices=[2])
+    np.testing.assert_array_equal(masks, envs.env_method("action_masks")[2:])
+    assert envs.get_attr("problem", indices=0) == ["P2"]
+    assert len(envs.get_images()) == 3
+
+
+def test_the_pair_policy_learns_raw_windows_in_stable_baselines():
+    pytest.importorskip("stable_baselines3")
+    from stable_baselines3 import PPO
+
+    from detectors.policy_detector import PolicyDetector
+    from detectors.rl.sb3 import PairPolicy
+    from usnet_env import evaluate
+    from usnet_env.frameworks.sb3 import SwarmVecEnv
+
+    arguments = {"followers": 4, "observation_steps": 16}
+    envs = SwarmVecEnv("USNET/SingleCluster-v0", 64, **arguments, **SEEN)
+    settings = {"n_steps": 8, "batch_size": 128, "n_epochs": 4, "learning_rate": 1e-2}
+    model = PPO(PairPolicy, envs, seed=0, device="cpu", **settings).learn(4096)
+    detector = PolicyDetector(model.policy)
+    result = evaluate("USNET/SingleCluster-v0", detector, episodes=20, seed=1, env_kwargs=arguments)
+    assert result.summary[0]["metrics"]["J"]["mean"] > -0.5  # a guess has -0.8
+
+
+def test_the_pair_network_sees_no_order_no_direction_and_no_destroyed_uav():
+    torch = pytest.importorskip("torch")
+    from detectors.rl import PairNetwork
+
+    torch.manual_seed(0)
+    network, velocity, alive = PairNetwork(), torch.randn(2, 12, 7, 3), torch.ones(2, 7)
+    alive[1, 3] = 0
+    with torch.no_grad():
+        logits, value = network(velocity, alive)
+        order, turn = torch.randperm(7), torch.linalg.qr(torch.randn(3, 3))[0]
+        permuted, same = network(velocity[:, :, order] @ turn, alive[:, order])
+        velocity[1, :, 3] = 9.0
+        unseen, _ = network(velocity, alive)
+    torch.testing.assert_close(permuted, logits[:, order], atol=1e-4, rtol=1e-4)
+    torch.testing.assert_close(same, value, atol=1e-4, rtol=1e-4)
+    torch.testing.assert_close(unseen, logits, atol=1e-4, rtol=1e-4)
+    assert logits[1, 3] == -1e3
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:Creating .* which inherits from WeightUpdaterBase:DeprecationWarning")
+@pytest.mark.parametrize("name", ["SingleCluster", "MultiCluster"])
+def test_torchrl_plays_the_games_of_the_batch(name):
+    torch = pytest.importorskip("torch")
+    envs = pytest.importorskip("torchrl.envs")
+    from usnet_env.frameworks.torchrl import SwarmEnv
+
+    arguments = SMALL if name == "MultiCluster" else {"followers": 9, "observation_steps": 12}
+    env = SwarmEnv(f"USNET/{name}-v0", 4, **arguments)
+    envs.check_env_specs(env, seed=0)
+    batch = gym.make_vec(f"USNET/{name}-v0", num_envs=4, autoreset_mode="SameStep", **arguments)
+    env.set_seed(7)
+    played = env.rollout(5, break_when_any_done=False)
+    observation, _ = batch.reset(seed=7)
+    for t in range(5):
+        np.testing.assert_array_equal(played["velocity"][:, t], observation["velocity"])
+        observation, reward, terminated, truncated, _ = batch.step(played["action"][:, t].numpy())
+        torch.testing.assert_close(played["next", "reward"][:, t, 0], torch.from_numpy(reward).float())
+        np.testing.assert_array_equal(played["next", "done"][:, t, 0], terminated | truncated)
