@@ -179,6 +179,7 @@ def test_the_generated_pages_have_every_id_and_gymnasiums_sections(monkeypatch, 
 def test_a_docstring_lists_the_arguments_with_their_defaults(name):
     kind = getattr(usnet_env.envs, name)
     section = inspect.getdoc(kind).partition("## Arguments")[2].partition("## ")[0]
-    rows = dict(re.findall(r"^\| `(\w+)` \| `?\"?([^`\"|]+?)\"?`? \|", section, re.MULTILINE))
+    rows = dict(re.findall(r"^\| `(\w+)` \| `?([^`|]+?)`? \|", section, re.MULTILINE))
     defaults = {key: option.default for key, option in inspect.signature(kind).parameters.items()}
-    assert rows == {key: f"{value:g}" if type(value) in (int, float) else str(value) for key, value in defaults.items()}
+    texts = {key: repr(value).replace("'", '"') for key, value in defaults.items()}
+    assert rows == {key: f"{value:g}" if type(value) in (int, float) else texts[key] for key, value in defaults.items()}

@@ -5,7 +5,7 @@
     python tests/golden/golden.py compare OLD NEW            # lists the rows or files that differ
 
 ``rows.csv.gz`` is of commit 702a7b1, but F1 is 1 where no head is there and none was named; ``detect.json`` is of
-a199fba. The seed is that of no published table.
+the commit that changed it last. The seed is that of no published table.
 """
 
 from __future__ import annotations
