@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from usnet_env.arrays import Singles
-from usnet_env.swarm.strategy import KAPPA_NOISE, FollowInputs, FollowStrategy
+from usnet_env.swarm import kernels
+from usnet_env.swarm.strategy import KAPPA_NOISE, FollowInputs, FollowStrategy, TrajectoryBatch
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +36,7 @@ class Term:
             v = np.float32(3.0) * v[:, [1, 2, 0]] * v[:, [2, 0, 1]]
         elif self.kind == "network" and self.layer is not None:
             both = head_velocity[:, self.lag : self.lag + 2].reshape(len(v), 6)
-            v = np.tanh(both @ self.layer[0]) @ self.layer[1]
+            v = _multiply(np.tanh(_multiply(both, self.layer[0])), self.layer[1])
         return np.float32(self.weight) * v
 
 
@@ -61,12 +62,38 @@ class RandomFollowStrategy(FollowStrategy):
         if self.saturation is not None:
             total = np.tanh(np.float32(self.saturation) * total) / np.float32(self.saturation)
         if self.rotation is not None:
-            total = total @ self.rotation.T
+            total = _multiply(total, self.rotation.T)
         if self.offset is not None:
             gap = inputs.head_position[:, 1] + self.offset - inputs.own_position[:, 1]
             distance = np.sqrt((gap * gap).sum(axis=-1, keepdims=True, dtype=np.float32))
             total = total + np.float32(self.pull) * gap / np.maximum(distance, np.float32(1.0))
         return total
+
+    def fly(self, flight: TrajectoryBatch) -> None:
+        """The general loop, with the followers of all swarms at once."""
+        position, velocity = flight.position, flight.velocity
+        swarm, who = np.nonzero(flight.motion == kernels.FOLLOWS)
+        head = flight.root[swarm, who]
+        noise = np.float32(self.noise) * flight.noise[swarm, :, who]
+        for s in range(flight.steps):
+            t = flight.start + s
+            now, past = slice(t - self.lags, t + 1), slice(t - self.lags, t)
+            inputs = FollowInputs(
+                own_position=position[swarm, now, who][:, ::-1],
+                head_velocity=velocity[swarm, past, head][:, ::-1],
+                head_position=position[swarm, now, head][:, ::-1],
+                parameters=flight.parameters[0],
+            )
+            total = self.direction(inputs) + noise[:, s]
+            length = np.sqrt((total * total).sum(axis=-1, keepdims=True, dtype=np.float32))
+            velocity[swarm, t, who] = total / np.maximum(length, np.float32(1e-6))
+            position[:, t + 1] = position[:, t] + velocity[:, t]
+
+
+def _multiply(rows: Singles, matrix: Singles) -> Singles:
+    """The product ``(n, k)`` of ``(n, m)`` and ``(m, k)``; unlike BLAS's, a row's bits depend on no other row."""
+    parts = (rows[:, k, None] * row for k, row in enumerate(matrix))
+    return np.asarray(sum(parts, np.zeros((len(rows), matrix.shape[1]), np.float32)))
 
 
 def _draw_rotation(rng: np.random.Generator) -> Singles:

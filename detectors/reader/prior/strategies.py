@@ -1,50 +1,25 @@
 """Follow strategies of the prior: random ones, and the field models with their constants varied."""
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 
-from usnet_env.swarm import FOLLOW_STRATEGIES, FollowInputs, FollowStrategy, kernels
+from usnet_env.swarm import FOLLOW_STRATEGIES, FollowStrategy
 from usnet_env.swarm.field_follow import Chain, Hierarchy, Kinds, Links, Slots
 from usnet_env.swarm.random_follow import RandomFollowStrategy, random_follow_strategy
-from usnet_env.swarm.strategy import TrajectoryBatch
 
 MEMORY = 12  # T_0, steps that a strategy may use
 
 
-@dataclass(frozen=True, eq=False)
-class RandomStrategy(RandomFollowStrategy):
-    """A random strategy that flies all swarms of a batch at once."""
-
-    def fly(self, trajectories: TrajectoryBatch) -> None:
-        """The general loop, vectorised over the batch."""
-        position, velocity = trajectories.position, trajectories.velocity
-        swarm, follower = np.nonzero(trajectories.motion == kernels.FOLLOWS)
-        head, noise = trajectories.root[swarm, follower], np.float32(self.noise) * trajectories.noise
-        for t in range(trajectories.start, velocity.shape[1]):
-            past = np.arange(t - 1, t - 1 - self.lags, -1)
-            inputs = FollowInputs(
-                own_position=position[swarm[:, None], past + 1, follower[:, None]],
-                head_velocity=velocity[swarm[:, None], past, head[:, None]],
-                head_position=position[swarm[:, None], past + 1, head[:, None]],
-                parameters=trajectories.parameters[0],
-            )
-            total = self.direction(inputs) + noise[swarm, t - trajectories.start, follower]
-            length = np.sqrt((total * total).sum(axis=-1, keepdims=True))
-            velocity[swarm, t, follower] = total / np.maximum(length, np.float32(1e-6))
-            position[:, t + 1] = position[:, t] + velocity[:, t]
-
-
-def _draw_random(rng: np.random.Generator) -> RandomStrategy:
+def _draw_random(rng: np.random.Generator) -> RandomFollowStrategy:
     """Draw a random strategy; of a third all terms are linear, and half of these turn nothing."""
     linear, alike, drawn = rng.random() < 1 / 3, rng.random() < 0.5, random_follow_strategy(rng)
     while linear and any(term.kind != "linear" or (term.lag == 0 and term.weight > 0) for term in drawn.terms):
         drawn = random_follow_strategy(rng)  # without the second condition f1, f2 and f3 could be drawn
-    parts: dict[str, Any] = {field.name: getattr(drawn, field.name) for field in fields(drawn)}
     rotation = None if linear and alike else drawn.rotation
-    return RandomStrategy(**{**parts, "rotation": rotation, "noise": drawn.noise * float(2.0 ** rng.integers(-1, 3))})
+    return replace(drawn, rotation=rotation, noise=drawn.noise * float(2.0 ** rng.integers(-1, 3)))
 
 
 def draw_strategy(rng: np.random.Generator, name: str) -> str | FollowStrategy:
