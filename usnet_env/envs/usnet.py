@@ -50,8 +50,8 @@ LastRound = tuple[Observation, SwarmState, Mask, str]
 class OutputArguments(game.RenderArguments):
     """The arguments about the output of an environment: ``info`` and pictures."""
 
-    observe: Sequence[game.Part] = Field(
-        game.PARTS, min_length=1, description="the parts of the observation to return; a detector needs all"
+    observe: Annotated[Sequence[game.Part], Field(min_length=1)] | None = Field(
+        None, description="the parts of the observation to return; ``None``: all, which a detector needs"
     )
     reveal_truth: bool = Field(
         False, description="``info`` also holds ``head``, ``decoy``, ``root``, ``leader``, ``heads_left``"
@@ -91,7 +91,7 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         self.rules = rules
         self.reveal_truth = output.reveal_truth
         self.render_mode = output.render_mode
-        self.observe = tuple(output.observe)
+        self.observe = tuple(output.observe or game.PARTS)
         self.observation_space = game.observation_space(config, rules, self.observe)  # type: ignore[assignment]  # Dict is invariant
         self.action_space = spaces.MultiBinary(config.uavs)
         self._game: game.GameState | None = None

@@ -151,7 +151,7 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
         ended = np.flatnonzero(over)
         if len(ended):
             begun = game.start_games(self.config, [self._rngs[b] for b in ended])
-            state = state.with_rows(ended, begun)
+            state = begun if len(ended) == self.num_envs else state.with_rows(ended, begun)
             for name, values in game.initial_info(self.rules, begun).items():
                 metrics[name] = metrics[name].copy()
                 metrics[name][ended] = values
