@@ -45,7 +45,7 @@ def _add_training(name: str, made: str, module: str, settings: str, run: str, *o
         ),
         click.Option(["--resume/--no-resume"], default=True, help="Resume from what is in --out."),
     ]
-    text = f"Train {made}, on random follow strategies that exclude f1 to f7."
+    text = f"Train {made} on simulated swarms, none of which follows by one of f1 to f7 alone."
     command = click.Command(name, callback=call, params=[*options, *shared], help=text, short_help=f"T{made[1:]}.")
     train.add_command(command)
 
