@@ -16,7 +16,6 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
-import ceilings
 import numpy as np
 import pandas as pd
 import peers
@@ -221,7 +220,6 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "scenarios": _report("scenarios", scenarios.report),
     "calibration": _report("calibration", lambda rows: reader.report(rows, "calibration")),
     "peers": _report("peers", peers.report),
-    "ceilings": _report("ceilings", ceilings.report),
     "leaks": leaks_block,
     "leaderboard": leaderboard_block,
     "table2": table2_block,
