@@ -5,9 +5,9 @@
 
 The oracle flies the follow strategy itself one step ahead from the observed past, under each hypothesis "i follows j".
 So it has each UAV's delay, gain and noise, and the likelihood of what i did next. A UAV that its own past explains
-better follows nobody. Chains are followed to their ends, and an end with two UAVs behind is named. Hierarchies, where
-i copies several UAVs above j, are found by repeating this with the chains found so far. In flocks the oracle knows who
-belongs to which flock, and who chases it, and names the UAVs that don't fly by the flock's law.
+better follows nobody. The oracle follows each chain to its end, and names an end that has two followers. Where i copies
+several UAVs above j, it repeats this with the chains that it has found. In flocks the oracle knows the members and the
+chaser of each flock, and names the UAVs that don't fly by the flock's law.
 
 The noise of positions enters by its linear response, as a covariance in time, and nothing is assumed of how heads fly.
 So with noise this is less than the exact likelihood: a lower bound of the ceiling that a detector may beat; the column

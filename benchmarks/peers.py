@@ -1,4 +1,4 @@
-"""Suites of others on who influences whom, drawn by own code from their published equations; nothing of theirs is used.
+"""Systems of other papers, in which a detector must find who influences whom. This program draws them by itself.
 
     OMP_NUM_THREADS=1 python benchmarks/peers.py --runs 50 --out out/peers.csv
     python -m venv out/tigramite && out/tigramite/bin/pip install tigramite numba
@@ -7,9 +7,8 @@
 
 A run is one draw of a system, observed once. Rows have AUROC and AUPRC of its directed edges, without the diagonal and
 from ``Detection.attention``, and whether the highest score is that of an influencer. The rows
-`straightest` and `farthest` know nothing of pairs: a suite in which they do well doesn't test who influences whom.
+`straightest` and `farthest` know nothing of pairs. If they do well in a suite, it doesn't test who influences whom.
 `forces` knows that accelerations are linear in places, as springs are; `var` depends much on its ridge.
-
 
 * springs: particles in a box; half of the ordered pairs have a spring that pulls one of them (Kipf et al. 2018), and an
   influencer pulls all (Löwe et al. 2022). Others pull it back; in ``-unpulled`` they don't, so that it flies straight
@@ -246,8 +245,8 @@ def find_links(
         answer, _ = ask(detector, Window(flown, np.diff(flown, axis=0), everyone, everyone[0], step=1.0))
         links = answer.attention
         if links is None:
-            whom = answer.leader if answer.leader is not None else np.full(len(everyone[0]), -1)
-            links = whom[:, None] == np.arange(len(whom))
+            leader = answer.leader if answer.leader is not None else np.full(len(everyone[0]), -1)
+            links = leader[:, None] == np.arange(len(leader))
         found.append((np.asarray(links, float), answer.scores, bool(answer.candidates.any())))
     return found
 

@@ -17,7 +17,8 @@ class _PairFeatures(BaseFeaturesExtractor):
     """``(B, N + 1)``: the logits of the UAVs and the value."""
 
     def __init__(self, observation_space: spaces.Dict, **sizes: int) -> None:
-        super().__init__(observation_space, features_dim=observation_space["alive"].shape[0] + 1)  # type: ignore[index]
+        uavs = spaces.utils.flatdim(observation_space["alive"])
+        super().__init__(observation_space, features_dim=uavs + 1)
         self.network = PairNetwork(**sizes)
 
     def forward(self, observations: dict[str, Tensor]) -> Tensor:

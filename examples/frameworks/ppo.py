@@ -89,7 +89,7 @@ def learn(network: PairNetwork, optimizer: torch.optim.Optimizer, rollout: Rollo
 
 def train(steps: int, seed: int = 0) -> tuple[PairNetwork, list[float]]:
     """Return the network, and the mean reward of a round in each rollout."""
-    torch.manual_seed(seed)
+    torch.manual_seed(seed)  # a script may seed PyTorch's global generator, from which layers draw their weights
     envs = gym.make_vec(ENV, GAMES, autoreset_mode="SameStep", observe=("velocity", "alive"), **ARGUMENTS)
     seen, rewards, network = envs.reset(seed=seed)[0], [], PairNetwork()
     optimizer = torch.optim.Adam(network.parameters(), lr=RATE, eps=1e-5)
