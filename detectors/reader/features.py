@@ -24,6 +24,7 @@ _PLACES = (1, 2, 4, 8, 16, 32)
 _LONG = (4, 8, 16, 24, 32)
 _CROWDS = {"near": 3, "far": 4}  # of the bank of radii, those in which UAVs are compared with their neighbours
 _BLOCK_LAGS, _BLOCK_FEATURES = (0, 1, 2, 3), 22
+_JOINT = (("p", "v", 1e-2), ("p", "v", 1e-6), ("v", "p", 1e-2))  # what of all UAVs, what of i alone, and the ridge
 _SHARES = (  # components of j (velocity, its squares), axes of i (innovations, velocity), lag
     ("plain", "innovation", 1), ("plain", "innovation", 2), ("plain", "innovation", 3), ("squared", "innovation", 1),
     ("squared", "innovation", 2), ("plain", "velocity", 0), ("plain", "velocity", 1), ("squared", "velocity", 1),
@@ -53,7 +54,7 @@ def _slice_groups(lengths: Mapping[str, int]) -> dict[str, slice]:
 
 PAIR_GROUPS = _slice_groups({
     **_CORRELATION_LENGTHS, "halves": 4, "raw": 2, "tops": 5, "net": 5, "shares": len(_SHARES),
-    "local": _BLOCK_FEATURES, "geo": 6 + kernels.BANK, "force": 5, "pc": 16, "places": 13,
+    "local": _BLOCK_FEATURES, "geo": 6 + kernels.BANK, "force": 5, "pc": 16, "places": 13, "joint": 6,
 })  # fmt: skip
 UAV_GROUPS = _slice_groups({"track": 20, "nearest": 4, "neighbours": 26, "rule": 13})
 CONTEXT_GROUPS = _slice_groups({"size": 3, "motion": 6})
@@ -86,6 +87,7 @@ def make_features(position: Singles, velocity: Singles, seen: Mask) -> Features:
     _fill_blocks(pair[PAIR_GROUPS["local"]], s)
     _fill_own_past(pair[PAIR_GROUPS["pc"]], s)
     _fill_places(pair[PAIR_GROUPS["places"]], s)
+    _fill_joint(pair[PAIR_GROUPS["joint"]], s)
     own = _fill_bearings(pair[PAIR_GROUPS["geo"]], pair[PAIR_GROUPS["force"]], s)
     uav = _describe_uavs(s, own)
     for x in pair:
@@ -312,6 +314,21 @@ def _fill_places(out: Singles, s: _Signals) -> None:
             out[last + slot] = size[lags.index(lag)] - size[lags.index(lag)].T
     out[last + 3], out[last + 4 : last + 6] = size[k] - size[0], near[k + 1 :]
     out[last + 6] = near[k + 1] - near[k + 1].T
+
+
+def _fill_joint(out: Singles, s: _Signals) -> None:
+    """Fill how the places of all UAVs at once, or their velocities, explain i's change of velocity: j's part of it.
+
+    Changes much larger than their mean, as at a wall, are left out.
+    """
+    change = series.change_series(s["v"], s["m"], 1)[:-1]
+    size = np.sqrt((change**2).sum(1, keepdims=True))
+    change *= size < 8 * size.mean(0, keepdims=True) + np.float32(1e-9)
+    now = {"p": s["p"][1:-1], "v": s["v"][:-1]}
+    flat = {name: (x - x.mean(0)).reshape(-1, x.shape[2]).astype(np.float64) for name, x in now.items()}
+    for k, (shared, alone, ridge) in enumerate(_JOINT):
+        sure, part = series.regress_jointly(flat[shared], flat[alone], change.reshape(len(flat["v"]), -1), ridge)
+        out[2 * k], out[2 * k + 1] = np.arcsinh(sure), np.arcsinh(part / 3e-3)
 
 
 def _log(x: Singles, least: float = 1e-4) -> Singles:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from detectors.reader.kernels import multiply_columns, multiply_series, solve_ridges
-from usnet_env.arrays import Singles
+from usnet_env.arrays import Floats, Singles
 
 
 def hold_positions(p: Singles, seen: Singles) -> Singles:
@@ -88,3 +88,29 @@ def remove_past(c: Singles, complete: Singles) -> tuple[Singles, Singles, Single
     second = scale_series(second - multiply_series(second, first) * first, 1e-3)
     rest = rest - multiply_series(rest, first) * first
     return scale_series(rest - multiply_series(rest, second) * second, 1e-3), first, second
+
+
+def regress_jointly(shared: Floats, alone: Floats, y: Floats, ridge: float) -> tuple[Floats, Floats]:
+    """Regress column i of ``y`` (R, n) on all columns of ``shared`` and on column i of ``alone``, both (R, n).
+
+    Columns have the length 1 in the ridge regression. Returns for i and j the t statistic of j's column, and its
+    coefficient in the units of the data, (n, n) each. All i have one inverse, which the column of its own extends
+    (Frisch and Waugh 1933).
+    """
+    (x, scale), (own, _), (y, size) = (_scale_columns(part) for part in (shared, alone, y))
+    rows, n = x.shape
+    inverse = np.linalg.inv(x.T @ x + ridge * np.eye(n))
+    across, target = x.T @ own, x.T @ y
+    turned, plain = inverse @ across, inverse @ target
+    left = np.maximum(1.0 + ridge - (across * turned).sum(0), 1e-9)
+    drag = ((own * y).sum(0) - (across * plain).sum(0)) / left
+    part = plain - turned * drag
+    rest = ((y - x @ part - own * drag) ** 2).sum(0) / max(rows - n - 1, rows / 4) + 1e-12
+    spread = np.diag(inverse)[:, None] + turned**2 / left
+    return (part / np.sqrt(rest * spread)).T, (part * size / scale[:, None]).T
+
+
+def _scale_columns(x: Floats) -> tuple[Floats, Floats]:
+    """Columns of length 1, and their lengths before; one without motion stays 0."""
+    size = np.sqrt((x**2).sum(0)) + 1e-9
+    return x / size, size

@@ -60,7 +60,7 @@ def observe(examples: Examples, rng: np.random.Generator, without: Collection[st
     begin = rng.random(seen.shape) < rate / last
     hit = np.logical_or.reduce([np.roll(begin, lag, axis=1) for lag in range(last)])
     if fault == "fault:noise":
-        position += draw_log(rng, 0.02, 0.6) * noise
+        position += draw_log(rng, 0.02, 0.8) * noise
     elif fault == "fault:rounding":
         grain = unit * draw_log(rng, 0.1, 3.0)
         position = grain * np.round(position / grain)

@@ -17,8 +17,8 @@ def _hide_first(rng: np.random.Generator, stage: Stage, law: Callable[..., Fligh
 
 
 def _draw_driven(rng: np.random.Generator, stage: Stage) -> Flight:
-    laws = followers.draw_star, followers.draw_path, followers.draw_set_off
-    return _hide_first(rng, stage, laws[int(rng.integers(3))], 1)
+    laws = followers.draw_star, followers.draw_star, followers.draw_path, followers.draw_set_off
+    return _hide_first(rng, stage, laws[int(rng.integers(4))], 1)
 
 
 #: The law of each world, its least and largest N, and the share of draws on a plane.

@@ -10,18 +10,20 @@ from usnet_env.arrays import Floats, Indices
 def _copy(rng: np.random.Generator, stage: Stage, source: Indices, delay: Indices, least: float) -> Floats:
     """Positions ``(B, T + 1, n, 3)`` of UAVs that copy ``source`` ``(T, n)``; who is its own flies its way.
 
-    v_i(t) = g v_L(t - d_i) + (1 - g) u_i(t), u the last velocity of the UAV, or a way of its own, g ``least`` to 1.
+    v_i(t) = g v_L(t - d_i) + w u_i(t), u the last velocity of the UAV, or a way of its own, g ``least`` to 1, w 1 - g
+    or up to 0.6.
     """
     source = np.concatenate([np.tile(source[:1], (int(delay.max()) + 5, 1)), source])
     velocity = draw_ways(rng, stage, len(source), stage.uavs)
     lone, gain = rng.random() < 0.4, stage.draw_each(rng, least, 1.0)[..., None]
     shake = draw_log(rng, 0.005, 0.3, stage.windows, 1, 1)
+    rest = 1.0 - gain if rng.random() < 0.6 else np.full_like(gain, rng.uniform(0.0, 0.6))
     window, own = np.arange(stage.windows)[:, None], np.arange(stage.uavs)
     for t in range(1, len(source)):
         led = np.flatnonzero(source[t] != own)
         copied = velocity[window, np.maximum(t - delay[:, led], 0), source[t, led]]
         base = velocity[:, t if lone else t - 1, led] + shake * stage.draw_normals(rng, len(led))
-        velocity[:, t, led] = gain[:, led] * copied + (1.0 - gain[:, led]) * base
+        velocity[:, t, led] = gain[:, led] * copied + rest[:, led] * base
     return travel(place_groups(rng, stage, source[-1][source[-1]]), velocity[:, -stage.steps :])
 
 
@@ -164,8 +166,9 @@ def draw_route(rng: np.random.Generator, stage: Stage) -> Flight:
     along = np.where(back, 3 * stage.steps - along, along)
     before, part, window = along.astype(np.int64), along[..., None] % 1.0, np.arange(stage.windows)[:, None, None]
     place = (1.0 - part) * road[window, before] + part * road[window, before + 1]
-    sway = keep_noise(stage.draw_normals(rng, *shape[1:]), np.full(stage.windows, 0.9))
-    return Flight(place + draw_log(rng, 0.02, 1.0) * sway, np.arange(stage.uavs))
+    sway = keep_noise(stage.draw_normals(rng, *shape[1:]), np.full(stage.windows, 0.9)) * draw_log(rng, 0.02, 1.0)
+    aside = stage.draw_normals(rng, 1, stage.uavs) * draw_log(rng, 0.02, 1.0)
+    return Flight(place + aside + rng.choice([0.0, 1.0, 1.0]) * sway, np.arange(stage.uavs))
 
 
 def draw_initiators(rng: np.random.Generator, stage: Stage) -> Flight:
