@@ -21,7 +21,6 @@ _Signals = dict[str, Singles]  # series of each UAV, (T, p, n) or (T, n), by nam
 _BLOCK, _STRIDE = 8, 2  # steps of a block in which one leader is supposed; steps between two bearings
 _LAGS = tuple(range(13))
 _PLACES = (1, 2, 4, 8, 16, 32)
-_LONG = (4, 8, 16, 24, 32)
 _CROWDS = {"near": 3, "far": 4}  # of the bank of radii, those in which UAVs are compared with their neighbours
 _BLOCK_LAGS, _BLOCK_FEATURES = (0, 1, 2, 3), 22
 _JOINT = (("p", "v", 1e-2), ("p", "v", 1e-6), ("v", "p", 1e-2))  # what of all UAVs, what of i alone, and the ridge
@@ -29,21 +28,14 @@ _SHARES = (  # components of j (velocity, its squares), axes of i (innovations, 
     ("plain", "innovation", 1), ("plain", "innovation", 2), ("plain", "innovation", 3), ("squared", "innovation", 1),
     ("squared", "innovation", 2), ("plain", "velocity", 0), ("plain", "velocity", 1), ("squared", "velocity", 1),
 )  # fmt: skip
-_CORRELATIONS: Mapping[str, tuple[tuple[str, str, tuple[int, ...]], ...]] = {  # (later i, earlier j, lags)
-    "cc": (("velocity", "velocity", _LAGS),),
-    "ee": (("innovation", "innovation", _LAGS),),
-    "gg": (("turn", "turn", (0, 2, 4, 6, 8, 10, 12)),),
-    "ss": (("smooth", "smooth", (0, 3, 6, 9, 12)),),
-    "ec": (("innovation", "velocity", (1, 2, 3, 4, 6, 8, 12)),),
-    "resid": (
-        ("near", "near", (0, 1, 2, 4)), ("innovation", "near", (1, 2, 4, 8)), ("turn", "near", (0, 3, 6, 9)),
-        ("far", "far", (0, 2)),
-    ),
-    "long": (("slow", "slow", _LONG), ("slow_innovation", "slow_innovation", _LONG)),
-    "flock": (("residual", "residual", (0, 1, 2)), ("innovation", "residual", (1, 2, 4))),
-    "push": (("force", "force", (0, 1)), ("force", "velocity", (0,))),
-}  # fmt: skip
-_CORRELATION_LENGTHS = {name: sum(len(x[2]) for x in kinds) for name, kinds in _CORRELATIONS.items()}
+_CORRELATIONS: Mapping[str, tuple[tuple[str, ...], tuple[int, ...]]] = {  # series of the later i and the earlier j
+    "cc": (("velocity",), _LAGS),
+    "ee": (("innovation",), _LAGS),
+    "gg": (("turn",), (0, 2, 4, 6, 8, 10, 12)),
+    "ss": (("smooth",), (0, 3, 6, 9, 12)),
+    "long": (("slow", "slow_innovation"), (4, 8, 16, 24, 32)),
+}
+_CORRELATION_LENGTHS = {name: len(names) * len(lags) for name, (names, lags) in _CORRELATIONS.items()}
 
 
 def _slice_groups(lengths: Mapping[str, int]) -> dict[str, slice]:
@@ -53,7 +45,7 @@ def _slice_groups(lengths: Mapping[str, int]) -> dict[str, slice]:
 
 
 PAIR_GROUPS = _slice_groups({
-    **_CORRELATION_LENGTHS, "halves": 4, "raw": 2, "tops": 5, "net": 5, "shares": len(_SHARES),
+    **_CORRELATION_LENGTHS, "raw": 2, "tops": 5, "net": 5, "shares": len(_SHARES),
     "local": _BLOCK_FEATURES, "geo": 6 + kernels.BANK, "force": 5, "pc": 16, "places": 13, "joint": 6,
 })  # fmt: skip
 UAV_GROUPS = _slice_groups({"track": 20, "nearest": 4, "neighbours": 26, "rule": 13})
@@ -136,7 +128,7 @@ def _make_signals(p: Singles, v: Singles, seen: Singles, m: Singles) -> _Signals
     rule = flock.fit_flock(v, complete, bank)
     raw = {"velocity": c, "innovation": e, "turn": series.change_series(smooth, enough, 5),
            "smooth": series.centre_series(smooth, enough), "slow": series.average_series(c, m, 4)[0],
-           "slow_innovation": series.average_series(e, complete, 4)[0], "force": series.change_series(v, m, 1),
+           "slow_innovation": series.average_series(e, complete, 4)[0],
            "residual": rule["residual"]}  # fmt: skip
     s = {"p": p, "v": v, "seen": seen, "m": m, "complete": complete, "nearest": nearest, **rule}
     for name, k in _CROWDS.items():
@@ -163,26 +155,24 @@ def _correlate(later: Singles, earlier: Singles, lags: Sequence[int], out: Singl
 def _fill_correlations(pair: Singles, s: _Signals) -> None:
     """Fill all groups of lagged products, and what is seen in their lags."""
     steps, n = s["m"].shape
-    for name, kinds in _CORRELATIONS.items():
-        start = PAIR_GROUPS[name].start
-        for later, earlier, lags in kinds:
-            used = [lag for lag in lags if lag <= (steps // 3 if name == "long" else steps)]
-            _correlate(s[later], s[earlier], used, pair[start : start + len(lags)])
-            start += len(lags)
-    halves = _make_array((2, 2, n, n))
-    for x, part in zip(np.split(s["innovation"], [steps // 2]), halves, strict=True):
-        _correlate(x, x, (1, 2), part)
-    pair[PAIR_GROUPS["halves"]] = np.concatenate([2 * halves.min(0), 2 * halves.max(0)])
+    for group, (names, lags) in _CORRELATIONS.items():
+        start, used = (
+            PAIR_GROUPS[group].start,
+            [lag for lag in lags if lag <= (steps // 3 if group == "long" else steps)],
+        )
+        for k, name in enumerate(names):
+            _correlate(s[name], s[name], used, pair[start + k * len(lags) : start + (k + 1) * len(lags)])
     both = _make_array((n, n))
     np.matmul(s["m"].T, s["m"], out=both)
     share = np.maximum(s["m"].mean(0), np.float32(0.02))
     overlap = both / (steps * np.sqrt(share[:, None] * share))
-    pair[: PAIR_GROUPS["halves"].stop] *= 1 / np.maximum(overlap, np.float32(0.3))
+    pair[: PAIR_GROUPS["raw"].start] *= 1 / np.maximum(overlap, np.float32(0.3))
     direction = _align(s["v"] / np.maximum(np.sqrt((s["v"] ** 2).sum(1, keepdims=True)), np.float32(1e-6)))
-    _correlate(direction, direction, (0,), halves[0])
-    pair[PAIR_GROUPS["raw"]] = halves[0, 0] / np.maximum(both, 1), overlap
+    alike = _make_array((1, n, n))
+    _correlate(direction, direction, (0,), alike)
+    pair[PAIR_GROUPS["raw"]] = alike[0] / np.maximum(both, 1), overlap
     (e, e_lag, e_sum), (c, c_lag, c_sum), (g, _, g_sum) = (
-        _summarise_lags(pair[PAIR_GROUPS[name]][first:], _CORRELATIONS[name][0][2][first:])
+        _summarise_lags(pair[PAIR_GROUPS[name]][first:], _CORRELATIONS[name][1][first:])
         for name, first in (("ee", 1), ("cc", 1), ("gg", 0))
     )
     pair[PAIR_GROUPS["tops"]] = e, e_lag, c, c_lag, g
