@@ -172,18 +172,22 @@ def report(rows: pd.DataFrame, study: str) -> str:
 
 def draw_sizes(rows: pd.DataFrame, readers: Path, images: Path) -> None:
     """The loss of the last shards and the share of exact windows, against parameters times windows."""
-    exact, panel = rows.drop_duplicates(KEYS).groupby("reader").exact, shared.panels(9, 4.2, 1, 2)
-    for number, (label, (width, shards)) in enumerate(SIZES.items()):
-        path = find_weights(readers, label)
-        metrics = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))["metrics"]
-        cost = sum(array.size for array in load_file(path).values()) * metrics["windows"]
-        look = {"color": shared.COLORS[number // 3], "label": f"width {width}" if shards == 10 else None}
-        values = {"loss": metrics["loss"], "exact": exact.mean()[label]}
-        for axes, name in zip(panel[1][0], values, strict=True):
-            axes.plot(cost, values[name], "o", **look)
+    exact, (figure, panels) = rows.drop_duplicates(KEYS).groupby("reader").exact, shared.panels(9, 4.2, 1, 2)
+    for color, width in zip(shared.COLORS, dict.fromkeys(width for width, _ in SIZES.values()), strict=False):
+        points = []
+        for label, (_, shards) in [item for item in SIZES.items() if item[1][0] == width]:
+            path = find_weights(readers, label)
+            record = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+            windows = shards * record["training"]["batches"] * record["training"]["windows"]
+            parameters = sum(array.size for array in load_file(path).values())
+            points.append((parameters * windows, record["metrics"]["last_loss"], exact.mean()[label]))
+        cost, *values = zip(*points, strict=True)
+        for axes, name, value in zip(panels[0], ("loss", "exact"), values, strict=True):
+            axes.plot(cost, value, "o-", color=color, label=f"width {width}")
             axes.set(xscale="log", xlabel="parameters × windows of the training", ylabel=name)
+    panels[0][0].legend()
     caption = f"n = {exact.size().min()} windows of {', '.join(SUITES)} a point."
-    shared.save_figure(panel[0], images / "reader-scaling.png", "The reader's size and its training", caption)
+    shared.save_figure(figure, images / "reader-scaling.png", "The reader's size and its training", caption)
 
 
 def main(argv: list[str] | None = None) -> None:

@@ -159,7 +159,7 @@ SCENARIOS: dict[str, tuple[Callable[..., Flight], float, float, float]] = {
     "path file of 8 chain 2s": (partial(fly_path, uavs=8, delay=2.0, file=True), 2, 320, 0),
     "path N6 1Hz gps 3m 600s": (fly_path, 1, 600, 3.0),
     "path N6 10Hz tau3s": (fly_path, 10, 200, 0),
-    "path set off one after another": (set_off, 2, 200, 0),
+    "path set off one after another": (set_off, 2, 50, 0),  # one window: later, nothing tells who was first
     **{f"star tau1.5s {hertz}Hz 300s N6": (fly_star, hertz, 300, 0) for hertz in (1, 5, 10, 30)},
     "star tau4s 10Hz 300s N6": (partial(fly_star, delay=4.0), 10, 300, 0),
     "star gps noise 3m 1Hz 600s": (fly_star, 1, 600, 3.0),

@@ -23,7 +23,7 @@ _LAGS = tuple(range(13))
 _PLACES = (1, 2, 4, 8, 16, 32)
 _CROWDS = {"near": 3, "far": 4}  # of the bank of radii, those in which UAVs are compared with their neighbours
 _BLOCK_LAGS, _BLOCK_FEATURES = (0, 1, 2, 3), 22
-_JOINT = (("p", "v", 1e-2), ("p", "v", 1e-6), ("v", "p", 1e-2))  # what of all UAVs, what of i alone, and the ridge
+_JOINT = (("p", "v", (1e-2, 1e-6)), ("v", "p", (1e-2,)))  # what of all UAVs, what of i alone, and ridges
 _SHARES = (  # components of j (velocity, its squares), axes of i (innovations, velocity), lag
     ("plain", "innovation", 1), ("plain", "innovation", 2), ("plain", "innovation", 3), ("squared", "innovation", 1),
     ("squared", "innovation", 2), ("plain", "velocity", 0), ("plain", "velocity", 1), ("squared", "velocity", 1),
@@ -311,14 +311,19 @@ def _fill_joint(out: Singles, s: _Signals) -> None:
 
     Changes much larger than their mean, as at a wall, are left out.
     """
+    if len(s["v"]) < 3:
+        return
     change = series.change_series(s["v"], s["m"], 1)[:-1]
     size = np.sqrt((change**2).sum(1, keepdims=True))
     change *= size < 8 * size.mean(0, keepdims=True) + np.float32(1e-9)
     now = {"p": s["p"][1:-1], "v": s["v"][:-1]}
     flat = {name: (x - x.mean(0)).reshape(-1, x.shape[2]).astype(np.float64) for name, x in now.items()}
-    for k, (shared, alone, ridge) in enumerate(_JOINT):
-        sure, part = series.regress_jointly(flat[shared], flat[alone], change.reshape(len(flat["v"]), -1), ridge)
-        out[2 * k], out[2 * k + 1] = np.arcsinh(sure), np.arcsinh(part / 3e-3)
+    found = []
+    for shared, alone, ridges in _JOINT:
+        found += series.regress_jointly(
+            flat[shared], flat[alone], change.reshape(len(flat["v"]), -1).astype(float), ridges
+        )
+    out[::2], out[1::2] = (np.arcsinh(x) for x in ([sure for sure, _ in found], [part / 3e-3 for _, part in found]))
 
 
 def _log(x: Singles, least: float = 1e-4) -> Singles:

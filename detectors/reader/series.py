@@ -90,24 +90,26 @@ def remove_past(c: Singles, complete: Singles) -> tuple[Singles, Singles, Single
     return scale_series(rest - multiply_series(rest, second) * second, 1e-3), first, second
 
 
-def regress_jointly(shared: Floats, alone: Floats, y: Floats, ridge: float) -> tuple[Floats, Floats]:
+def regress_jointly(shared: Floats, alone: Floats, y: Floats, ridges: tuple[float, ...]) -> list[tuple[Floats, Floats]]:
     """Regress column i of ``y`` (R, n) on all columns of ``shared`` and on column i of ``alone``, both (R, n).
 
-    Columns have the length 1 in the ridge regression. Returns for i and j the t statistic of j's column, and its
-    coefficient in the units of the data, (n, n) each. All i have one inverse, which the column of its own extends
-    (Frisch and Waugh 1933).
+    Columns have the length 1 in a ridge regression. Returns for each ridge, and for i and j, the t statistic of j's
+    column, and its coefficient in the units of the data, (n, n) each. All i have one inverse, which the column of their
+    own extends (Frisch and Waugh 1933).
     """
     (x, scale), (own, _), (y, size) = (_scale_columns(part) for part in (shared, alone, y))
-    rows, n = x.shape
-    inverse = np.linalg.inv(x.T @ x + ridge * np.eye(n))
-    across, target = x.T @ own, x.T @ y
-    turned, plain = inverse @ across, inverse @ target
-    left = np.maximum(1.0 + ridge - (across * turned).sum(0), 1e-9)
-    drag = ((own * y).sum(0) - (across * plain).sum(0)) / left
-    part = plain - turned * drag
-    rest = ((y - x @ part - own * drag) ** 2).sum(0) / max(rows - n - 1, rows / 4) + 1e-12
-    spread = np.diag(inverse)[:, None] + turned**2 / left
-    return (part / np.sqrt(rest * spread)).T, (part * size / scale[:, None]).T
+    (rows, n), gram, across, target = x.shape, x.T @ x, x.T @ own, x.T @ y
+    fitted, found, free = (own * y).sum(0), [], max(rows - int((scale > 1e-8).sum()) - 1, rows / 4)
+    for ridge in ridges:
+        inverse = np.linalg.inv(gram + ridge * np.eye(n))
+        turned, plain = inverse @ across, inverse @ target
+        left = np.maximum(1.0 + ridge - (across * turned).sum(0), 1e-9)
+        drag = (fitted - (across * plain).sum(0)) / left
+        part = plain - turned * drag
+        rest = ((y - x @ part - own * drag) ** 2).sum(0) / free + 1e-12
+        spread = np.diag(inverse)[:, None] + turned**2 / left
+        found.append(((part / np.sqrt(rest * spread)).T, (part * size / scale[:, None]).T))
+    return found
 
 
 def _scale_columns(x: Floats) -> tuple[Floats, Floats]:

@@ -110,8 +110,22 @@ class Reference:
         nearest = np.log(track[0].min(0).mean() + 0.5) - now
         return [*relative, 0, *reverse, 0, nearest, behind[0], (best[0] / 5).mean(), behind[0] - behind[1]]
 
+    def joint(self, i, j):
+        change, flown = np.diff(self.v[:, i], axis=0), self.v[:-1] - self.v[:-1].mean(0)
+        length, place = np.linalg.norm(change, axis=1, keepdims=True), self.p[1:-1] - self.p[1:-1].mean(0)
+        y, found = np.where(length < 8 * length.mean(), change, 0).ravel(), []
+        for shared, own, ridge in ((place, flown, 1e-2), (place, flown, 1e-6), (flown, place, 1e-2)):
+            x = np.column_stack([*shared.transpose(1, 0, 2).reshape(shared.shape[1], -1), own[:, i].ravel()])
+            size = np.linalg.norm(x, axis=0)
+            gram = (x / size).T @ (x / size) + ridge * np.eye(len(size))
+            part = np.linalg.solve(gram, (x / size).T @ y)
+            rest = ((y - x / size @ part) ** 2).sum() / (len(y) - len(size)) + 1e-12 * (y @ y)
+            sure = part[j] / np.sqrt(rest * np.linalg.inv(gram)[j, j])
+            found += [np.arcsinh(sure), np.arcsinh(part[j] / size[j] / 3e-3)]
+        return found
 
-@pytest.mark.parametrize("name", ["cc", "ee", "pc", "geo", "force", "places"])
+
+@pytest.mark.parametrize("name", ["cc", "ee", "pc", "geo", "force", "places", "joint"])
 def test_pairs_agree_with_a_plain_reference(name):
     window = draw_window()
     reference, found = Reference(*window), group(make_features(*window), name)
