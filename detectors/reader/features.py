@@ -309,7 +309,8 @@ def _fill_places(out: Singles, s: _Signals) -> None:
 def _fill_joint(out: Singles, s: _Signals) -> None:
     """Fill how the places of all UAVs at once, or their velocities, explain i's change of velocity: j's part of it.
 
-    Changes much larger than their mean, as at a wall, are left out.
+    Changes much larger than their mean, as at a wall, are left out. Of each regression, the t statistic of j, and its
+    coefficient relative to those of all UAVs.
     """
     if len(s["v"]) < 3:
         return
@@ -323,7 +324,8 @@ def _fill_joint(out: Singles, s: _Signals) -> None:
         found += series.regress_jointly(
             flat[shared], flat[alone], change.reshape(len(flat["v"]), -1).astype(float), ridges
         )
-    out[::2], out[1::2] = (np.arcsinh(x) for x in ([sure for sure, _ in found], [part / 3e-3 for _, part in found]))
+    out[::2] = [np.arcsinh(sure) for sure, _ in found]
+    out[1::2] = [part / (np.sqrt((part**2).mean(1, keepdims=True)) + 1e-12) for _, part in found]
 
 
 def _log(x: Singles, least: float = 1e-4) -> Singles:

@@ -23,7 +23,8 @@ FAULTS = {  # what the sensor does to a swarm that follows by one of the models
     "fault:swaps": 2.0,
 }
 WORLDS = {  # without the simulator
-    **dict.fromkeys(("star", "path", "springs"), 2.5),
+    **dict.fromkeys(("star", "path"), 2.5),
+    "springs": 3.5,
     **dict.fromkeys(("people", "initiators", "set_off"), 1.4),
     **dict.fromkeys(("graded", "file", "cars", "boids_signed"), 1.0),
     **dict.fromkeys(("changes", "fission", "convoy"), 0.7),

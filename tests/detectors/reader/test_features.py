@@ -120,8 +120,8 @@ class Reference:
             gram = (x / size).T @ (x / size) + ridge * np.eye(len(size))
             part = np.linalg.solve(gram, (x / size).T @ y)
             rest = ((y - x / size @ part) ** 2).sum() / (len(y) - len(size)) + 1e-12 * (y @ y)
-            sure = part[j] / np.sqrt(rest * np.linalg.inv(gram)[j, j])
-            found += [np.arcsinh(sure), np.arcsinh(part[j] / size[j] / 3e-3)]
+            sure, part = part[j] / np.sqrt(rest * np.linalg.inv(gram)[j, j]), (part / size)[:-1]
+            found += [np.arcsinh(sure), part[j] / np.sqrt((part**2).mean())]
         return found
 
 

@@ -17,8 +17,8 @@ def _hide_first(rng: np.random.Generator, stage: Stage, law: Callable[..., Fligh
 
 
 def _draw_driven(rng: np.random.Generator, stage: Stage) -> Flight:
-    laws = followers.draw_star, followers.draw_star, followers.draw_path, followers.draw_set_off
-    return _hide_first(rng, stage, laws[int(rng.integers(4))], 1)
+    law = followers.draw_star if rng.random() < 0.65 else followers.draw_path
+    return _hide_first(rng, stage, law, 1)
 
 
 #: The law of each world, its least and largest N, and the share of draws on a plane.

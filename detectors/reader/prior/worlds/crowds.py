@@ -128,13 +128,13 @@ def draw_springs(rng: np.random.Generator, stage: Stage) -> Flight:
     A spring acts on both of its ends, or on one.
     """
     windows, uavs = stage.windows, stage.uavs
-    stiff = draw_log(rng, 0.001, 0.3, windows, 1, 1) / np.sqrt(uavs)
+    stiff = draw_log(rng, 0.0005, 0.2, windows, 1, 1) / np.sqrt(uavs)
     spring = stiff * (rng.random((windows, uavs, uavs)) < rng.uniform(0.0, 0.7))
     if rng.random() < 0.5:
         spring = np.triu(spring, 1) + np.triu(spring, 1).swapaxes(1, 2)
     spring[:, 0] *= rng.choice([0.0, 1.0, rng.random()])
     spring[:, :, 0] = stiff[:, 0] * rng.uniform(0.5, 3.0, (windows, uavs)) ** rng.integers(2)
-    pushed, wall = rng.choice([0.0, 0.01, 0.05]), np.inf if rng.random() < 0.4 else rng.uniform(2.0, 6.0)
+    pushed, wall = rng.choice([0.0, 0.0, 0.003, 0.02]), np.inf if rng.random() < 0.4 else rng.uniform(2.0, 6.0)
     push = pushed * stage.draw_normals(rng, stage.steps, uavs)
     push[:, :, 0] *= rng.uniform(0.0, 3.0)
     drag = float(draw_log(rng, 0.005, 0.3)) if pushed else 0.0

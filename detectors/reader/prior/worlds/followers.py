@@ -75,8 +75,9 @@ def draw_fission(rng: np.random.Generator, stage: Stage) -> Flight:
 
 
 def _go_after(
-    rng: np.random.Generator, stage: Stage, track: Floats, leader: Indices, delay: Indices, wide: float = 10.0
-) -> Floats:
+    rng: np.random.Generator, stage: Stage, track: Floats, leader: Indices, delay: Indices, wide: float = 10.0,
+    most: float = 1.0,
+) -> Floats:  # fmt: skip
     """Positions ``(B, T + 1, n, 3)`` of m leaders with the ``track (B, S + T + 1, m, 3)`` and of those who go there."""
     led, last = leader[track.shape[2] :], track.shape[1] - 1
     window, one = np.arange(stage.windows)[:, None, None], (stage.windows, 1, 1, 1)
@@ -86,15 +87,19 @@ def _go_after(
     side = course[..., [1, 0, 2]] * [-1.0, 1.0, 0.0] / (np.linalg.norm(course, axis=-1, keepdims=True) + way)
     aside = draw_log(rng, 0.002 * wide, wide, *one) * rng.standard_normal((stage.windows, 1, len(led), 1))
     sway = keep_noise(stage.draw_normals(rng, *late.shape[1:]), rng.uniform(0.3, 0.98, stage.windows))
-    sway *= draw_log(rng, 0.02, 1.0, *one)
+    sway *= most * draw_log(rng, 0.02, 1.0, *one)
     place = track[window, late, led] + way * (aside * side + sway)
     return np.concatenate([track[:, -stage.steps - 1 :], place], axis=2)
 
 
-def _track(rng: np.random.Generator, stage: Stage, leader: Indices, delay: Indices, rest: bool) -> Floats:
+def _track(
+    rng: np.random.Generator, stage: Stage, leader: Indices, delay: Indices, rest: bool, straight: bool = False
+) -> Floats:
     """Draw places ``(B, S + T + 1, m, 3)`` of m leaders, S the longest delay; some ``rest`` until they set off."""
     before, leaders, walks = int(delay.max()), int(leader.max()) + 1, np.array(1.0)
     way = draw_ways(rng, stage, before + stage.steps, leaders, 0.1 if rest else 0.5)
+    if straight:
+        way[:] = way[:, :1] / (np.linalg.norm(way[:, :1], axis=-1, keepdims=True) + 1e-9)
     if rest:
         time = (np.arange(-before, stage.steps)[:, None, None] + 0.5) / stage.steps
         start = rng.uniform(0.05, 0.4, (stage.windows, 1, leaders, 1))
@@ -114,11 +119,14 @@ def draw_path(rng: np.random.Generator, stage: Stage, groups: int = 4) -> Flight
 def draw_set_off(rng: np.random.Generator, stage: Stage, groups: int = 3) -> Flight:
     """UAVs at rest set off one after another, on ways that are parallel to the leader's, and stop so."""
     leader = draw_groups(rng, stage.uavs, groups)
-    delay = 1 + np.sort(rng.integers(stage.steps // 3, size=(stage.windows, stage.uavs)), axis=1)
-    track = _track(rng, stage, leader, delay, True)
+    delay = 1 + np.sort(rng.integers(stage.steps // 2, size=(stage.windows, stage.uavs)), axis=1)
+    straight = bool(rng.random() < 0.4)
+    track = _track(rng, stage, leader, delay, True, straight)
     fan = 1.0 + draw_log(rng, 0.01, 0.2) * rng.standard_normal((stage.windows, 1, stage.uavs, 1))
-    flown = _go_after(rng, stage, track, leader, delay, 1e-3) - track[:, :1, leader]
-    return Flight(place_groups(rng, stage, leader)[:, None] + fan * flown, leader, delay)
+    flown = _go_after(rng, stage, track, leader, delay, 1e-3, 0.0 if straight else 1.0) - track[:, :1, leader]
+    shake = stage.draw_normals(rng, stage.steps, stage.uavs) * (np.diff(flown, axis=1) != 0).any(-1, keepdims=True)
+    shake = np.cumsum(np.pad(shake, ((0, 0), (1, 0), (0, 0), (0, 0))), axis=1) * draw_log(rng, 0.005, 0.2)
+    return Flight(place_groups(rng, stage, leader)[:, None] + fan * flown + shake, leader, delay)
 
 
 def draw_file(rng: np.random.Generator, stage: Stage, closed: bool = False) -> Flight:
