@@ -324,8 +324,9 @@ def _fill_joint(out: Singles, s: _Signals) -> None:
         found += series.regress_jointly(
             flat[shared], flat[alone], change.reshape(len(flat["v"]), -1).astype(float), ridges
         )
+    flying = max(np.count_nonzero(s["m"].sum(0)), 1)
     out[::2] = [np.arcsinh(sure) for sure, _ in found]
-    out[1::2] = [part / (np.sqrt((part**2).mean(1, keepdims=True)) + 1e-12) for _, part in found]
+    out[1::2] = [part / (np.sqrt((part**2).sum(1, keepdims=True) / flying) + 1e-12) for _, part in found]
 
 
 def _log(x: Singles, least: float = 1e-4) -> Singles:
