@@ -56,9 +56,7 @@ def test_an_answer_is_made_of_the_attention():
 def test_the_gate_names_no_uav_of_windows_that_show_nothing():
     window, _ = cluster(followers=4)
     for poor in (without(window, [0, 1, 2]), changed(window, seen=np.zeros_like(window.seen))):
-        (guess,), (none,) = detect_each([poor]), detect_each([poor], gate=True)
-        assert guess.candidates.sum() == 1
-        assert not guess.scores.any()
+        (none,) = detect_each([poor], gate=True)
         assert not none.candidates.any()
 
 
