@@ -27,10 +27,10 @@ def test_any_window_has_features(steps, uavs, memory, seed, width):
     position = np.where(seen[..., None], rng.normal(0, 100, (steps + 1, uavs, 3)), 0)
     velocity = np.where((seen[:-1] & seen[1:])[..., None], rng.normal(0, 1, (steps, uavs, 3)), 0)
     window = Window(position, velocity, seen, alive)
-    scale, inputs = (500.0, 500.0, 50.0), inputs_of(window, memory)
-    values = gru_features(window, weights(width), memory, scale)
+    inputs = inputs_of(window, memory)
+    values = gru_features(window, weights(width), memory)
     times = max(steps - memory, 0) + 1
-    newest = embed(weights(width), inputs, scale)[-1].double().numpy()
+    newest = embed(weights(width), inputs)[-1].double().numpy()
     np.testing.assert_allclose(values, newest * alive[:, None], atol=1e-6)
     for r in range(times):
         for i in range(uavs):
