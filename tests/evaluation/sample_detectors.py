@@ -132,20 +132,11 @@ class Ending(AllAlive):
         return super().detect(window)
 
 
-class Mortal(RandomThird):
-    """Takes a twentieth of a second for each round; in its third episode it ends as the environment variable says."""
-
-    episodes = 0
-
-    def reset(self, seed=None):
-        super().reset(seed)
-        self.episodes += 1
+class Slow(RandomThird):
+    """Takes a twentieth of a second for each round, so that a run can be ended in its middle."""
 
     def detect(self, window):
         time.sleep(0.05)
-        how = os.environ.get("USNET_TEST_DEATH")
-        if how and self.episodes == 3:
-            return Ending(how, first=True).detect(window)
         return super().detect(window)
 
 

@@ -38,6 +38,7 @@ def test_one_ranked_table_and_a_sentence_and_json_and_all_metrics(run, played):
     assert (status, err) == (0, f"Rows and arguments are in {folder}.\n")
     lines = out.splitlines()
     assert max(map(len, lines)) <= 80
+    assert lines == [line.rstrip() for line in lines]
     assert next(line.split()[0] for line in lines[3:8]) == "destroy-all"
     assert lines[-1] == "destroy-all has the lowest J_m: 1.850 in every episode."
     status, out, err = run(*words, "--json")

@@ -138,9 +138,6 @@ def test_the_first_on_a_path_leads(detector):
 
 
 @pytest.mark.parametrize("kind", [*KINDS, FrontMost, Mflica, Flica])
-def test_short_windows_are_refused_and_two_uavs_answered(kind):
+def test_short_windows_are_refused(kind):
     with pytest.raises(ArgumentError, match="window must hold more than 4 velocities"):
         answer(kind(), window_of(np.ones((4, 3, 3))))
-    rng = np.random.default_rng(0)
-    for steps in (5, 8, 20):
-        answer(kind(), window_of(rng.standard_normal((steps, 2, 3))))
