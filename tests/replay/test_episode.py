@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import json
 import pickle
-from pathlib import Path
 
 import numpy as np
 import pytest
-from small_episode import DECOY, ROUNDS, UAVS, small_episode
+from small_episode import DECOY, MIND, ROUNDS, UAVS, small_episode
 
 from usnet_env import ArgumentError
 from usnet_env.replay import EpisodeRecord
-
-DATA = Path(__file__).parent / "data"  # small_episode() as earlier versions of the file held it
-LATER = ("probability", "reasons")  # fields that version 4 added
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +36,7 @@ def test_round_trip_is_exact(tmp_path, episode):
 
 
 def test_what_a_detector_did_not_give_stays_none(tmp_path):
-    absent = ("clusters", "leader_estimate", "attention", *LATER, "seed", "detector_seed")
+    absent = (*MIND, "seed", "detector_seed")
     bare = small_episode(**dict.fromkeys(absent))
     loaded = EpisodeRecord.load(bare.save(tmp_path / "e.npz"))
     assert {name for name in absent if getattr(loaded, name) is None} == set(absent)
@@ -78,12 +74,6 @@ def test_the_found_hierarchy_links_to_candidates(episode):
     assert episode.hierarchy(1).tolist() == [[i, 0] for i in (1, 2, 4)]  # 3 is a candidate; 5 is none, nor is any other
     assert episode.hierarchy(2).tolist() == episode.communication_links(2).tolist()
     assert small_episode(leader_estimate=None).hierarchy(1) is None
-
-
-@pytest.mark.parametrize(("version", "absent"), [(1, ("attention", *LATER)), (3, LATER), (4, ())])
-def test_files_of_earlier_versions_still_open(version, absent):
-    old = EpisodeRecord.load(DATA / f"episode-version-{version}.npz")
-    assert same(old, small_episode(**dict.fromkeys(absent), versions=old.versions))
 
 
 @pytest.mark.parametrize(
