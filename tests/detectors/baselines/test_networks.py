@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from synthetic_windows import window_of
 
 from detectors.baselines import (
     DirectionalDelays,
@@ -23,11 +24,6 @@ SHAPES = {
     "tree": [-1, 0, 0, 1, 1, -1, 5, 5, 6, 7],
     "pairs": [-1, 0, -1, 2, -1, 4, -1, 6, -1, 8],
 }
-
-
-def window_of(velocity, step=None):
-    place = np.concatenate([np.zeros((1, *velocity.shape[1:])), np.cumsum(velocity, axis=0)])
-    return Window(place, velocity, np.ones(place.shape[:2], bool), np.ones(place.shape[1], bool), step=step)
 
 
 def lead_by(leader, delay, steps=200, noise=0.4, seed=0, smooth=0.6):
@@ -73,7 +69,7 @@ def test_heads_are_the_sources_of_stars_chains_and_trees(kind, shape):
 
 def test_a_delay_per_pair_is_measured_and_told():
     leader, delay = np.array([-1, 0, 0, 0]), np.array([0, 2, 5, 8])
-    window, seconds = (window_of(lead_by(leader, delay), step) for step in (None, 0.5))
+    window, seconds = (window_of(lead_by(leader, delay), step=step) for step in (None, 0.5))
     for found in (answer(DirectionalDelays(max_lag=10), window), answer(DirectionalDelays(max_delay=5.0), seconds)):
         assert found.extras["delay"].tolist() == [-1, 2, 5, 8]
         assert np.flatnonzero(found.candidates).tolist() == [0]
