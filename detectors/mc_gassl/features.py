@@ -27,7 +27,7 @@ def inputs_of(window: Window, memory: int = 4) -> GruInputs:
 
 
 def gru_features(window: Window, parameters: GruParameters, memory: int = 4) -> Floats:
-    """The GRU network's features e_{i,t} of the last T_0 samples of all N UAVs, ``(N, w)``; destroyed UAVs are 0.
+    """The GRU network's features e_{i,t} of the last T_0 samples of all N UAVs, ``(N, 3)``; destroyed UAVs are 0.
 
     As ``features=`` of a clusterer: ``functools.partial(gru_features, parameters=parameters)``. ``memory`` is T_0.
     """
