@@ -19,7 +19,6 @@ BAD = {
     "mflica": {"series": "speed", "level": 1.0},
     "gassl": {
         "top_k": 0,
-        "rule": "argmax",
         "times": "last",
         "learning_rate": float("inf"),
         "similarity_hidden": (8, 8, 8),
