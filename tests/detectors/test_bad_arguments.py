@@ -16,7 +16,7 @@ BAD = {
     "granger": {"own_lags": -1},
     "factions": {"max_lag": 0, "threshold": 1.5},
     "directional-delays": {"max_delay": 0.0},
-    "mflica": {"series": "speed", "level": 1.0},
+    "mflica": {"level": 1.0},
     "gassl": {
         "top_k": 0,
         "times": "last",
