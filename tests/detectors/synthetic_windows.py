@@ -51,6 +51,12 @@ def window_of(velocity, seen=None, alive=None, round=1, step=None):
     )
 
 
+def answer(detector, window, seed=0):
+    """What a detector answers to the first window of an episode."""
+    detector.reset(seed)
+    return detector.detect(window)
+
+
 def heads_of(leader):
     return leader == np.arange(len(leader))
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from synthetic_windows import window_of
+from synthetic_windows import answer, window_of
 
 from detectors.baselines import (
     DirectionalDelays,
@@ -39,11 +39,6 @@ def lead_by(leader, delay, steps=200, noise=0.4, seed=0, smooth=0.6):
                 (len(fresh) - late, 3)
             ) * (1, 1, 0)
     return velocity[-steps:]
-
-
-def answer(detector, window):
-    detector.reset(0)
-    return detector.detect(window)
 
 
 @pytest.mark.parametrize("kind", KINDS)
