@@ -13,7 +13,6 @@ from usnet_env.arrays import Singles
 from usnet_env.compiling import compiled
 
 _ZERO = np.float32(0.0)
-_ONE = np.float32(1.0)
 _TWO = np.float32(2.0)
 
 

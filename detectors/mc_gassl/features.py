@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from numpy.lib.stride_tricks import sliding_window_view
 
-from detectors.mc_gassl.gru import GruInputs, GruParameters, embed
+from detectors.mc_gassl.gru import GruInputs, GruParameters, gru
 from detectors.series.gaps import fill_gaps
 from usnet_env.arrays import Floats
 from usnet_env.window import Window
@@ -33,6 +33,6 @@ def gru_features(window: Window, parameters: GruParameters, memory: int = 4) -> 
     """
     inputs = inputs_of(window, memory)
     with torch.no_grad():
-        values: Floats = embed(parameters, inputs.at(torch.tensor([inputs.times - 1])))[0].double().numpy()
+        values: Floats = gru(parameters, inputs.position[-1:], inputs.velocity[-1:])[0].double().numpy()
     values[~window.alive] = 0.0
     return values

@@ -8,21 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
 import torch
 from numpy.typing import NDArray
-from pydantic import Field
 from torch import Tensor
 
 from detectors.weights import packaged_arrays
 from usnet_env.arrays import AxisLength
 
-Metres = Annotated[float, Field(gt=0)]
-Scale = Metres | tuple[Metres, Metres, Metres]
-
-#: metres by which positions are divided, axis by axis: the paper's arena. Metres as they are saturate the gates.
-ARENA_SCALE = (1000.0, 1000.0, 100.0)
+_ARENA = (1000.0, 1000.0, 100.0)  # metres, the paper's; positions are divided by it, since they saturate the gates
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,12 +58,12 @@ def draw_parameters(generator: torch.Generator) -> GruParameters:
     return GruParameters(*((2.0 * torch.rand((3, 6), generator=generator) - 1.0) / 6**0.5 for _ in range(3)))
 
 
-def gru(parameters: GruParameters, first: Tensor, velocity: Tensor) -> Tensor:
+def gru(parameters: GruParameters, position: Tensor, velocity: Tensor) -> Tensor:
     """Equations (26) to (29), T_0 times over: e = h_{T_0}, ``(..., 3)``, of any number of UAVs and times at once.
 
-    ``first`` ``(..., 3)`` are scaled positions, h_0. ``velocity`` is ``(..., T_0, 3)``, metres per step, oldest first.
+    ``position`` ``(..., 3)`` in metres gives h_0; ``velocity`` is ``(..., T_0, 3)``, metres per step, oldest first.
     """
-    h = first
+    h = position / position.new_tensor(_ARENA)
     from_h = torch.cat([parameters.reset[:, :3], parameters.update[:, :3]]).T
     from_reset_h = parameters.candidate[:, 3:].T
     from_v = torch.cat([parameters.reset[:, 3:], parameters.update[:, 3:], parameters.candidate[:, :3]]).T
@@ -78,11 +73,6 @@ def gru(parameters: GruParameters, first: Tensor, velocity: Tensor) -> Tensor:
         new = torch.tanh(velocity_part[..., 6:] + (g_r * h) @ from_reset_h)
         h = (1.0 - g_u) * h + g_u * new
     return h
-
-
-def embed(parameters: GruParameters, inputs: GruInputs, scale: Scale = ARENA_SCALE) -> Tensor:
-    """Features e_{i,t} ``(R, n, 3)``; positions are divided by ``scale`` metres, one number or one an axis."""
-    return gru(parameters, inputs.position / inputs.position.new_tensor(scale), inputs.velocity)
 
 
 def load_meta_weights() -> GruParameters:

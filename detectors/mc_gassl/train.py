@@ -46,7 +46,7 @@ class MetaTraining(Metric):
         seed: of all draws.
         inner_rate: alpha, of the step on the support swarm; plays no part in ``"joint"``.
         outer_rate: beta.
-        margin, times, anchors, scale: of a batch, as in :class:`detectors.mc_gassl.triplet.Metric`.
+        margin, times, anchors: of a batch, as in :class:`detectors.mc_gassl.triplet.Metric`.
         clusters, uavs, observation_steps, memory, mobility, head_jitter: of the swarms, see
             :class:`usnet_env.swarm.SwarmConfig`.
     """

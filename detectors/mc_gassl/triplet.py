@@ -9,17 +9,16 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from detectors.mc_gassl.gru import ARENA_SCALE, GruInputs, GruParameters, Scale, gru
+from detectors.mc_gassl.gru import GruInputs, GruParameters, gru
 from usnet_env.config import Config
 
 
 class Metric(Config):
-    """What a batch of triplets and its loss are made of: gamma, random times, B, and metres of positions."""
+    """What a batch of triplets and its loss are made of: gamma, random times, and B."""
 
     margin: Annotated[float, Field(gt=0)] = 0.5
     times: Annotated[int, Field(ge=1, le=100_000)] = 8
     anchors: Annotated[int, Field(ge=1, le=100_000)] = 256
-    scale: Scale = ARENA_SCALE
 
 
 class Triplets(NamedTuple):
@@ -79,7 +78,6 @@ def batch_loss(
     time, *three = draw_triplets(metric.anchors, batch, labels, generator)
     # The Siamese network: the same cells for anchors, positives and negatives, and for no other UAV.
     members = torch.stack(three)
-    scale = batch.position.new_tensor(metric.scale)
-    features = gru(parameters, batch.position[time, members] / scale, batch.velocity[time, members])
+    features = gru(parameters, batch.position[time, members], batch.velocity[time, members])
     losses = triplet_loss(features[0], features[1], features[2], metric.margin)
     return losses.sum() / max(len(losses), 1)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from mc_gassl_inputs import parameters
 
 from detectors.mc_gassl.features import gru_features, inputs_of
-from detectors.mc_gassl.gru import embed
+from detectors.mc_gassl.gru import gru
 from usnet_env import Window
 
 
@@ -25,7 +25,7 @@ def test_any_window_has_features(steps, uavs, memory, seed):
     weights, inputs = parameters(dtype=torch.float32), inputs_of(window, memory)
     values = gru_features(window, weights, memory)
     times = max(steps - memory, 0) + 1
-    newest = embed(weights, inputs)[-1].double().numpy()
+    newest = gru(weights, inputs.position, inputs.velocity)[-1].double().numpy()
     np.testing.assert_allclose(values, newest * alive[:, None], atol=1e-6)
     for r in range(times):
         for i in range(uavs):

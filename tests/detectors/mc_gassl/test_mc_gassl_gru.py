@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mc_gassl_inputs import parameters, random_inputs
 
-from detectors.mc_gassl.gru import embed
+from detectors.mc_gassl.gru import gru
 
 
 def literal_cell(weights, h, v):
@@ -32,10 +32,10 @@ def literal(weights, h, velocity):
 def test_the_network_is_the_equations_one_after_another(memory, seed):
     weights = parameters(seed)
     inputs = random_inputs(times=2, uavs=3, memory=memory, seed=seed)
-    features = embed(weights, inputs, scale=(2.0, 3.0, 0.5))
+    features = gru(weights, inputs.position, inputs.velocity)
     rows = [tensor.tolist() for tensor in weights.tensors()]
     for t in range(2):
         for i in range(3):
             x, y, z = inputs.position[t, i].tolist()
-            want = literal(rows, [x / 2.0, y / 3.0, z / 0.5], inputs.velocity[t, i].tolist())
+            want = literal(rows, [x / 1000, y / 1000, z / 100], inputs.velocity[t, i].tolist())
             assert features[t, i].tolist() == pytest.approx(want, abs=1e-12)

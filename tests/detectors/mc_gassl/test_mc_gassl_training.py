@@ -9,7 +9,7 @@ from detectors.mc_gassl.training_steps import OnlineTraining, Task, meta_step, t
 from detectors.mc_gassl.triplet import Metric, batch_loss
 
 # Every hinge is far from its kink, so that differences are derivatives; the triplets don't depend on the weights.
-SMOOTH = Metric(margin=5.0, times=3, anchors=10, scale=1.0)
+SMOOTH = Metric(margin=5.0, times=3, anchors=10)
 
 
 def task(seed=0):
@@ -93,7 +93,7 @@ def test_online_training_parts_the_clusters():
     swarm = separable()
     at = parameters(spread=0.3)
     kept = GruParameters(*map(torch.clone, at.tensors()))
-    settings = OnlineTraining(steps=80, rate=0.5, metric=Metric(scale=1.0))
+    settings = OnlineTraining(steps=80, rate=0.5, metric=Metric())
     before = torch.random.get_rng_state()
     _, losses = train_online(at, swarm.inputs, swarm.labels, settings, generator(1))
     assert len(losses) == 80

@@ -4,7 +4,7 @@ import pytest
 import torch
 from mc_gassl_inputs import generator, parameters, random_inputs
 
-from detectors.mc_gassl.gru import GruParameters, embed
+from detectors.mc_gassl.gru import GruParameters, gru
 from detectors.mc_gassl.triplet import Metric, batch_loss, draw_triplets, triplet_loss
 
 
@@ -51,12 +51,13 @@ def test_hard_sampling_is_the_papers(unseen):
 
 def test_the_batch_loss_is_the_mean_and_its_gradient_that_of_finite_differences():
     inputs, labels = random_inputs(), torch.arange(9) % 3
-    metric = Metric(margin=5.0, times=5, anchors=1000, scale=1.0)  # no hinge is at its kink
+    metric = Metric(margin=5.0, times=5, anchors=1000)  # no hinge is at its kink
 
     def loss(reset, update, candidate):
         return batch_loss(GruParameters(reset, update, candidate), inputs, labels, metric, generator())
 
     arrays = parameters().tensors()
-    features, triplets = embed(parameters(), inputs, 1.0), draw_triplets(10_000, inputs, labels, generator())
+    features = gru(parameters(), inputs.position, inputs.velocity)
+    triplets = draw_triplets(10_000, inputs, labels, generator())
     assert loss(*arrays).item() == pytest.approx(loss_of(features, triplets, 5.0).mean().item())
     assert torch.autograd.gradcheck(loss, tuple(tensor.requires_grad_(True) for tensor in arrays))
