@@ -1,4 +1,4 @@
-"""Small real detectors and policies for these tests; in a module, so that worker processes can import them."""
+"""Small real detectors, policies and a suite for these tests; in a module, so that worker processes can import them."""
 
 from __future__ import annotations
 
@@ -9,6 +9,18 @@ import time
 import numpy as np
 
 from usnet_env import Detection, Window
+
+SUITE = """
+version: 2
+purpose: A test.
+episodes: 2
+seed: 4711
+tuning_seed: 7
+arguments: {clusters: 2, uavs: 12, observation_steps: 20, max_rounds: 3}
+cells:
+  plain:
+  run.json: {follow: f4}
+"""
 
 
 def untimed(result):
