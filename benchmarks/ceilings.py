@@ -1,7 +1,7 @@
 """Ceilings: how often an oracle that knows the law of a cell and its constants, but no head, names all heads exactly.
 
-    OMP_NUM_THREADS=1 python benchmarks/ceilings.py --suite field-v2 limit --out out/ceilings.csv
-    python benchmarks/ceilings.py --out out/ceilings.csv --draw            # plays nothing: the table of the rows
+    OMP_NUM_THREADS=1 python benchmarks/ceilings.py --suite field-v2 limit --rows out/ceilings.csv
+    python benchmarks/ceilings.py --rows out/ceilings.csv --draw            # plays nothing: the table of the rows
 
 The oracle flies the follow strategy itself one step ahead from the observed past, under each hypothesis "i follows j".
 So it has each UAV's delay, gain and noise, and the likelihood of what i did next. A UAV that its own past explains
@@ -18,20 +18,19 @@ the course, or noise in flocks have no oracle here.
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 from zlib import crc32
 
 import numpy as np
 import pandas as pd
-from paper.shared import Game, measure, parse, read_rows
+from paper.shared import Game, measure, open_cell, parse
 from pivot import pivot, rate, size
 from scipy.linalg import cho_factor, cho_solve, toeplitz
 
 from usnet_env import Window
 from usnet_env.evaluation import load_suite
-from usnet_env.evaluation.environments import make_environment
 from usnet_env.objectives import find_roots
 from usnet_env.swarm import SwarmConfig, kernels
 from usnet_env.swarm.field_follow import Links
@@ -43,12 +42,6 @@ PASSES, NOISES, TAPER = 4, 8, 32  # over hierarchies; draws of the noise of posi
 MISFIT = 2.0  # times the expected squared residual: a UAV with more doesn't fly by the law of its flock
 LEAST = 2  # followers of a head
 PAST = 8  # steps of a UAV's own past that explain the next, with noise; otherwise 2
-
-
-@lru_cache(maxsize=2)
-def _open_cell(suite: str, name: str) -> Any:
-    cell = load_suite(suite).cells[name]
-    return make_environment(cell.env, cell.arguments).unwrapped
 
 
 def has_oracle(config: SwarmConfig) -> bool:
@@ -181,7 +174,7 @@ def name_misfits(config: SwarmConfig, state: SwarmState, window: Window) -> np.n
 
 def play(game: Game, seed: int) -> list[dict[str, Any]]:
     """Let the oracle answer the first round of an episode."""
-    env = _open_cell(game["suite"], game["cell"])
+    env = open_cell(game["suite"], game["cell"])
     number = [seed, crc32(f"{game['suite']}/{game['cell']}".encode()), game["episode"]]
     observation, _ = env.reset(seed=int(np.random.default_rng(number).integers(2**63)))
     state, window = env.swarm, Window.from_observation(observation)
@@ -204,17 +197,14 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("--suite", nargs="+", default=["field-v2", "sensing-v2", "limit"])
     parser.add_argument("--cell", nargs="+", help="by default all that have an oracle")
     parser.add_argument("--episodes", type=int, default=50)
-    parser.add_argument("--out", type=Path, dest="rows", help="the same as --rows")
     given = parser.parse_args(argv)
     cells = [
         (suite, cell) for suite in given.suite for cell in load_suite(suite).cells if cell in (given.cell or [cell])
     ]
     cells = [(suite, cell) for suite, cell in cells if load_suite(suite).cells[cell].env == "USNET/MultiCluster-v0"]
-    cells = [names for names in cells if has_oracle(_open_cell(*names).config)]
+    cells = [names for names in cells if has_oracle(open_cell(*names).config)]
     games = [{"suite": suite, "cell": cell, "episode": k} for suite, cell in cells for k in range(given.episodes)]
-    if not given.draw:
-        measure(given.rows, games, partial(play, seed=given.seed), given.workers)
-    print(report(read_rows(given.rows)))
+    print(report(measure(given, games, partial(play, seed=given.seed))))
 
 
 if __name__ == "__main__":

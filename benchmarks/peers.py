@@ -1,6 +1,6 @@
 """Systems of other papers, in which a detector must find who influences whom. This program draws them by itself.
 
-    OMP_NUM_THREADS=1 python benchmarks/peers.py --runs 50 --out out/peers.csv
+    OMP_NUM_THREADS=1 python benchmarks/peers.py --runs 50 --rows out/peers.csv
     python -m venv out/tigramite && out/tigramite/bin/pip install tigramite numba
     python benchmarks/peers.py --detector pcmci+ --tigramite out/tigramite/bin/python
     python benchmarks/peers.py --draw                                       # plays nothing: the table of the rows
@@ -33,7 +33,7 @@ from zlib import crc32
 
 import numpy as np
 import pandas as pd
-from paper.shared import Game, measure, parse, read_rows
+from paper.shared import Game, measure, parse
 from pivot import mean, pivot
 from scipy.integrate import solve_ivp
 from sklearn.metrics import average_precision_score, roc_auc_score
@@ -282,12 +282,9 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("--detector", nargs="+", default=list(DETECTORS))
     parser.add_argument("--runs", type=int, default=50)
     parser.add_argument("--tigramite", type=Path, help="a Python that has tigramite")
-    parser.add_argument("--out", type=Path, dest="rows", help="the same as --rows")
     given = parser.parse_args(argv)
     games = [{"suite": suite, "detector": name, "runs": given.runs} for suite in given.suite for name in given.detector]
-    if not given.draw:
-        measure(given.rows, games, partial(play, seed=given.seed, python=given.tigramite), given.workers)
-    print(report(read_rows(given.rows)))
+    print(report(measure(given, games, partial(play, seed=given.seed, python=given.tigramite))))
 
 
 if __name__ == "__main__":

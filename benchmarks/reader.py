@@ -37,7 +37,6 @@ from detectors.reader.forward import load_reader, read
 from detectors.reader.prior import FAMILIES, draw_examples
 from usnet_env import Window
 from usnet_env.evaluation import load_suite
-from usnet_env.evaluation.environments import make_environment
 from usnet_env.progress import progress_bar
 
 KEYS = ["reader", "dropped", "source", "episode"]
@@ -70,18 +69,12 @@ def train(given: Namespace, label: str, group: str = NONE, **settings: Any) -> N
         training.train_reader(path.parent, training.ReaderTraining(**settings), progress, workers=given.workers)
 
 
-@lru_cache(maxsize=4)
-def _open_cell(suite: str, name: str) -> Any:
-    cell = load_suite(suite).cells[name]
-    return make_environment(cell.env, cell.arguments).unwrapped
-
-
 def draw_window(source: str, episode: int, seed: int) -> tuple[Window, np.ndarray]:
     """A window of a source and its heads ``(N,)``."""
     rng = np.random.default_rng([seed, crc32(source.encode()), episode])
     suite, _, name = source.partition("/")
     if suite != "prior":
-        env = _open_cell(suite, name)
+        env = shared.open_cell(suite, name)
         observation, _ = env.reset(seed=int(rng.integers(2**63)))
         return Window.from_observation(observation), env.swarm.head
     position, velocity, seen, head = (array[0] for array in draw_examples(rng, 1, family=name)[:4])
@@ -200,14 +193,13 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu")
     parser.add_argument("--retrained", action="store_true", help="ablation: train without each group")
     given = parser.parse_args(argv)
-    path = given.rows / f"{given.study}.csv.gz"
     played = product(dict.fromkeys(choose(given)), range(given.episodes))
     games = [dict(zip(KEYS, (*key, episode), strict=True)) for key, episode in played]
-    if not given.draw:
-        shared.measure(path, games, partial(play, readers=given.readers, seed=given.seed), given.workers)
-    print(report(shared.read_rows(path), given.study))
+    given.rows /= f"{given.study}.csv.gz"
+    rows = shared.measure(given, games, partial(play, readers=given.readers, seed=given.seed))
+    print(report(rows, given.study))
     if given.study == "scaling":
-        draw_sizes(shared.read_rows(path), given.readers, given.images)
+        draw_sizes(rows, given.readers, given.images)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Drawn tracks with known leaders, in 34 scenarios: whom `usnet detect` names and confirms in each window.
 
-    OMP_NUM_THREADS=1 python benchmarks/scenarios.py --detector "reader(policy='map')" --out out/scenarios.csv
-    python benchmarks/scenarios.py --out out/scenarios.csv --draw          # plays nothing: the tables of the rows
+    OMP_NUM_THREADS=1 python benchmarks/scenarios.py --detector "reader(policy='map')" --rows out/scenarios.csv
+    python benchmarks/scenarios.py --rows out/scenarios.csv --draw         # plays nothing: the tables of the rows
 
 A file is drawn, written as CSV with the columns id, t, x, y, in every second file z, and the leader of each id, which
 no detector sees. It is read and cut as `usnet detect` does: the chosen step, windows of 100 steps. A row is a window.
@@ -19,7 +19,7 @@ from zlib import crc32
 
 import numpy as np
 import pandas as pd
-from paper.shared import Game, measure, parse, read_rows
+from paper.shared import Game, measure, parse
 from pivot import across, pivot
 from scipy.signal import lfilter
 
@@ -248,13 +248,10 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("--files", type=int, default=10, help="of each scenario")
     parser.add_argument("--detector", nargs="+", default=["reader(policy='map')"])
     parser.add_argument("--scenario", nargs="+", choices=list(SCENARIOS), default=list(SCENARIOS))
-    parser.add_argument("--out", type=Path, dest="rows", help="the same as --rows")
     given = parser.parse_args(argv)
     keys = product(given.scenario, range(given.files), given.detector)
     games = [{"scenario": scenario, "file": file, "detector": name} for scenario, file, name in keys]
-    if not given.draw:
-        measure(given.rows, games, partial(play, seed=given.seed), given.workers)
-    print(report(read_rows(given.rows)))
+    print(report(measure(given, games, partial(play, seed=given.seed))))
 
 
 if __name__ == "__main__":

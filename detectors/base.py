@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -66,10 +65,6 @@ class Detector(Parameters):
                 allow, or fewer UAVs than a given number of clusters.
         """
         raise NotImplementedError(f"{type(self).__name__} must define detect(window) -> Detection.")
-
-    def detect_batch(self, windows: Sequence[Window]) -> list[Detection]:
-        """Return the detections for several windows, in order; a subclass may override this loop with a faster one."""
-        return [self.detect(window) for window in windows]
 
     def as_policy(self) -> DetectorPolicy:
         """Return this detector as a policy with Stable-Baselines3's ``predict`` method."""

@@ -121,7 +121,7 @@ class LaggedRegression(EvidenceDetector):
         values = velocity.astype(np.float64)
         target = centre_columns(values[lags:], seen[lags:])
         past = centre_past(np.concatenate([values, values**2], axis=2) if rich else values, seen, lags)
-        shares, freedom = explain_pairs(past, (target, shift_in_time(target)), self.ridge, fitted=True)
+        shares, freedom = explain_pairs(past, (target, shift_in_time(target)), self.ridge)
         return adjust_shares(shares, rows, freedom)
 
 

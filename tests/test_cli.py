@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 from usnet_env import cli, evaluate, parts
 from usnet_env.cli import commands, main
 from usnet_env.cli.options import parse_pairs
-from usnet_env.evaluation import METRICS
 from usnet_env.replay import demo
 
 SMALL = ["--set", "clusters=3", "--set", "uavs=20", "--set", "observation_steps=20", "--set", "max_rounds=5"]
@@ -45,28 +44,6 @@ def module(tmp_path, monkeypatch):
 
 
 # usnet evaluate
-
-
-def test_json_is_the_summary_and_nothing_else(run):
-    status, out, err = run(*QUICK, "--detector", "random(count=3)", "--trivial", "--json")
-    assert (status, err) == (0, "")
-    summary = json.loads(out)
-    labels = ["destroy-all", "random(count=3)", "none", "random", "one-per-round"]
-    assert [entry["detector"] for entry in summary] == labels
-    for entry in summary:
-        assert entry["episodes"] == 2
-        assert {"J", "rounds", "redundancy", "success", "exact", "ap_first"} <= set(entry["metrics"]) <= set(METRICS)
-    assert summary[0]["metrics"]["J"] == {"mean": 1.85, "low": 1.85, "high": 1.85}
-
-
-def test_one_ranked_table_and_a_sentence(run):
-    """The best J is first, whatever the order of the options; in a file, no line is padded."""
-    status, out, _ = run("evaluate", "--detector", "none", *QUICK[1:])
-    lines = out.splitlines()
-    assert (status, lines) == (0, [line.rstrip() for line in lines])
-    names = [line.split()[0] for line in lines if line and line.split()[0] in {"destroy-all", "none"}]
-    assert names[:2] == ["destroy-all", "none"]
-    assert "J_m" in out
 
 
 @pytest.mark.parametrize("workers", ["1", pytest.param("2", marks=pytest.mark.slow)])
@@ -190,20 +167,14 @@ def test_a_shell_completes_names(run, monkeypatch, words, expected):
         (["--seed", "-1"], ["--seed", "-1 is not"]),
         (["--workers", "inf"], ["--workers", "'inf'"]),
         (["--backend", "dask"], ["--backend", "'dask'", "ray"]),
-        (["--env", "USNET/MultiCluster"], ["env ", "USNET/MultiCluster-v0"]),
         (["--env", "CartPole-v1"], ["env ", "USNET environment"]),
-        (["--env", "nowhere:X-v0"], ["env ", "nowhere"]),
-        (["--detector", "lagged-regresion"], ["lagged-regression"]),
-        (["--detector", "random(seeed=1)"], ["seeed"]),
         (["--detector", "random(", "--trivial"], ["random("]),
-        (["--detector", ""], ["detector"]),
         (["--detector", "x\x1b[2Jy"], ["detector", "x\\x1b[2Jy"]),
         (["--set", "follow"], ["--set", "'follow'"]),
         (["--set", "=f1"], ["--set", "'=f1'"]),
         (["--set", "follow=f1", "--set", "follow=f2"], ["--set", "follow"]),
         (["--set", "folow=f1"], ["folow", "'follow'", "miss_rate"]),
         (["--env", "USNET/SingleCluster-v0", "--set", "clusters=3"], ["clusters", "its size is 'followers'"]),
-        (["--set", "follow=f9"], ["follow", "'f9'"]),
         (["--set", "follow=[1"], ["follow", "'[1'"]),
         (["--set", "follow=!!python/object:os.system"], ["follow"]),
         (["--set", "miss_rate=.nan"], ["miss_rate", "nan"]),
@@ -245,15 +216,6 @@ def test_no_word_brings_a_traceback(option, key, value):
 
 
 # Failures
-
-
-def test_a_failing_detector_is_one_sentence(run, module):
-    module("failing", "class X:\n def reset(self, seed=None): ...\n def detect(self, window): raise ValueError('no')")
-    status, _, err = run("evaluate", "--episodes", "2", *SMALL, "--detector", "failing:X")
-    assert status == 2
-    assert "failing:X" in err
-    assert "ValueError: no" in err
-    assert "Traceback" not in err
 
 
 def test_a_bug_is_one_sentence_and_can_be_looked_at(run, monkeypatch):

@@ -115,27 +115,6 @@ def test_a_config_is_frozen_compares_by_value_and_may_hold_others():
     assert hash(sample) == hash(Sample(count=2))
 
 
-Values = st.one_of(
-    st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=200), st.lists(st.integers(), max_size=3)
-)
-
-
-@given(st.dictionaries(st.sampled_from(["count", "rate", "flag", "name", "sizes", "other"]), Values, max_size=3))
-def test_any_values_are_taken_or_refused_in_one_sentence_about_one_of_them(values):
-    try:
-        sample = Sample(**values)
-    except ArgumentError as error:
-        sentence = str(error)
-    else:
-        for name, value in values.items():
-            kept = getattr(sample, name)
-            assert kept == (tuple(value) if isinstance(value, list) else value)
-        return
-    assert sentence.split()[0] in values
-    assert "\n" not in sentence
-    assert sentence.endswith(".")
-
-
 def _bomb():
     """Ten levels of lists that hold the same list ten times: ten thousand million items."""
     value = ["x"] * 10

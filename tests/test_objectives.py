@@ -79,12 +79,6 @@ def test_the_optima_are_the_paper_s_and_destroying_everything_costs_less_than_tw
     assert objectives.multi_cluster_objective(head, np.ones((1, uavs), bool)) == 1 + (uavs - clusters) / uavs
 
 
-def test_a_destroyed_uav_named_again_is_redundant():
-    head = np.array([True, True, False])
-    again = np.array([[True, False, False], [True, True, False]])
-    assert objectives.redundancy(head, again) == 1 / 3
-
-
 @given(episodes())
 def test_a_batch_is_its_rows(episode):
     head, candidates = episode

@@ -140,11 +140,7 @@ NEVER = re.compile(
     r"|\bpickle\.(loads?|Unpickler)\b|allow_pickle=True|torch\.load\((?![^\n]*weights_only=True)"
     r"|torch\.(manual_seed|seed|set_default_\w+|set_rng_state|cuda\.manual_seed)"
 )
-EXCUSED = (
-    "detectors/checks/",
-    "usnet_env/evaluation/tasks.py",
-    "usnet_env/evaluation/child.py",
-)  # bytes that the same run has pickled, no files
+EXCUSED = ("detectors/checks/", "usnet_env/evaluation/tasks.py")  # bytes that the same run has pickled, no files
 
 
 @pytest.mark.parametrize("package", ["usnet_env", "detectors"])

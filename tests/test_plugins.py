@@ -118,7 +118,6 @@ def test_arguments_in_brackets_and_beside_them():
         ),
         ("none(x=1)", {}, r"x is not an argument of detector 'none'; it takes none\."),
         ("no_such_module:X", {}, r"detector 'no_such_module:X' can't be loaded: ModuleNotFoundError: .*\."),
-        ("math:nothing", {}, r"detector 'math:nothing' can't be loaded: AttributeError: .*\."),
         (".relative:X", {}, r"detector '\.relative:X' can't be loaded: .*\."),
         ("math:pi", {}, r"detector 'math:pi' must be a class or a function, got 3\.14.*\."),
         (f"{__name__}:Lacking", {}, r"detector '.*:Lacking' must have the methods detect\(window\) and reset\(seed\)"),
@@ -144,18 +143,12 @@ def test_a_detector_is_registered_by_a_class_or_a_function():
 
 def test_labels():
     register_detector("mine", Mine)
-    assert detector_label("lagged-regression", {"clusters": 5}) == "lagged-regression(clusters=5)"
     assert detector_label("lagged-regression( ridge=0.1,clusters=5 )") == "lagged-regression(clusters=5, ridge=0.1)"
     assert detector_label(make_detector("lagged-regression", clusters=5, lags=4)) == "lagged-regression(clusters=5)"
     assert detector_label(make_detector("detectors.lagged:OnePerRound")) == "one-per-round"
     assert detector_label(Mine(count=3)) == "mine(count=3)"
     assert detector_label(Mine(table=np.arange(3))) == "mine(table=array([0, 1, 2]))"
     assert detector_label(NeedsOne(7)) == "NeedsOne(count=7)"
-
-
-@pytest.mark.parametrize("text", ["lagged-regression(clusters=5, squares=False)", "random(count=3)", "none"])
-def test_a_label_makes_the_detector_again(text):
-    assert detector_label(make_detector(text)) == text == detector_label(make_detector(detector_label(text)))
 
 
 def test_an_installed_detector_is_found_and_a_broken_one_does_not_affect_others(stranger):

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import inspect
 import sys
-from collections.abc import Mapping
 from importlib import import_module
 from operator import attrgetter
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -90,16 +89,15 @@ def make_detector(name: str, /, **arguments: Any) -> DetectorLike:
     return detector
 
 
-def detector_label(detector: Any, arguments: Mapping[str, Any] | None = None) -> str:
+def detector_label(detector: Any) -> str:
     """Return the label of a detector in tables, such as ``lagged-regression(clusters=5)``.
 
     Args:
         detector: a name as :func:`make_detector` takes it, or a detector. The label of an object is the registered
             name of its class, or else the name of the class, with all arguments that differ from their defaults.
-        arguments: further arguments, if ``detector`` is a name.
     """
     if isinstance(detector, str):
-        return format_label(*parse_label(detector, arguments or {}))
+        return format_label(*parse_label(detector, {}))
     detector_class = type(detector)
     changed = {
         name: getattr(detector, name)

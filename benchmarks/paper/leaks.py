@@ -80,7 +80,7 @@ def main(argv: list[str] | None = None) -> None:
     games: list[Game] = [
         {"suite": name, "cell": cell} for name in given.suite for cell in given.cell or load_suite(name).cells
     ]
-    shared.measure(given.rows, games, play, given.workers)
+    shared.measure(given, games, play)
 
 
 if __name__ == "__main__":

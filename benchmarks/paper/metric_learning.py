@@ -21,7 +21,7 @@ import pandas as pd
 import torch
 from attention import mark_uavs
 from scipy.stats import t as student
-from shared import COLORS, FOLLOW, RESULTS, Game, measure_and_draw, panels, parse, save_figure
+from shared import COLORS, FOLLOW, RESULTS, Game, measure, panels, parse, save_figure
 from sklearn.decomposition import PCA
 
 from detectors.clustering import make_clusterer
@@ -157,7 +157,7 @@ def main(argv: list[str] | None = None) -> None:
         return
     how = {name: getattr(given, name) for name in ("seed", "strategies", "episodes", "steps")}
     games: list[Game] = [{"training": k, "start": start} for k in range(given.trainings) for start in STARTS]
-    measure_and_draw(given, games, partial(play, **how), draw)
+    draw(measure(given, games, partial(play, **how)), given.images)
 
 
 if __name__ == "__main__":

@@ -113,7 +113,7 @@ def main(argv: list[str] | None = None) -> None:
         for episode in range(given.episodes)
         if (clusterer, count) != ("hdbscan", "given")  # it takes no M
     ]
-    shared.measure_and_draw(given, games, partial(play, seed=given.seed), draw)
+    draw(shared.measure(given, games, partial(play, seed=given.seed)), given.images)
 
 
 if __name__ == "__main__":

@@ -96,7 +96,7 @@ def main(argv: list[str] | None = None) -> None:
         for follow, clusters, uavs in swarms
         for episode in range(given.episodes)
     ]
-    shared.measure_and_draw(given, games, partial(play, seed=given.seed), draw)
+    draw(shared.measure(given, games, partial(play, seed=given.seed)), given.images)
 
 
 if __name__ == "__main__":

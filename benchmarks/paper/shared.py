@@ -7,6 +7,7 @@ import gzip
 import io
 import textwrap
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from itertools import cycle
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 from PIL import Image
 
+from usnet_env.evaluation import load_suite
+from usnet_env.evaluation.environments import make_environment
 from usnet_env.evaluation.run import map_tasks
 from usnet_env.evaluation.stats import Interval, mean_interval, rate_interval
 from usnet_env.files import atomic_write
@@ -46,7 +49,6 @@ _DPI, _PALETTE = 110, 255  # pixels an inch and colours of a committed picture
 
 Game = dict[str, Any]
 Play = Callable[[Game], list[dict[str, Any]]]
-Draw = Callable[[pd.DataFrame, Path], None]  # the rows, and the folder of the picture
 
 
 def parse(words: str | None, rows: Path | None = None) -> argparse.ArgumentParser:
@@ -57,8 +59,15 @@ def parse(words: str | None, rows: Path | None = None) -> argparse.ArgumentParse
     if rows is not None:
         parser.add_argument("--rows", type=Path, default=rows, help="file of the rows; those that it holds are kept")
         parser.add_argument("--workers", type=int, default=1, help="number of processes")
-        parser.add_argument("--draw", action="store_true", help="measure nothing, draw the picture of the rows")
+        parser.add_argument("--draw", action="store_true", help="measure nothing, show what the rows say")
     return parser
+
+
+@lru_cache(maxsize=2)
+def open_cell(suite: str, name: str) -> Any:
+    """The environment of a cell of a suite."""
+    cell = load_suite(suite).cells[name]
+    return make_environment(cell.env, cell.arguments).unwrapped
 
 
 def read_rows(path: Path) -> pd.DataFrame:
@@ -74,15 +83,19 @@ def write_rows(path: Path, rows: pd.DataFrame) -> None:
         aside.write_bytes(gzip.compress(content, mtime=0) if path.suffix == ".gz" else content)
 
 
-def measure(path: Path, games: Sequence[Game], play: Play, workers: int) -> None:
-    """Play the games that a file lacks; the rows of each are appended at once, and all are sorted at the end.
+def measure(given: argparse.Namespace, games: Sequence[Game], play: Play) -> pd.DataFrame:
+    """Play the games that the file of rows lacks, unless rows are only drawn, and return all rows.
+
+    The rows of each game are appended at once, and all are sorted at the end.
 
     Args:
-        path: the file of the rows; its columns stay.
+        given: the options of :func:`parse`: the file, whose columns stay, and the number of processes.
         games: what their rows begin with.
         play: plays a game and returns its rows; a function of a module or a ``functools.partial`` of one.
-        workers: number of processes.
     """
+    path: Path = given.rows
+    if given.draw:
+        return read_rows(path)
     keys, columns, known = list(games[0]), None, set()
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.exists():
@@ -90,20 +103,14 @@ def measure(path: Path, games: Sequence[Game], play: Play, workers: int) -> None
         columns, known = list(old), set(old[keys].itertuples(index=False, name=None))
     missing = [game for game in games if tuple(game.values()) not in known]
     with progress_bar("games") as progress:
-        for done, found in enumerate(map_tasks(play, missing, workers=workers), 1):
+        for done, found in enumerate(map_tasks(play, missing, workers=given.workers), 1):
             rows = pd.DataFrame(found, columns=columns)
             rows.to_csv(path, mode="a", header=columns is None, index=False, lineterminator="\n")
             columns = list(rows)
             progress(done, len(missing))
     if missing:
         write_rows(path, read_rows(path).sort_values(keys, kind="stable").round(4))
-
-
-def measure_and_draw(given: argparse.Namespace, games: Sequence[Game], play: Play, draw: Draw) -> None:
-    """Do what a command line says: measure the games unless rows are only drawn, and draw the rows."""
-    if not given.draw:
-        measure(given.rows, games, play, given.workers)
-    draw(read_rows(given.rows), given.images)
+    return read_rows(path)
 
 
 def interval(rows: pd.DataFrame, metric: str, group: str = "episode") -> Interval:

@@ -119,7 +119,7 @@ def main(argv: list[str] | None = None) -> None:
         for name in given.detector or DETECTORS
         for episode in range(given.episodes or (MANY if followers <= 15 else FEW))
     ]
-    shared.measure_and_draw(given, games, partial(play, seed=given.seed), draw)
+    draw(shared.measure(given, games, partial(play, seed=given.seed)), given.images)
 
 
 if __name__ == "__main__":

@@ -73,7 +73,7 @@ class NetLagRegression(NetworkDetector):
         lags = max(1, min(lags, len(flight.velocity) // 8))
         target = centre_columns(flight.velocity[lags:], flight.seen[lags:])
         past: Floats = centre_past(flight.velocity, flight.seen, lags)
-        shares, _ = explain_pairs(past, [target], fitted=True)
+        shares, _ = explain_pairs(past, [target])
         return Pairs(shares[0], shares[0] - shares[0].T)
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
 
 from detectors.baselines.factions import compute_pagerank
 from detectors.baselines.networks import Flight, NetworkDetector, Pairs
-from detectors.series.designs import centre_columns, scale_to_unit
+from detectors.series.designs import centre_columns
 from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.compiling import compiled
 from usnet_env.detection import Detection, Tags
@@ -24,26 +24,20 @@ class Mflica(NetworkDetector):
     of times (a, b), at most L apart, minimises the sum of squared distances between i at a and j at b. The lead of j
     over i is the mean sign of a - b along the path. The published method takes one threshold for the lead from the
     user; here it comes from surrogates, as in all detectors on networks.
-
-    Args:
-        series: what is warped: the ``"position"`` as published, or the ``"velocity"``, for followers that keep away
-            from where their leader was.
     """
 
     tags = Tags(most_uavs=10_000, least_steps=5)
     _gated = False
 
     max_lag: Annotated[int, Field(ge=1, le=1000)] = 8
-    series: Literal["position", "velocity"] = "position"
 
     def pairs(self, flight: Flight, lags: int, needed: Mask | None = None) -> Pairs:
         """Warp all pairs."""
-        placed = self.series == "position"
-        values = flight.place if placed else scale_to_unit(centre_columns(flight.velocity, flight.seen))
-        lead, cost, delay = warp_pairs(np.ascontiguousarray(values.swapaxes(0, 1)), flight.seen.T.copy(), lags)
-        spread = (centre_columns(values, flight.seen) ** 2).sum(axis=2).mean(axis=0)
+        place = np.ascontiguousarray(flight.place.swapaxes(0, 1))
+        lead, cost, delay = warp_pairs(place, flight.seen.T.copy(), lags)
+        spread = (centre_columns(flight.place, flight.seen) ** 2).sum(axis=2).mean(axis=0)
         total = spread[:, None] + spread
-        match = f"whose {'places' if placed else 'velocities'} match its earlier ones"
+        match = "whose places match its earlier ones"
         return Pairs(1.0 - cost / np.where(total > 0, total, 1.0), lead, np.maximum(delay, 1), match)
 
 

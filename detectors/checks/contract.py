@@ -94,16 +94,11 @@ def check_constructor_only_stores(detector: Any) -> None:
 
 
 def check_answers_with_a_detection(detector: Any) -> None:
-    """``detect`` returns a ``Detection`` for all UAVs, whatever the seed; ``detect_batch`` one for each window."""
+    """``detect`` returns a ``Detection`` for all UAVs, whatever the seed."""
     player, windows = copy.deepcopy(detector), draw_two_rounds(detector)
     _play(player, windows)
     player.reset()
     _validate(player.detect(windows[0]), windows[0])
-    if callable(getattr(player, "detect_batch", None)):
-        batch = player.detect_batch(list(windows))
-        _require(len(batch) == 2, f"detect_batch must return 2 detections for 2 windows, got {len(batch)}.")
-        for answer, window in zip(batch, windows, strict=True):
-            _validate(answer, window)
 
 
 def check_same_seed_same_answer(detector: Any) -> None:

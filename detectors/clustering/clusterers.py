@@ -14,7 +14,7 @@ from pydantic import Field
 from sklearn.cluster import HDBSCAN, AgglomerativeClustering, spectral_clustering
 from sklearn.cluster import KMeans as SklearnKMeans
 
-from detectors.clustering.counts import compute_gap_statistic, estimate_count_by_eigengap
+from detectors.clustering.counts import estimate_count_by_eigengap, estimate_count_by_gap
 from detectors.clustering.features import (
     AFFINITIES,
     FEATURES,
@@ -124,7 +124,7 @@ class Clusterer(Parameters):
     def _estimate_count(self, living: Living, rng: np.random.Generator) -> int | None:
         count = living.arguments.count
         if count == "gap":
-            return compute_gap_statistic(living.flat, rng).count
+            return estimate_count_by_gap(living.flat, rng)
         if count == "eigengap":
             return estimate_count_by_eigengap(living.affinity)
         return None if count == "own" else count

@@ -17,7 +17,6 @@ The eigengap: U. von Luxburg, "A tutorial on spectral clustering", Stat. Comput.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,16 +37,7 @@ def compute_max_count(uavs: int) -> int:
     return max(1, min(uavs // 2, int(np.ceil(1.5 * np.sqrt(uavs)))))
 
 
-@dataclass(frozen=True)
-class GapStatistic:
-    """M̂, ``count``, and what it was chosen by: Gap(k) and s_k for k = 1 to the last that the rule looked at."""
-
-    count: int
-    gap: list[float]
-    deviation: list[float]
-
-
-def compute_gap_statistic(features: Floats, rng: np.random.Generator) -> GapStatistic:
+def estimate_count_by_gap(features: Floats, rng: np.random.Generator) -> int:
     """Estimate the number of clusters of ``features`` ``(n, d)`` by the gap statistic.
 
     ``rng`` draws the reference sets and the starts of K-Means. M̂ is K_max (:func:`compute_max_count`) if no k satisfies
@@ -59,19 +49,19 @@ def compute_gap_statistic(features: Floats, rng: np.random.Generator) -> GapStat
     low, high = data.min(axis=0), data.max(axis=0)
     sets = np.concatenate([data[None], low + (high - low) * rng.random((REFERENCES, *data.shape))])
     least = _LEAST_DISPERSION * float((data**2).sum())
-    gaps: list[float] = []
-    deviations: list[float] = []
+    before = -np.inf
     for k, dispersion in enumerate(_compute_dispersions(sets, rng), start=1):
         if k == distinct:  # W_k is 0: its logarithm is not finite
             break
         log_w = np.log(np.maximum(dispersion, least))
-        gaps.append(float(log_w[1:].mean() - log_w[0]))
-        deviations.append(float(log_w[1:].std() * np.sqrt(1.0 + 1.0 / REFERENCES)))
-        if k > 1 and gaps[-2] >= gaps[-1] - deviations[-1]:
-            return GapStatistic(k - 1, gaps, deviations)
+        gap = float(log_w[1:].mean() - log_w[0])
+        deviation = float(log_w[1:].std() * np.sqrt(1.0 + 1.0 / REFERENCES))
+        if before >= gap - deviation:
+            return k - 1
         if k > max_count:
             break
-    return GapStatistic(max_count, gaps, deviations)
+        before = gap
+    return max_count
 
 
 def _rotate_to_principal_axes(features: Floats) -> Floats:

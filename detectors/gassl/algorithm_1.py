@@ -28,14 +28,12 @@ def algorithm_1(
     ifsn: int,
     steps: int,
     learning_rate: float,
-    exclude_self: bool,
 ) -> Fit:
     """Algorithm 1, lines 1 to 7; the count of the votes, line 8, is in :mod:`detectors.gassl.detector`.
 
     The ``inputs`` are line 2, the batch of topology matrices; ``phi`` ``(n, parameters)`` and ``gamma``
     ``(parameters,)`` the initial Φ and Γ; ``agat`` and ``ifsn`` widths of the networks; ``steps`` is Ω and
-    ``learning_rate`` β; with ``exclude_self``, no UAV votes for itself. The result is that of
-    :func:`detectors.gassl.training.train`.
+    ``learning_rate`` β. The result is that of :func:`detectors.gassl.training.train`.
     """
     uavs = inputs.uavs
     gamma = gamma.detach().clone()
@@ -54,8 +52,6 @@ def algorithm_1(
         last, alpha = batch_loss(inputs, i, phi_i, gamma, agat, ifsn)  # alpha_{i,i',l} at all times, (T_0 + 1, R, n)
         attn_heads[i] = alpha.mean(dim=1)  # over the times: decision (t)
         weight = alpha.mean(dim=0)  # equation (12), (R, n)
-        if exclude_self:
-            weight[:, i] = -1.0
         chosen = (weight == weight.amax(dim=1, keepdim=True)).float()  # line 6, equation (19) at each time
         votes[i] = (chosen / chosen.sum(dim=1, keepdim=True)).mean(dim=0)
         power = (inputs.weight[i] * (inputs.target[i] ** 2).sum(axis=1)).sum()

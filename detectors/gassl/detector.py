@@ -33,7 +33,6 @@ class Gassl(Detector):
 
     Args:
         top_k: K, the number of candidates.
-        rule: ``"paper"``, or ``"exclude-self"`` where no UAV may choose itself.
         times: how the times of a window give one c_i (decision (t)): ``"votes"``, the mean of the c_i of equation (20)
             at each time, or ``"mean"``, the c_i of the mean attention.
         steps: Ω, gradient steps for each UAV; with 0, the attention is that of the initial networks.
@@ -50,7 +49,6 @@ class Gassl(Detector):
     tags = Tags(needs=("torch",), most_uavs=10_000, least_steps=5, needs_unit_speed=True)
 
     top_k: Count = 1
-    rule: Literal["paper", "exclude-self"] = "paper"
     times: Literal["mean", "votes"] = "votes"
     steps: Annotated[int, Field(ge=0, le=1_000_000)] = 100
     learning_rate: Annotated[float, Field(gt=0)] = 3e-3
@@ -104,7 +102,7 @@ class Gassl(Detector):
         agat, plain = self.check_arguments()
         inputs, phi = build_batch(window, members, self.memory), draw_agat(agat, len(members), rng)
         gamma = self.draw_gamma(rng) if gamma is None else gamma
-        training = plain.steps, plain.learning_rate, self.rule == "exclude-self"
+        training = plain.steps, plain.learning_rate
         if self.implementation == "compiled":
             return train(inputs, phi, gamma, agat, *training)
         return algorithm_1(inputs, torch.from_numpy(phi), torch.from_numpy(gamma), agat, plain.ifsn_hidden, *training)
@@ -114,7 +112,7 @@ def answer(window: Window, members: NDArray[np.intp], fit: Fit, settings: Gassl,
     """Lines 6 to 8 of Algorithm 1: votes of the n UAVs of a cluster, written out for all N of the window."""
     attention = fit.attention.astype(np.float64)
     own = choose_heads(attention, True, rng)
-    choice = choose_heads(attention, False, rng) if settings.rule == "paper" else own
+    choice = choose_heads(attention, False, rng)
     c = count_votes(choice)
     if settings.times == "votes":
         choice = choose_heads(fit.votes, False, rng)

@@ -13,7 +13,6 @@ from usnet_env.arrays import Singles
 from usnet_env.compiling import compiled
 
 _ZERO = np.float32(0.0)
-_ONE = np.float32(1.0)
 _TWO = np.float32(2.0)
 
 
@@ -74,19 +73,19 @@ def gradient(phi, gamma, numbers, history, value, own, target, weight):
 
 
 @compiled()
-def _share_votes(alpha, barred, votes):
-    """Equation (19) at each time: 1 / R to the UAV with the highest alpha_{i,i'}; the UAV ``barred`` gets none."""
+def _share_votes(alpha, votes):
+    """Equation (19) at each time: 1 / R to the UAV with the highest alpha_{i,i'}."""
     _, uavs, times = alpha.shape
     total = np.empty(uavs, np.float32)
     for t in range(times):
         for j in range(uavs):
-            total[j] = alpha[:, j, t].sum() if j != barred else -_ONE
+            total[j] = alpha[:, j, t].sum()
         chosen = total == total.max()
         votes += chosen.astype(np.float32) / np.float32(max(1, chosen.sum()) * times)
 
 
 @compiled()
-def _train_uav(phi, gamma, numbers, history, value, own, target, weight, rate, loss, attn_heads, barred, votes):
+def _train_uav(phi, gamma, numbers, history, value, own, target, weight, rate, loss, attn_heads, votes):
     """Lines 3 to 6 of Algorithm 1 for one UAV: Φ_i and Γ move, equations (24), (25); returns the last L_B(Θ_i)."""
     heads, _, uavs, times = value.shape
     for step in range(loss.shape[0]):
@@ -100,16 +99,14 @@ def _train_uav(phi, gamma, numbers, history, value, own, target, weight, rate, l
             for t in range(times):
                 total += alpha[head, j, t]
             attn_heads[head, j] = total / np.float32(times)
-    _share_votes(alpha, barred, votes)
+    _share_votes(alpha, votes)
     return last
 
 
-def train(
-    inputs: Inputs, phi: Singles, gamma: Singles, sizes: AgatSizes, steps: int, learning_rate: float, exclude_self: bool
-) -> Fit:
+def train(inputs: Inputs, phi: Singles, gamma: Singles, sizes: AgatSizes, steps: int, learning_rate: float) -> Fit:
     """Lines 1 to 7 of Algorithm 1; the initial Φ ``phi`` ``(n, parameters)`` and Γ ``gamma`` ``(parameters,)`` stay.
 
-    Each UAV has ``steps``, Ω, with the rate β. With ``exclude_self``, no UAV votes for itself.
+    Each UAV has ``steps``, Ω, with the rate β.
     """
     uavs, heads = inputs.uavs, sizes.attn_heads
     phi, gamma = phi.copy(), gamma.copy()
@@ -118,7 +115,7 @@ def train(
     explained = np.zeros(uavs, np.float32)
     for i in range(uavs):
         rate = np.float32(learning_rate)
-        result = rate, loss[i], attn_heads[i], i if exclude_self else -1, votes[i]
+        result = rate, loss[i], attn_heads[i], votes[i]
         last = _train_uav(phi[i], gamma, sizes.numbers(), *inputs.of(i), *result)
         power = float((inputs.weight[i] * (inputs.target[i] ** 2).sum(axis=1)).sum())
         explained[i] = 1.0 - last / max(power, 1e-12)

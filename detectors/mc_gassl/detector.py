@@ -43,7 +43,6 @@ class McGassl(Detector):
         count: M̂: a whole number, or a rule's name, see :class:`detectors.clustering.Clusterer`.
         gassl: arguments of :class:`detectors.gassl.Gassl` that differ from its defaults.
         online_steps, online_rate: gradient steps a round, and β' of equation (39); no steps: W stays as it is.
-        sampling: of triplets: ``"hard"``, ``"semi-hard"`` or ``"random"``.
         start: the GRU network's parameters before round 1: ``"meta"`` (shipped, from ``usnet train meta``) or
             ``"random"``.
         memory: T_0.
@@ -58,7 +57,6 @@ class McGassl(Detector):
     gassl: Mapping[str, Any] | None = None
     online_steps: Annotated[int, Field(ge=0, le=1_000_000)] = 1
     online_rate: Annotated[float, Field(gt=0)] = 1.0
-    sampling: Literal["hard", "semi-hard", "random"] = "hard"
     start: Literal["meta", "random"] = "meta"
     memory: Lags = 4
 
@@ -69,7 +67,7 @@ class McGassl(Detector):
             CLUSTERERS.find(plain.clusterer)
         gassl = Gassl(memory=plain.memory, **(plain.gassl or {}))
         gassl.check_arguments()
-        return gassl, OnlineTraining(plain.online_steps, plain.online_rate, Metric(sampling=plain.sampling))
+        return gassl, OnlineTraining(plain.online_steps, plain.online_rate, Metric())
 
     @cached_property
     def _parameters(self) -> GruParameters:

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from numpy.lib.stride_tricks import sliding_window_view
 
-from detectors.mc_gassl.gru import ARENA_SCALE, GruInputs, GruParameters, Scale, embed
+from detectors.mc_gassl.gru import GruInputs, GruParameters, gru
 from detectors.series.gaps import fill_gaps
 from usnet_env.arrays import Floats
 from usnet_env.window import Window
@@ -26,14 +26,13 @@ def inputs_of(window: Window, memory: int = 4) -> GruInputs:
     return GruInputs(*(torch.from_numpy(np.array(values)) for values in (position, velocity, seen)))
 
 
-def gru_features(window: Window, parameters: GruParameters, memory: int = 4, scale: Scale = ARENA_SCALE) -> Floats:
-    """The GRU network's features e_{i,t} of the last T_0 samples of all N UAVs, ``(N, w)``; destroyed UAVs are 0.
+def gru_features(window: Window, parameters: GruParameters, memory: int = 4) -> Floats:
+    """The GRU network's features e_{i,t} of the last T_0 samples of all N UAVs, ``(N, 3)``; destroyed UAVs are 0.
 
-    As ``features=`` of a clusterer: ``functools.partial(gru_features, parameters=parameters)``. ``memory`` is T_0, and
-    positions are divided by ``scale`` metres, the one that the parameters were trained with.
+    As ``features=`` of a clusterer: ``functools.partial(gru_features, parameters=parameters)``. ``memory`` is T_0.
     """
     inputs = inputs_of(window, memory)
     with torch.no_grad():
-        values: Floats = embed(parameters, inputs.at(torch.tensor([inputs.times - 1])), scale)[0].double().numpy()
+        values: Floats = gru(parameters, inputs.position[-1:], inputs.velocity[-1:])[0].double().numpy()
     values[~window.alive] = 0.0
     return values

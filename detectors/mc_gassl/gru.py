@@ -8,32 +8,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
 import torch
 from numpy.typing import NDArray
-from pydantic import Field
 from torch import Tensor
 
 from detectors.weights import packaged_arrays
 from usnet_env.arrays import AxisLength
 
-Metres = Annotated[float, Field(gt=0)]
-Scale = Metres | tuple[Metres, Metres, Metres]
-
-#: metres by which positions are divided, axis by axis: the paper's arena. Metres as they are saturate the gates.
-ARENA_SCALE = (1000.0, 1000.0, 100.0)
+_ARENA = (1000.0, 1000.0, 100.0)  # metres, the paper's; positions are divided by it, since they saturate the gates
 
 
 @dataclass(frozen=True, eq=False)
 class GruParameters:
-    """W = {W_r, W_u, W_h}, shared by all cells and all UAVs; w is the width."""
+    """W = {W_r, W_u, W_h}, shared by all cells and all UAVs."""
 
-    reset: Tensor  #: W_r ``(w, w + 3)``, for [h; v]
-    update: Tensor  #: W_u ``(w, w + 3)``, for [h; v]
-    candidate: Tensor  #: W_h ``(w, 3 + w)``, for [v; g_r * h]
-
-    width = AxisLength("reset", 0)  #: entries of a feature, w
+    reset: Tensor  #: W_r ``(3, 6)``, for [h; v]
+    update: Tensor  #: W_u ``(3, 6)``, for [h; v]
+    candidate: Tensor  #: W_h ``(3, 6)``, for [v; g_r * h]
 
     def tensors(self) -> tuple[Tensor, Tensor, Tensor]:
         """W_r, W_u, W_h."""
@@ -60,37 +53,26 @@ class GruInputs:
         return GruInputs(self.position[times], self.velocity[times], self.seen[times])
 
 
-def draw_parameters(generator: torch.Generator, width: int = 3) -> GruParameters:
-    """A random start: uniform in ±1/sqrt(w + 3), float32.
+def draw_parameters(generator: torch.Generator) -> GruParameters:
+    """A random start: uniform in ±1/sqrt(6), float32."""
+    return GruParameters(*((2.0 * torch.rand((3, 6), generator=generator) - 1.0) / 6**0.5 for _ in range(3)))
 
-    The paper's ``width`` w is 3; a wider h starts with the position in its first three entries and 0 in the others.
+
+def gru(parameters: GruParameters, position: Tensor, velocity: Tensor) -> Tensor:
+    """Equations (26) to (29), T_0 times over: e = h_{T_0}, ``(..., 3)``, of any number of UAVs and times at once.
+
+    ``position`` ``(..., 3)`` in metres gives h_0; ``velocity`` is ``(..., T_0, 3)``, metres per step, oldest first.
     """
-    shape = (width, width + 3)
-    return GruParameters(*((2.0 * torch.rand(shape, generator=generator) - 1.0) / shape[1] ** 0.5 for _ in range(3)))
-
-
-def gru(parameters: GruParameters, first: Tensor, velocity: Tensor) -> Tensor:
-    """Equations (26) to (29), T_0 times over: e = h_{T_0}, ``(..., w)``, of any number of UAVs and times at once.
-
-    ``first`` ``(..., 3)`` are scaled positions: h_0, or its first three entries. ``velocity`` is ``(..., T_0, 3)``,
-    metres per step, oldest first.
-    """
-    width = parameters.width
-    h = torch.nn.functional.pad(first, (0, width - 3))
-    from_h = torch.cat([parameters.reset[:, :width], parameters.update[:, :width]]).T
+    h = position / position.new_tensor(_ARENA)
+    from_h = torch.cat([parameters.reset[:, :3], parameters.update[:, :3]]).T
     from_reset_h = parameters.candidate[:, 3:].T
-    from_v = torch.cat([parameters.reset[:, width:], parameters.update[:, width:], parameters.candidate[:, :3]]).T
+    from_v = torch.cat([parameters.reset[:, 3:], parameters.update[:, 3:], parameters.candidate[:, :3]]).T
     for velocity_part in (velocity @ from_v).unbind(-2):
-        gates = torch.sigmoid(h @ from_h + velocity_part[..., : 2 * width])
-        g_r, g_u = gates[..., :width], gates[..., width:]
-        new = torch.tanh(velocity_part[..., 2 * width :] + (g_r * h) @ from_reset_h)
+        gates = torch.sigmoid(h @ from_h + velocity_part[..., :6])
+        g_r, g_u = gates[..., :3], gates[..., 3:]
+        new = torch.tanh(velocity_part[..., 6:] + (g_r * h) @ from_reset_h)
         h = (1.0 - g_u) * h + g_u * new
     return h
-
-
-def embed(parameters: GruParameters, inputs: GruInputs, scale: Scale = ARENA_SCALE) -> Tensor:
-    """Features e_{i,t} ``(R, n, w)``; positions are divided by ``scale`` metres, one number or one an axis."""
-    return gru(parameters, inputs.position / inputs.position.new_tensor(scale), inputs.velocity)
 
 
 def load_meta_weights() -> GruParameters:

@@ -44,10 +44,9 @@ class MetaTraining(Metric):
         strategies: F, random follow strategies, none of f1 to f7.
         episodes: E.
         seed: of all draws.
-        width: entries of a feature, see :func:`detectors.mc_gassl.gru.draw_parameters`.
         inner_rate: alpha, of the step on the support swarm; plays no part in ``"joint"``.
         outer_rate: beta.
-        sampling, margin, times, anchors, scale: of a batch, as in :class:`detectors.mc_gassl.triplet.Metric`.
+        margin, times, anchors: of a batch, as in :class:`detectors.mc_gassl.triplet.Metric`.
         clusters, uavs, observation_steps, memory, mobility, head_jitter: of the swarms, see
             :class:`usnet_env.swarm.SwarmConfig`.
     """
@@ -56,7 +55,6 @@ class MetaTraining(Metric):
     strategies: Count = 100
     episodes: Count = 10_000
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
-    width: Annotated[int, Field(ge=3, le=4096)] = 3
     inner_rate: Positive = 0.1
     outer_rate: Positive = 0.3
     clusters: Count = 5
@@ -98,7 +96,7 @@ def _draw_windows(training: MetaTraining, number: int, purpose: int = _TASK) -> 
 
 
 def _draw_start(training: MetaTraining) -> GruParameters:
-    return draw_parameters(_generator(training, _START), training.width)
+    return draw_parameters(_generator(training, _START))
 
 
 def train_meta(

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import torch
 from pydantic import Field
 from torch import Tensor
 
-from detectors.mc_gassl.gru import ARENA_SCALE, GruInputs, GruParameters, Scale, embed, gru
+from detectors.mc_gassl.gru import GruInputs, GruParameters, gru
 from usnet_env.config import Config
 
 
 class Metric(Config):
-    """What a batch of triplets and its loss are made of: sampling, gamma, random times, B, and metres of positions."""
+    """What a batch of triplets and its loss are made of: gamma, random times, and B."""
 
-    sampling: Literal["hard", "semi-hard", "random"] = "hard"
     margin: Annotated[float, Field(gt=0)] = 0.5
     times: Annotated[int, Field(ge=1, le=100_000)] = 8
     anchors: Annotated[int, Field(ge=1, le=100_000)] = 256
-    scale: Scale = ARENA_SCALE
 
 
 class Triplets(NamedTuple):
@@ -32,41 +30,27 @@ class Triplets(NamedTuple):
     negative: Tensor
 
 
-def draw_triplets(
-    metric: Metric, parameters: GruParameters, inputs: GruInputs, labels: Tensor, generator: torch.Generator
-) -> Triplets:
-    """Draw triplets for random anchors.
+def draw_triplets(anchors: int, inputs: GruInputs, labels: Tensor, generator: torch.Generator) -> Triplets:
+    """Draw triplets for random ``anchors``, B of them or as many as are possible, by hard sampling.
 
-    ``"hard"`` is the paper's, equations (30) and (31): of the anchor's cluster the farthest in input space, of the
-    others the nearest in input space. Inputs are in metres there, so positions decide. ``"semi-hard"`` (Schroff et al.,
-    FaceNet, 2015): a random positive, and of the other clusters the nearest *feature* that is farther away than the
-    positive's; where there is none, the farthest. ``"random"``: both at random.
-
-    UAVs with -1 in ``labels`` ``(n,)`` int64 take no part. Fewer than B triplets are drawn where fewer are possible.
+    Equations (30) and (31): of the anchor's cluster the farthest in input space, of the others the nearest in input
+    space. Inputs are in metres there, so positions decide. UAVs with -1 in ``labels`` ``(n,)`` int64 take no part.
     """
     there = inputs.seen & (labels >= 0)
     cluster = torch.from_numpy(np.unique(labels.numpy(), return_inverse=True)[1])
     size = torch.zeros(there.shape, dtype=torch.int64).index_add_(1, cluster, there.long())[:, cluster]
     possible = there & (size > 1) & (size < there.sum(dim=1, keepdim=True))
     pairs = possible.nonzero()
-    time, anchor = pairs[torch.randperm(len(pairs), generator=generator)[: metric.anchors]].unbind(1)
+    time, anchor = pairs[torch.randperm(len(pairs), generator=generator)[:anchors]].unbind(1)
     if len(anchor) == 0:
         return Triplets(time, anchor, anchor, anchor)
 
     alike = labels[anchor, None] == labels
     same, other = there[time] & alike, there[time] & ~alike
     same[torch.arange(len(anchor)), anchor] = False
-    if metric.sampling == "hard":
-        distance = _distances(torch.cat([inputs.position, inputs.velocity.flatten(-2)], dim=-1), time, anchor)
-        return Triplets(time, anchor, _farthest(distance, same), _nearest(distance, other))
-    positive = _farthest(torch.rand(same.shape, generator=generator), same)
-    if metric.sampling == "random":
-        return Triplets(time, anchor, positive, _farthest(torch.rand(other.shape, generator=generator), other))
-    with torch.no_grad():
-        distance = _distances(embed(parameters, inputs, metric.scale), time, anchor)
-    farther = other & (distance > distance.gather(1, positive[:, None]))
-    negative = torch.where(farther.any(dim=1), _nearest(distance, farther), _farthest(distance, other))
-    return Triplets(time, anchor, positive, negative)
+    distance = _distances(torch.cat([inputs.position, inputs.velocity.flatten(-2)], dim=-1), time, anchor)
+    positive = distance.masked_fill(~same, -torch.inf).argmax(dim=1)
+    return Triplets(time, anchor, positive, distance.masked_fill(~other, torch.inf).argmin(dim=1))
 
 
 def _distances(values: Tensor, time: Tensor, anchor: Tensor) -> Tensor:
@@ -79,16 +63,8 @@ def _distances(values: Tensor, time: Tensor, anchor: Tensor) -> Tensor:
     return distance
 
 
-def _farthest(distance: Tensor, among: Tensor) -> Tensor:
-    return distance.masked_fill(~among, -torch.inf).argmax(dim=1)
-
-
-def _nearest(distance: Tensor, among: Tensor) -> Tensor:
-    return distance.masked_fill(~among, torch.inf).argmin(dim=1)
-
-
 def triplet_loss(anchor: Tensor, positive: Tensor, negative: Tensor, margin: float) -> Tensor:
-    """Equation (32) of triplets of features ``(B, w)`` each, ``(B,)``: [|e_p - e_a| - |e_n - e_a| + gamma]_+."""
+    """Equation (32) of triplets of features ``(B, 3)`` each, ``(B,)``: [|e_p - e_a| - |e_n - e_a| + gamma]_+."""
     near = torch.linalg.vector_norm(positive - anchor, dim=-1)
     far = torch.linalg.vector_norm(negative - anchor, dim=-1)
     return torch.relu(near - far + margin)
@@ -99,10 +75,9 @@ def batch_loss(
 ) -> Tensor:
     """Equation (33) of one random batch, as a mean, so that rates do not depend on B; 0 without a triplet."""
     batch = inputs.at(torch.randperm(inputs.times, generator=generator)[: metric.times])
-    time, *three = draw_triplets(metric, parameters, batch, labels, generator)
+    time, *three = draw_triplets(metric.anchors, batch, labels, generator)
     # The Siamese network: the same cells for anchors, positives and negatives, and for no other UAV.
     members = torch.stack(three)
-    scale = batch.position.new_tensor(metric.scale)
-    features = gru(parameters, batch.position[time, members] / scale, batch.velocity[time, members])
+    features = gru(parameters, batch.position[time, members], batch.velocity[time, members])
     losses = triplet_loss(features[0], features[1], features[2], metric.margin)
     return losses.sum() / max(len(losses), 1)

@@ -20,12 +20,12 @@ from torch import Tensor
 
 from detectors.series.designs import stack_past
 from detectors.series.gaps import fill_gaps
-from detectors.series.null_models import predict_from_own_past
-from usnet_env.arrays import AxisLength
+from usnet_env.arrays import AxisLength, Singles
 from usnet_env.window import Window
 
 _VELOCITY_SCALE = 1.7  # a coordinate of a unit vector has variance 1/3
 _DISTANCE_SCALE = 300.0  # metres; keeps the offset between two UAVs of the arena near 1
+_FOLDS = 8  # of the null model
 _CHUNK_ENTRIES = 4_000_000  # pair errors formed at once where no gradient is kept
 
 
@@ -137,6 +137,27 @@ def split_times(times: int, blocks: int, gap: int, device: torch.device) -> tupl
 
 def _weighted_mean(values: Tensor, weight: Tensor) -> Tensor:
     return (values * weight).sum(-1) / weight.sum(-1).clamp(min=1.0)
+
+
+def predict_from_own_past(past: Singles, target: Singles, weight: Singles, penalty: float, gap: int) -> Singles:
+    """The null model: predict each UAV from its own past by a cross-fitted ridge regression.
+
+    Each fold of consecutive rows is predicted by a fit to the others, without the ``gap`` rows next to it. ``past`` is
+    ``(n, R, p)``, with a column of ones for the mean, ``target`` and prediction are ``(n, R, d)``, ``weight``
+    ``(n, R)`` is 1 where the target was seen, and ``penalty`` is added to the diagonal of the Gram matrix.
+    """
+    index = np.arange(past.shape[-2])
+    fold = index * _FOLDS // len(index)
+    weighted = past * weight[..., None]
+    eye = (penalty * np.eye(past.shape[-1])).astype(past.dtype)
+    prediction = np.zeros_like(target)
+    for k in np.unique(fold):
+        inside = np.flatnonzero(fold == k)
+        outside = (index < inside[0] - gap) | (index > inside[-1] + gap)
+        left = weighted[..., outside, :].swapaxes(-1, -2)
+        weights = np.linalg.solve(left @ past[..., outside, :] + eye, left @ target[..., outside, :])
+        prediction[..., inside, :] = past[..., inside, :] @ weights
+    return prediction
 
 
 class Problem:

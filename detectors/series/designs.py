@@ -11,17 +11,17 @@ from usnet_env.arrays import Mask
 from usnet_env.config import ArgumentError
 from usnet_env.window import Window
 
-MOST_UAVS = 10_000  # a matrix of all pairs then takes 0.75 GiB, and a detector holds several
+_MOST_UAVS = 10_000  # a matrix of all pairs then takes 0.75 GiB, and a detector holds several
 LEAST_MOTION = 1e-9  # squared sum of a centred velocity, in (metres per step)²; less is rounding
 
 AnyT = TypeVar("AnyT", bound=np.generic)
 RealT = TypeVar("RealT", np.float32, np.float64)
 
 
-def check_pairs(uavs: int, most: int = MOST_UAVS) -> None:
+def check_pairs(uavs: int) -> None:
     """Refuse a window whose matrices of pairs would be too large."""
-    if uavs > most:
-        raise ArgumentError(f"window must hold at most {most} UAVs for this detector, got {uavs}.")
+    if uavs > _MOST_UAVS:
+        raise ArgumentError(f"window must hold at most {_MOST_UAVS} UAVs for this detector, got {uavs}.")
 
 
 def check_steps(window: Window, memory: int) -> None:

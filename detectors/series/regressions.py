@@ -46,11 +46,11 @@ def whiten(features: NDArray[RealT], ridge: float = RIDGE, fitted: bool = False)
 
 
 def explain_pairs(
-    features: NDArray[np.floating], targets: Sequence[NDArray[np.floating]], ridge: float = RIDGE, fitted: bool = False
+    features: NDArray[np.floating], targets: Sequence[NDArray[np.floating]], ridge: float = RIDGE
 ) -> tuple[Floats, Floats]:
     """Compute the share of every target, centred ``(R, v, d)``, that each UAV's ``features`` ``(n, R, p)`` explain.
 
-    Products are in single precision. ``ridge`` and ``fitted`` are those of :func:`whiten`; if fitted, shares are R².
+    The shares are R² of regressions with the ``ridge`` of :func:`whiten`. Products are in single precision.
 
     Returns:
         Shares ``(len(targets), v, n)`` from 0 to 1, entry (s, i, j) for target i and the features of j: 0 for UAVs
@@ -68,7 +68,7 @@ def explain_pairs(
     chunk = max(1, _CHUNK_ENTRIES // max(1, width * voters * axes))
     for start in range(0, uavs, chunk):
         part = slice(start, start + chunk)
-        white, freedom[part] = whiten(features[part], ridge, fitted)
+        white, freedom[part] = whiten(features[part], ridge, fitted=True)
         stacked = white.transpose(0, 2, 1).reshape(-1, rows).astype(np.float32)
         for share, target in zip(shares, flat, strict=True):
             product = stacked @ target

@@ -168,11 +168,11 @@ def test_rows_are_kept_when_a_game_fails(tmp_path):
             raise KeyboardInterrupt
         return [{**game, "J": 1.0}]
 
+    given = shared.parse(None, path).parse_args([])
     with pytest.raises(KeyboardInterrupt):
-        shared.measure(path, games, play, workers=1)
+        shared.measure(given, games, play)
     assert list(shared.read_rows(path).episode) == [0, 1]
-    shared.measure(path, games, lambda game: [{**game, "J": 2.0}], workers=1)
-    assert list(shared.read_rows(path).J) == [1.0, 1.0, 2.0]
+    assert list(shared.measure(given, games, lambda game: [{**game, "J": 2.0}]).J) == [1.0, 1.0, 2.0]
 
 
 def test_detectors_meet_the_same_swarms():

@@ -14,7 +14,7 @@ from usnet_env.window import Window
 
 def test_a_scenario_is_played_once_and_knows_its_leader(tmp_path):
     path = tmp_path / "rows.csv"
-    words = ["--out", str(path), "--files", "1", "--scenario", "star T100 1Hz N6", "chain of 6", "0 independent"]
+    words = ["--rows", str(path), "--files", "1", "--scenario", "star T100 1Hz N6", "chain of 6", "0 independent"]
     scenarios.main([*words, "--detector", "destroy-all"])
     rows, content = read_rows(path), path.read_bytes()
     led = rows[~rows.scenario.str.startswith("0")]

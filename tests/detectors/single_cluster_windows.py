@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import gymnasium as gym
 import numpy as np
 
@@ -32,17 +34,11 @@ def rate(found, heads):
     return float((named(found) == heads).mean())
 
 
-def changed(window, **arrays):
-    """The same window with some arrays replaced."""
-    parts = {name: getattr(window, name) for name in ("position", "velocity", "seen", "alive", "round")}
-    return usnet_env.Window(**{**parts, **arrays})
-
-
 def without(window, gone):
     """The window after the UAVs ``gone`` were destroyed: zeros and masks, as the environments have it."""
     alive = window.alive.copy()
     alive[gone] = False
-    return changed(
+    return replace(
         window,
         position=np.where(alive[:, None], window.position, 0),
         velocity=np.where(alive[:, None], window.velocity, 0),

@@ -15,11 +15,6 @@ def game(seed=0, **arguments):
     return env, usnet_env.Window.from_observation(observation)
 
 
-def part_of(window, alive):
-    """The window if only some UAVs are alive."""
-    return usnet_env.Window(window.position, window.velocity, window.seen & alive, alive, 3)
-
-
 class InOrder:
     """A clusterer that divides the living UAVs by index into ``count`` clusters."""
 

@@ -33,7 +33,7 @@ def flight(rng, sizes=(6, 4, 3), steps=100, kind="f1", noise=0.05):
     return np.where(heads[:, None], velocity[2:], followed)[-steps:], leader
 
 
-def window_of(velocity, seen=None, alive=None, round=1):
+def window_of(velocity, seen=None, alive=None, round=1, step=None):
     """The window that shows ``velocity``; what is unseen or destroyed is 0, as the environments have it."""
     steps, uavs = velocity.shape[:2]
     seen = np.ones((steps + 1, uavs), bool) if seen is None else seen
@@ -47,7 +47,14 @@ def window_of(velocity, seen=None, alive=None, round=1):
         seen=seen,
         alive=alive,
         round=round,
+        step=step,
     )
+
+
+def answer(detector, window, seed=0):
+    """What a detector answers to the first window of an episode."""
+    detector.reset(seed)
+    return detector.detect(window)
 
 
 def heads_of(leader):

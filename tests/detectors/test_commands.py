@@ -18,14 +18,7 @@ def test_a_training_writes_its_files_and_prints_the_path(tmp_path, seed):
     assert json.loads((tmp_path / "joint.json").read_text())["training"]["seed"] == seed
 
 
-@pytest.mark.parametrize("command", ["meta"])
-def test_a_folder_that_cannot_be_written_is_refused(tmp_path, command):
+def test_a_folder_that_cannot_be_written_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ArgumentError, match="out must be a folder that can be written"):
-        CliRunner().invoke(train, [command, "--out", str(tmp_path / "file" / "out")], catch_exceptions=False)
-
-
-def test_a_number_out_of_range_is_refused():
-    done = CliRunner().invoke(train, ["meta", "--episodes", "0"])
-    assert done.exit_code == 2
-    assert "--episodes" in done.output
+        CliRunner().invoke(train, ["meta", "--out", str(tmp_path / "file" / "out")], catch_exceptions=False)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from registered import NAMES, made
 from scipy.stats import special_ortho_group
-from synthetic_windows import flight, window_of
+from synthetic_windows import answer, flight, window_of
 
 from usnet_env import Window
 from usnet_env.detection import read_tags
@@ -15,18 +15,12 @@ PLANAR_TURN = np.array([[0.6, 0.8, 0], [-0.8, 0.6, 0], [0, 0, 1]])
 ON_AXES = {"gassl", "mc-gassl", "neural-granger", "lagged-regression", "one-per-round"}
 
 
-def answer(name, window):
-    detector = made(name)
-    detector.reset(3)
-    return detector.detect(window)
-
-
 def velocities():
     return flight(np.random.default_rng(5), (4, 3), steps=80)[0]
 
 
 def same(name, window, other):
-    one, two = answer(name, window), answer(name, other)
+    one, two = (answer(made(name), each, seed=3) for each in (window, other))
     np.testing.assert_array_equal(one.candidates, two.candidates)
     np.testing.assert_allclose(one.scores, two.scores, rtol=0.02, atol=0.02 * np.abs(one.scores).max())
 

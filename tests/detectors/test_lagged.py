@@ -3,18 +3,13 @@
 import gymnasium as gym
 import numpy as np
 import pytest
-from synthetic_windows import flight, heads_of, window_of
+from synthetic_windows import answer, flight, heads_of, window_of
 
 from detectors.lagged import LaggedCorrelation, LaggedRegression, OnePerRound
 from usnet_env import Window
 
 BOTH = [LaggedRegression, LaggedCorrelation]
 ALL = [*BOTH, OnePerRound]
-
-
-def answer(detector, window, seed=0):
-    detector.reset(seed)
-    return detector.detect(window)
 
 
 @pytest.mark.parametrize("clusters", [None, 3])

@@ -1,9 +1,12 @@
 """What GASSL and neural-granger have in common: their answers, what these must not depend on, what is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from single_cluster_windows import changed, cluster, without
+from single_cluster_windows import cluster, without
 
+from detectors.checks.windows import pick_uavs
 from detectors.gassl import Gassl
 from detectors.neural_granger import NeuralGranger
 from usnet_env import ArgumentError
@@ -53,17 +56,15 @@ def test_destroyed_uavs_are_left_out(detector):
 
 def test_a_window_that_is_too_short_is_refused(detector):
     window, _ = cluster(followers=4)
-    short = changed(window, position=window.position[:5], velocity=window.velocity[:4], seen=window.seen[:5])
+    short = replace(window, position=window.position[:5], velocity=window.velocity[:4], seen=window.seen[:5])
     with pytest.raises(ArgumentError, match="window must hold more than 4 velocities"):
         detector().detect(short)
 
 
 def test_windows_that_show_nothing(detector):
     window, _ = cluster(followers=4)
-    two = changed(
-        window, position=window.position[:, :2], velocity=window.velocity[:, :2], seen=window.seen[:, :2], alive=[1, 1]
-    )
-    unseen = changed(window, seen=np.zeros_like(window.seen))
+    two = pick_uavs(window, np.arange(2))
+    unseen = replace(window, seen=np.zeros_like(window.seen))
     for poor in (two, unseen):
         answer = detector(top_k=2).detect(poor)
         assert answer.candidates.sum() == 2

@@ -1,15 +1,26 @@
-"""Small real detectors and policies for these tests; in a module, so that worker processes can import them."""
+"""Small real detectors, policies and a suite for these tests; in a module, so that worker processes can import them."""
 
 from __future__ import annotations
 
 import os
 import signal
-import sys
 import time
 
 import numpy as np
 
 from usnet_env import Detection, Window
+
+SUITE = """
+version: 2
+purpose: A test.
+episodes: 2
+seed: 4711
+tuning_seed: 7
+arguments: {clusters: 2, uavs: 12, observation_steps: 20, max_rounds: 3}
+cells:
+  plain:
+  run.json: {follow: f4}
+"""
 
 
 def untimed(result):
@@ -110,7 +121,6 @@ class FailingWithOne(Base):
 
 ENDS = {
     "os._exit": lambda: os._exit(0),
-    "sys.exit": lambda: sys.exit(0),
     "kill": lambda: os.kill(os.getpid(), signal.SIGKILL),
     "hang": lambda: time.sleep(10_000),
     "memory": lambda: np.ones(500_000_000),
@@ -132,20 +142,11 @@ class Ending(AllAlive):
         return super().detect(window)
 
 
-class Mortal(RandomThird):
-    """Takes a twentieth of a second for each round; in its third episode it ends as the environment variable says."""
-
-    episodes = 0
-
-    def reset(self, seed=None):
-        super().reset(seed)
-        self.episodes += 1
+class Slow(RandomThird):
+    """Takes a twentieth of a second for each round, so that a run can be ended in its middle."""
 
     def detect(self, window):
         time.sleep(0.05)
-        how = os.environ.get("USNET_TEST_DEATH")
-        if how and self.episodes == 3:
-            return Ending(how, first=True).detect(window)
         return super().detect(window)
 
 

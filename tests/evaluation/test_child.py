@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import copy
-
 import gymnasium as gym
-import numpy as np
 import pytest
-from sample_detectors import Ending, Followed, Policy
+from sample_detectors import Ending
 
 from usnet_env.evaluation import EvaluationError
 from usnet_env.evaluation.child import ChildDetector, limit_memory
-from usnet_env.evaluation.play import as_agent
 
 MULTI = "USNET/MultiCluster-v0"
 SMALL = {"clusters": 3, "uavs": 20, "observation_steps": 20}
@@ -35,19 +31,6 @@ def start():
     yield make
     for child in children:
         child.close()
-
-
-@pytest.mark.parametrize("made", [Followed(2), pytest.param(Policy(), marks=pytest.mark.slow)])
-def test_answers_are_those_of_the_detector_in_this_process(start, observation, made):
-    child, here = start(made), as_agent(copy.deepcopy(made))
-    for agent in (child, here):
-        agent.warm_up(observation)
-        agent.reset(5)
-    for _ in range(2):
-        there, expected = child.answer(observation), here.answer(observation)
-        for name in ("candidates", "scores", "clusters"):
-            np.testing.assert_array_equal(getattr(there, name), getattr(expected, name))
-        assert there.seconds > 0.0
 
 
 def test_a_child_that_ended_says_why(start, observation):

@@ -6,21 +6,13 @@ import json
 from pathlib import Path
 
 import pytest
+from sample_detectors import SUITE
 
 from usnet_env.evaluation import METRICS, EvaluationResult
 from usnet_env.replay import EpisodeRecord
 
 HERE = Path(__file__).parent
 SMALL = ["--set", "clusters=3", "uavs=20", "observation_steps=20", "max_rounds=5"]
-SUITE = """
-version: 1
-purpose: A test.
-episodes: 2
-seed: 4711
-tuning_seed: 7
-arguments: {clusters: 2, uavs: 12, observation_steps: 20, max_rounds: 3}
-cells: {plain: {}, run.json: {follow: f4}}
-"""
 
 
 @pytest.fixture
@@ -38,6 +30,7 @@ def test_one_ranked_table_and_a_sentence_and_json_and_all_metrics(run, played):
     assert (status, err) == (0, f"Rows and arguments are in {folder}.\n")
     lines = out.splitlines()
     assert max(map(len, lines)) <= 80
+    assert lines == [line.rstrip() for line in lines]
     assert next(line.split()[0] for line in lines[3:8]) == "destroy-all"
     assert lines[-1] == "destroy-all has the lowest J_m: 1.850 in every episode."
     status, out, err = run(*words, "--json")
@@ -82,12 +75,12 @@ def test_a_suite_and_its_report(run, tmp_path):
     words = ["evaluate", "--suite", tmp_path / "own.yaml", "--detector", "none", "--detector", "destroy-all"]
     status, out, _ = run(*words, "--out", tmp_path / "run", "--all")
     assert status == 0
-    assert "own (version 1), 2 cells, 4 episodes of each detector" in " ".join(out.split())
+    assert "own (version 2), 2 cells, 4 episodes of each detector" in " ".join(out.split())
     assert "run.json" in out
     status, out, err = run("report", tmp_path / "run", "--compare", "none", "--metric", "rounds")
     assert (status, err) == (0, "")
     assert "rounds of none minus destroy-all: +2 (" in out
-    assert out.count("own (version 1), 2 cells") == 1
+    assert out.count("own (version 2), 2 cells") == 1
     markdown = run("report", tmp_path / "run", "--format", "markdown")[1]
     result = EvaluationResult.load(tmp_path / "run")
     assert markdown == f"{result.to_markdown()}\n{result.to_markdown('exact')}"

@@ -10,24 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pandas.testing import assert_frame_equal
-from sample_detectors import untimed
+from sample_detectors import SUITE, untimed
 
 from usnet_env import ArgumentError, Detection, evaluate
 from usnet_env.evaluation import EvaluationResult, evaluate_suite, list_suites, load_suite
 from usnet_env.evaluation.environments import make_environment
 
 HASHES = json.loads((Path(__file__).parent / "data" / "suite_hashes.json").read_text())
-SUITE = """
-version: 2
-purpose: A test.
-episodes: 2
-seed: 4711
-tuning_seed: 7
-arguments: {clusters: 2, uavs: 12, observation_steps: 20, max_rounds: 3}
-cells:
-  plain:
-  run.json: {follow: f4}
-"""
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
     python tests/golden/golden.py rows FILE.csv              # plays all rows; goes on where it stopped
     python tests/golden/golden.py detect FILE.json [CASES]   # the files of examples/make_tracks.py, and of a folder
-    python tests/golden/golden.py compare OLD NEW            # lists the rows or files that differ
 
 ``rows.csv.gz`` is of commit 702a7b1, but F1 is 1 where no head is there and none was named; ``detect.json`` is of
 the commit that changed it last. The seed is that of no published table.
@@ -99,34 +98,20 @@ def differing_rows(old: pd.DataFrame, new: pd.DataFrame) -> list[str]:
     return lines
 
 
-def compare(old: Path, new: Path) -> int:
-    """Print what differs; return how much it is."""
-    if old.suffix == ".json":
-        one, other = (json.loads(path.read_text(encoding="utf-8")) for path in (old, new))
-        lines = [name for name in one if one[name] != other.get(name)]
-    else:
-        one, other = pd.read_csv(old), pd.read_csv(new)
-        lines = differing_rows(one, other)
-    print("\n".join([*lines, f"{len(lines)} of {len(one)} differ"]))
-    return len(lines)
-
-
 def run_command() -> None:
-    """Run one of the three commands."""
+    """Run one of the two commands."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("command", choices=["rows", "detect", "compare"])
+    parser.add_argument("command", choices=["rows", "detect"])
     parser.add_argument("paths", nargs="+", type=Path)
     parser.add_argument("--suites", nargs="+", default=SUITES)
     given = parser.parse_args()
     if given.command == "rows":
         play_rows(given.paths[0], given.suites)
-    elif given.command == "detect":
+    else:
         with tempfile.TemporaryDirectory() as folder:
             cases = [file for path in given.paths[1:] for file in sorted(path.glob("*.[ct][sx][vt]"))]
             answers = detect([*make_tracks(Path(folder)), *cases])
         given.paths[0].write_text(json.dumps(answers, indent=1, sort_keys=True) + "\n", encoding="utf-8")
-    else:
-        sys.exit(compare(*given.paths) > 0)
 
 
 if __name__ == "__main__":

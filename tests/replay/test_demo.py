@@ -6,7 +6,6 @@ import sys
 
 import pytest
 
-from usnet_env import ArgumentError
 from usnet_env.replay import EpisodeRecord, demo
 from usnet_env.replay.demo import run_demo
 from usnet_env.replay.story import describe_round
@@ -59,13 +58,3 @@ def test_without_an_extra_the_rest_is_written(tmp_path, monkeypatch, capsys):
     text = capsys.readouterr().out
     assert "pip install 'usnet[replay]'" in text
     assert "pip install 'usnet[render]'" in text
-
-
-@pytest.mark.parametrize(
-    ("arguments", "name"),
-    [({"detector": "no-such"}, "detector"), ({"clusters": 0}, "clusters"), ({"seed": -1}, "seed")],
-)
-def test_a_wrong_argument_is_named_and_nothing_is_written(tmp_path, arguments, name):
-    with pytest.raises(ArgumentError, match=rf"^{name} must"):
-        run_demo(tmp_path / "demo", **SMALL | arguments)
-    assert not (tmp_path / "demo").exists()

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import json
 import pickle
-from pathlib import Path
 
 import numpy as np
 import pytest
-from small_episode import DECOY, ROUNDS, UAVS, small_episode
+from small_episode import DECOY, MIND, ROUNDS, UAVS, small_episode
 
 from usnet_env import ArgumentError
 from usnet_env.replay import EpisodeRecord
-
-DATA = Path(__file__).parent / "data"  # small_episode() as earlier versions of the file held it
-LATER = ("probability", "reasons")  # fields that version 4 added
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +36,7 @@ def test_round_trip_is_exact(tmp_path, episode):
 
 
 def test_what_a_detector_did_not_give_stays_none(tmp_path):
-    absent = ("clusters", "leader_estimate", "attention", *LATER, "seed", "detector_seed")
+    absent = (*MIND, "seed", "detector_seed")
     bare = small_episode(**dict.fromkeys(absent))
     loaded = EpisodeRecord.load(bare.save(tmp_path / "e.npz"))
     assert {name for name in absent if getattr(loaded, name) is None} == set(absent)
@@ -78,12 +74,6 @@ def test_the_found_hierarchy_links_to_candidates(episode):
     assert episode.hierarchy(1).tolist() == [[i, 0] for i in (1, 2, 4)]  # 3 is a candidate; 5 is none, nor is any other
     assert episode.hierarchy(2).tolist() == episode.communication_links(2).tolist()
     assert small_episode(leader_estimate=None).hierarchy(1) is None
-
-
-@pytest.mark.parametrize(("version", "absent"), [(1, ("attention", *LATER)), (3, LATER), (4, ())])
-def test_files_of_earlier_versions_still_open(version, absent):
-    old = EpisodeRecord.load(DATA / f"episode-version-{version}.npz")
-    assert same(old, small_episode(**dict.fromkeys(absent), versions=old.versions))
 
 
 @pytest.mark.parametrize(
@@ -126,8 +116,7 @@ def test_refuses_what_is_no_episode(tmp_path):
     np.save(tmp_path / "array.npy", np.ones(3))
     np.savez(tmp_path / "foreign.npz", weights=np.ones(3))
     np.savez(tmp_path / "other.npz", metadata=np.array('{"format": "something else"}'))
-    np.savez(tmp_path / "list.npz", metadata=np.array("[1]"))
-    for name in ("array.npy", "foreign.npz", "other.npz", "list.npz"):
+    for name in ("array.npy", "foreign.npz", "other.npz"):
         refusal(tmp_path / name)
 
 
@@ -147,27 +136,15 @@ def test_refuses_other_versions_and_incomplete_files(tmp_path, episode):
     for change in (
         lambda arrays, words: arrays.pop("position"),
         lambda arrays, words: words.update(surprise=1),
-        lambda arrays, words: arrays.update(alive=np.ones_like(arrays["alive"])),
-        lambda arrays, words: arrays.update(seen=arrays["seen"][:, :-1]),
         lambda arrays, words: arrays.update(scores=arrays["scores"] * np.nan),
     ):
         refusal(rewritten(episode.save(path), change))
 
 
-def test_a_damaged_file_never_loads_as_another_episode(tmp_path, episode):
+def test_a_file_that_was_cut_off_is_refused(tmp_path, episode):
     whole = episode.save(tmp_path / "e.npz").read_bytes()
     rng = np.random.default_rng(0)
     path = tmp_path / "damaged.npz"
     for length in rng.integers(1, len(whole), 10):
         path.write_bytes(whole[:length])
         refusal(path)
-    refused = 0
-    for place in rng.integers(0, len(whole), 80):
-        damaged = bytearray(whole)
-        damaged[place] ^= 1 << int(rng.integers(8))
-        path.write_bytes(damaged)
-        try:
-            assert same(EpisodeRecord.load(path), episode)  # a bit that carries nothing, as a date in the archive
-        except ArgumentError:
-            refused += 1
-    assert refused > 40

@@ -1,30 +1,23 @@
-"""A detector in a child process, which guards a run against accidents: a crash, an endless loop, too much memory.
-
-What comes from the child are the bytes of an ``npz`` file; nothing of it is unpickled.
-"""
+"""A detector in a child process, which guards a run against accidents: a crash, an endless loop, too much memory."""
 
 from __future__ import annotations
 
 import contextlib
-import io
 import os
-import pickle
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from typing import Any
-
-import numpy as np
 
 from usnet_env.evaluation.agents import Answer, as_agent
 from usnet_env.evaluation.tasks import EvaluationError, become_worker, describe_failure, dumps, loads
 
 _MEGABYTE = 1_000_000
-_ARRAYS = ("candidates", "scores", "clusters")
 
 
 class ChildDetector:
@@ -51,7 +44,7 @@ class ChildDetector:
         self.running = True
         self._seconds: float | None = None  # importing and making it takes as long as it takes
         try:
-            self._exchange(dumps((detector, megabytes)))
+            self._exchange("make", dumps((detector, megabytes)))
         except EvaluationError:
             self.close()
             raise
@@ -59,17 +52,17 @@ class ChildDetector:
 
     def reset(self, seed: int) -> None:
         """Start an episode."""
-        self._exchange(pickle.dumps(("reset", seed)))
+        self._exchange("reset", seed)
 
     def answer(self, observation: Any) -> Answer:
         """Return the answer to one observation."""
         begin = time.perf_counter()
-        found = self._exchange(pickle.dumps(("answer", observation)))
-        return Answer(found["candidates"], found["scores"], found.get("clusters"), time.perf_counter() - begin)
+        found: Any = self._exchange("answer", observation)
+        return replace(found, seconds=time.perf_counter() - begin)
 
     def warm_up(self, observation: Any) -> None:
         """Answer once without being timed."""
-        self._exchange(pickle.dumps(("warm_up", observation)))
+        self._exchange("warm_up", observation)
 
     def close(self) -> None:
         """End the process."""
@@ -78,24 +71,23 @@ class ChildDetector:
         self._process.wait()
         self._connection.close()
 
-    def _exchange(self, message: bytes) -> dict[str, Any]:
-        """Send a message, and return the arrays of the reply by name."""
+    def _exchange(self, name: str, argument: Any) -> Answer | None:
+        """Call a method of the agent there, and return its answer, if it has one."""
         try:
             with contextlib.suppress(BrokenPipeError):  # it has ended: receiving says so
-                self._connection.send_bytes(message)
+                self._connection.send((name, argument))
             if not self._connection.poll(self._seconds):
                 self.close()
                 raise EvaluationError(f"it took longer than {self._seconds:g} seconds, the time limit")
-            with np.load(io.BytesIO(self._connection.recv_bytes()), allow_pickle=False) as reply:
-                arrays = dict(reply)
+            answer, error = self._connection.recv()
         except (EOFError, ConnectionError):
             status = self._process.wait()
             self.close()
             how = f"was ended by {signal.Signals(-status).name}" if status < 0 else f"ended itself with status {status}"
             raise EvaluationError(f"its process {how}") from None
-        if error := str(arrays.pop("error")):
+        if error:
             raise EvaluationError(error)
-        return arrays
+        return answer
 
 
 def serve() -> None:
@@ -106,20 +98,17 @@ def serve() -> None:
     megabytes: float | None = None
     with contextlib.suppress(EOFError, ConnectionError):
         while True:
-            message, answer, error, reply = connection.recv_bytes(), None, "", io.BytesIO()
+            (name, argument), answer, error = connection.recv(), None, ""
             try:
-                if agent is None:
-                    detector, megabytes = loads(message)
+                if name == "make":
+                    detector, megabytes = loads(argument)
                     agent = as_agent(detector)
                 else:
-                    name, argument = pickle.loads(message)
                     with limit_memory(megabytes):
                         answer = getattr(agent, name)(argument)
             except (Exception, SystemExit) as failure:
                 error = describe_failure(failure)
-            arrays = {} if answer is None else {name: getattr(answer, name) for name in _ARRAYS}
-            np.savez(reply, error=error, **{name: array for name, array in arrays.items() if array is not None})
-            connection.send_bytes(reply.getvalue())
+            connection.send((answer, error))
 
 
 @contextlib.contextmanager

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usnet_env.arrays import Floats
-from usnet_env.config import ArgumentError
 
 CONFIDENCE = 0.95
 _RESAMPLES = 9_999
@@ -27,13 +26,6 @@ class Interval(NamedTuple):
     mean: float
     low: float
     high: float
-
-
-def _check_sample(values: Sample) -> Floats:
-    sample = np.asarray(values, dtype=np.float64)
-    if sample.ndim != 1 or not len(sample) or not np.isfinite(sample).all():
-        raise ArgumentError("values must hold at least one number, all of them finite.")
-    return sample
 
 
 def _mean_by_group(sample: Floats, groups: Sample | None) -> Floats:
@@ -54,7 +46,7 @@ def rate_interval(values: Sample, groups: Sample | None = None) -> Interval:
     Values of one of the ``groups`` ``(n,)``, such as the seeds of swarms, depend on each other: n is then the number of
     values divided by the design effect (Kish, Survey Sampling, 1965, section 8.2), or that of groups if all are equal.
     """
-    sample, z = _check_sample(values), NormalDist().inv_cdf((1 + CONFIDENCE) / 2)
+    sample, z = np.asarray(values, np.float64), NormalDist().inv_cdf((1 + CONFIDENCE) / 2)
     grouped = _mean_by_group(sample, groups)
     mean, n = float(sample.mean()), float(len(sample))  # n may become a fraction, which scipy's Wilson doesn't take
     if len(grouped) < n:
@@ -76,7 +68,7 @@ def mean_interval(values: Sample, confidence: float = CONFIDENCE, groups: Sample
     Statistician 69, 2015). Of more than 5,000 values it is the interval of the normal limit. If all values are equal,
     it is [mean, mean]. Values of one of the ``groups`` ``(n,)`` depend on each other, and are resampled as a whole.
     """
-    given = _check_sample(values)
+    given = np.asarray(values, np.float64)
     sample = _mean_by_group(given, groups)
     mean = float(sample.mean())
     for equal in (given, sample):  # the first one, too: groups of several sizes differ by rounding
@@ -125,7 +117,7 @@ def paired_test(differences: Sample) -> float:
     The randomisation test of Fisher (The Design of Experiments, 1935, section 21) of the mean, as scipy computes it:
     exact for up to 13 differences, with 9,999 random changes of signs for more, and the normal limit for over 5,000.
     """
-    sample = _check_sample(differences)
+    sample = np.asarray(differences, np.float64)
     if len(sample) == 1 or not sample.any():
         return 1.0
     if len(sample) > _MOST_RESAMPLED:

@@ -17,10 +17,9 @@ from usnet_env.drawing import last_seen_position
 from usnet_env.files import as_path, atomic_write
 from usnet_env.objectives import hits_and_redundant
 
-FORMAT_VERSION = 5  #: Older files are read as well: in version 5 ``leader`` became ``root``, the others added arrays.
+FORMAT_VERSION = 5
 _FORMAT = "usnet-episode"
 _LINKS = "communication_links"  # derived from ``root`` when a file is written, for readers without this class
-_UNUSED = (_LINKS, "attention_heads", "features")  # arrays of files that are not read
 _KINDS = {"Singles": np.float32, "Floats": np.float64, "Indices": np.int64, "Mask": np.bool_}
 #: The axes of the arrays: R rounds, S instants, T velocities between them, N UAVs, K observers.
 _AXES = {
@@ -151,8 +150,7 @@ class EpisodeRecord:
     @property
     def recorded(self) -> bool:
         """Whether the episode is of recorded tracks, with the truth or without: nothing in them is destroyed."""
-        # Files that an earlier version wrote of this environment have no ids.
-        return not self.labelled or "ids" in self.config or self.env_id == "USNET/Tracks-v0"
+        return not self.labelled or "ids" in self.config
 
     @property
     def destroyed(self) -> Mask:
@@ -225,21 +223,19 @@ class EpisodeRecord:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> EpisodeRecord:
-        """Read a file that :meth:`save` of this or an earlier version wrote; nothing in it is ever executed.
+        """Read a file that :meth:`save` wrote; nothing in it is ever executed.
 
         Raises:
-            ArgumentError: the file can't be read, is of another kind or a newer version, or is damaged.
+            ArgumentError: the file can't be read, is of another kind or version, or is damaged.
         """
         place = as_path("path", path)
         try:
             with place.open("rb") as source, np.load(source, allow_pickle=False) as file:
-                arrays: dict[str, Any] = {name: file[name] for name in file.files if name not in _UNUSED}
+                arrays: dict[str, Any] = {name: file[name] for name in file.files if name != _LINKS}
             words = json.loads(str(arrays.pop("metadata")))
             version = words.pop("version") if words.pop("format") == _FORMAT else None
-            if version in range(1, 5):
-                arrays["root"] = arrays.pop("leader")
-            fault = f"version {quote(version)} is not known, only those up to {FORMAT_VERSION}"
-            if version in range(1, FORMAT_VERSION + 1):
+            fault = f"version {quote(version)} is not known, only {FORMAT_VERSION}"
+            if version == FORMAT_VERSION:
                 record = cls(**words, **arrays)
                 fault = record.find_fault()
         except Exception as error:  # a damaged file makes NumPy raise whatever Python's own tokenizer raises

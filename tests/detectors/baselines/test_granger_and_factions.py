@@ -2,17 +2,12 @@
 
 import numpy as np
 import pytest
-from synthetic_windows import swarm_window
+from synthetic_windows import answer, swarm_window
 
 from detectors.baselines import Factions, Granger
 from usnet_env import Window
 
 BOTH = [Granger, Factions]
-
-
-def answer(detector, window, seed=0):
-    detector.reset(seed)
-    return detector.detect(window)
 
 
 @pytest.mark.parametrize("kind", BOTH)

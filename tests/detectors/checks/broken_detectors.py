@@ -48,11 +48,6 @@ class TooShort(Good):
         return Detection(answer.candidates[1:], answer.scores[1:])
 
 
-class LosesAWindow(Good):
-    def detect_batch(self, windows):
-        return super().detect_batch(windows)[1:]
-
-
 class ClockAsSeed(Good):
     def reset(self, seed=None):
         super().reset(time.perf_counter_ns())

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from sklearn.base import clone
 from synthetic_windows import swarm_window
 
-from detectors.clustering import CLUSTERERS, Clusterer, KMeans, make_clusterer, register_clusterer
+from detectors.clustering import CLUSTERERS, make_clusterer
 from detectors.clustering.clusterers import factorise_affinity
 from detectors.clustering.features import (
     compute_raw_features,
@@ -97,23 +97,6 @@ def test_a_bad_argument_is_named(name, arguments, argument):
     window, _ = swarm_window(0, clusters=2, uavs=12)
     with pytest.raises(ArgumentError, match=f"^{argument} must be"):
         cluster(name, window, **arguments)
-
-
-def test_a_custom_clusterer():
-    class Halves(Clusterer):
-        def partition(self, living, count, rng):
-            return living.window.position[0, living.index, 0] > np.median(living.window.position[0, living.index, 0])
-
-    window, _ = swarm_window(11, clusters=2, uavs=20)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(CLUSTERERS, "registered", {})
-        register_clusterer("halves", Halves)
-        assert np.bincount(cluster("halves", window, count=2).labels).tolist() == [10, 10]
-    with pytest.raises(ArgumentError, match="spectrall"):
-        make_clusterer("spectrall")
-    with pytest.raises(ArgumentError, match="factory must be"):
-        register_clusterer("mine", 5)
-    register_clusterer("kmeans", KMeans)  # the same once more
 
 
 def slow_lag_correlation(series, max_lag, shift=0):

@@ -36,18 +36,17 @@ def test_training_finds_the_head_that_is_not_unlike_the_others():
     assert max(answer.extras["explained"].mean() for answer in untrained) < 0.1
 
 
-@pytest.mark.parametrize("rule", ["paper", "exclude-self"])
 @pytest.mark.parametrize("memory", [4, 2])
-def test_an_answer_is_made_of_the_attention(rule, memory):
+def test_an_answer_is_made_of_the_attention(memory):
     window, _ = cluster(followers=4)
-    got = detector(rule=rule, memory=memory, times="mean", **FEW).detect(window)
+    got = detector(memory=memory, times="mean", **FEW).detect(window)
     assert got.candidates.shape == (5,)
     assert got.candidates.sum() == 1
     assert got.scores[got.candidates] == got.scores.max()
     np.testing.assert_allclose(got.attention.sum(axis=1), 1.0, atol=1e-5)
     others = got.attention - 2 * np.eye(5)
     np.testing.assert_array_equal(got.leader, others.argmax(axis=1))
-    choice = got.attention.argmax(axis=1) if rule == "paper" else got.leader
+    choice = got.attention.argmax(axis=1)
     np.testing.assert_array_equal(got.extras["choice"], choice)
     votes = [sum(choice[other] == i for other in range(5) if other != i) / 5 for i in range(5)]  # equation (20)
     np.testing.assert_allclose(got.scores, votes)
@@ -59,18 +58,14 @@ def test_an_answer_is_made_of_the_attention(rule, memory):
     assert got.extras["explained"].max() <= 1
 
 
-@pytest.mark.parametrize("rule", ["paper", "exclude-self"])
-def test_votes_are_counted_at_each_time(rule):
+def test_votes_are_counted_at_each_time():
     window, _ = cluster(followers=4, observation_steps=6)
-    got = detector(rule=rule, steps=0).detect(window)  # R = 2 times
+    got = detector(steps=0).detect(window)  # R = 2 times
     assert set(np.round(10 * got.scores, 4)) <= set(range(11))  # of 2 x 5 votes
     assert got.scores.sum() <= 1 + 1e-6
     assert got.scores[got.candidates] == got.scores.max()
-    if rule == "exclude-self":
-        assert got.scores.sum() == pytest.approx(1)
-        assert (got.extras["choice"] != np.arange(5)).all()
     single, _ = cluster(followers=4, observation_steps=5)  # R = 1: both ways are one
-    one, other = (detector(rule=rule, times=times, **FEW).detect(single) for times in ("mean", "votes"))
+    one, other = (detector(times=times, **FEW).detect(single) for times in ("mean", "votes"))
     np.testing.assert_allclose(one.scores, other.scores, atol=1e-6)
     np.testing.assert_array_equal(one.extras["choice"], other.extras["choice"])
 

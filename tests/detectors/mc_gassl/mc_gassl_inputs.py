@@ -12,8 +12,8 @@ def generator(seed=0):
     return torch.Generator().manual_seed(seed)
 
 
-def parameters(width=3, seed=0, dtype=torch.float64, spread=1.0):
-    drawn = (spread * torch.randn(width, width + 3, generator=generator(seed + k), dtype=dtype) for k in range(3))
+def parameters(seed=0, dtype=torch.float64, spread=1.0):
+    drawn = (spread * torch.randn(3, 6, generator=generator(seed + k), dtype=dtype) for k in range(3))
     return GruParameters(*drawn)
 
 

@@ -1,8 +1,10 @@
 """MC-GASSL as a detector: whole games by Algorithm 2, other stages, and small or empty clusters."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from swarm_games import InOrder, Known, game, part_of
+from swarm_games import InOrder, Known, game
 from synthetic_windows import swarm_window
 
 import usnet_env
@@ -49,7 +51,8 @@ def test_fewer_than_three_living_uavs(alive):
     living = np.arange(14) < alive
     detector = McGassl(**SMALL)
     detector.reset(0)
-    answer = detector.detect(part_of(game()[1], living))
+    window = game()[1]
+    answer = detector.detect(replace(window, seen=window.seen & living, alive=living, round=3))
     assert answer.candidates.sum() == min(1, alive)
     assert not (answer.candidates & ~living).any()
 

@@ -65,12 +65,12 @@ def test_training_beats_a_random_start_on_strategies_it_has_not_seen_and_is_reco
     metrics = record["metrics"]
     assert metrics["last_loss"] == pytest.approx(np.mean(losses[-30:]))
     assert metrics["held_out_loss"] < 0.8 * metrics["held_out_loss_of_random_start"]
-    assert read_parameters(read_arrays(path)).width == 3
+    assert read_parameters(read_arrays(path)).reset.shape == (3, 6)
 
 
 def test_the_shipped_weights_are_the_default_trainings():
     record = json.loads((files("detectors.mc_gassl") / "data" / "meta.json").read_text())
     training = {name: value for name, value in record["training"].items() if name not in ("torch", "numpy")}
     assert training == MetaTraining().model_dump(mode="json")
-    assert load_meta_weights().width == training["width"]
+    assert load_meta_weights().reset.shape == (3, 6)
     assert record["metrics"]["held_out_loss"] < 0.5 * record["metrics"]["held_out_loss_of_random_start"]

@@ -4,20 +4,12 @@ import pytest
 import torch
 from mc_gassl_inputs import generator, parameters, random_inputs
 
-from detectors.mc_gassl.gru import GruParameters, embed
+from detectors.mc_gassl.gru import GruParameters, gru
 from detectors.mc_gassl.triplet import Metric, batch_loss, draw_triplets, triplet_loss
-
-SAMPLINGS = ("hard", "semi-hard", "random")
-
-
-def drawn(sampling, inputs, labels, anchors=10_000, seed=0):
-    metric = Metric(sampling=sampling, anchors=anchors, scale=1.0)
-    weights = parameters()
-    return embed(weights, inputs, 1.0), draw_triplets(metric, weights, inputs, labels, generator(seed))
 
 
 def loss_of(features, triplets, margin):
-    """The loss of each triplet, from the features ``(R, n, w)`` of all UAVs."""
+    """The loss of each triplet, from the features ``(R, n, 3)`` of all UAVs."""
     members = (triplets.anchor, triplets.positive, triplets.negative)
     return triplet_loss(*(features[triplets.time, member] for member in members), margin)
 
@@ -44,7 +36,7 @@ def partners(inputs, labels, t, i):
 @pytest.mark.parametrize("unseen", [0.0, 0.3])
 def test_hard_sampling_is_the_papers(unseen):
     inputs, labels = random_inputs(unseen=unseen), torch.tensor([0, 1, 2, 0, 1, 2, 0, 1, -1])
-    triplets = drawn("hard", inputs, labels)[1]
+    triplets = draw_triplets(10_000, inputs, labels, generator())
     found = {(t, a): (p, n) for t, a, p, n in rows(triplets)}
     for t in range(inputs.times):
         for i in range(inputs.uavs):
@@ -57,27 +49,15 @@ def test_hard_sampling_is_the_papers(unseen):
             assert found[t, i] == (positive, negative)
 
 
-def test_semi_hard_negatives_are_the_nearest_beyond_the_positive():
-    inputs, labels = random_inputs(times=6, uavs=12), torch.arange(12) % 3
-    features, triplets = drawn("semi-hard", inputs, labels)
-    kinds = set()
-    for t, a, p, n in rows(triplets):
-        distance = torch.linalg.vector_norm(features[t] - features[t, a], dim=-1)
-        _, other = partners(inputs, labels, t, a)
-        beyond = [j for j in other if distance[j] > distance[p]]
-        kinds.add(bool(beyond))
-        assert n == (min(beyond, key=lambda j: distance[j]) if beyond else max(other, key=lambda j: distance[j]))
-    assert kinds == {True, False}
-
-
 def test_the_batch_loss_is_the_mean_and_its_gradient_that_of_finite_differences():
     inputs, labels = random_inputs(), torch.arange(9) % 3
-    metric = Metric(sampling="hard", margin=5.0, times=5, anchors=1000, scale=1.0)  # no hinge is at its kink
+    metric = Metric(margin=5.0, times=5, anchors=1000)  # no hinge is at its kink
 
     def loss(reset, update, candidate):
         return batch_loss(GruParameters(reset, update, candidate), inputs, labels, metric, generator())
 
     arrays = parameters().tensors()
-    features, triplets = drawn("hard", inputs, labels)
+    features = gru(parameters(), inputs.position, inputs.velocity)
+    triplets = draw_triplets(10_000, inputs, labels, generator())
     assert loss(*arrays).item() == pytest.approx(loss_of(features, triplets, 5.0).mean().item())
     assert torch.autograd.gradcheck(loss, tuple(tensor.requires_grad_(True) for tensor in arrays))
