@@ -122,9 +122,9 @@ def detect(
     if record and out is None:
         raise click.UsageError("--record needs --out.")
     folder = None if out is None else as_path("out", out)
-    player = make_detector(detector)
     read = read_tracks(list(tracks), **reading)
     report = read.report()
+    player = make_detector(detector)
     for sentence in report.warnings:
         print_message(f"warning: {sentence}")
     even = read.resample(step, max_gap=max_gap, keep_spikes=keep_spikes, length=window or 0)

@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from scipy.optimize import linear_sum_assignment
-from scipy.special import bdtrc
 
 from usnet_env.arrays import Floats, Indices
 from usnet_env.config import ArgumentError, format_count, quote, whole_number
@@ -321,6 +319,8 @@ def _number_groups(found: list[Group], known: list[Group]) -> list[int]:
 
     ``known`` holds each group as it was found last, in the order of the numbers, and is updated.
     """
+    from scipy.optimize import linear_sum_assignment  # a refusal does not wait for SciPy
+
     share = np.zeros((len(found), len(known)))
     for (k, (head, now)), (g, (leader, then)) in product(enumerate(found), enumerate(known)):
         share[k, g] = len(now & then) / len(now | then) + _SAME_LEADER * (head == leader)
@@ -333,6 +333,8 @@ def _number_groups(found: list[Group], known: list[Group]) -> list[int]:
 
 def _summarise(windows: list[DetectedWindow], ids: Sequence[str | int], seen: Indices | None) -> tuple[Leader, ...]:
     """The leaders over the file; ``seen`` ``(N,)`` windows hold each id, ``None`` if leaders are not confirmed."""
+    from scipy.special import bdtrc
+
     row = {name: k for k, name in enumerate(ids)}
     entries_of: dict[tuple[int, int], list[Leader]] = {}  # by the group and the row of its leader
     for window in windows:
