@@ -42,7 +42,7 @@ Examples:
 
 \b
 Roles for --column:
-  id  t  frame  x  y  z  lon  lat  leader
+  id  t  frame  x  y  z  lon  lat  leader  confidence
 """  # click reads the control characters: they keep the lines
 
 
@@ -78,6 +78,7 @@ def _parse_place(context: click.Context, option: click.Parameter, words: str | N
 @click.option("--step", type=PositiveNumber(), help="Seconds of a step.  [default: chosen from the tracks]")
 @click.option("--max-gap", type=PositiveNumber(), help="Longest gap in seconds that is interpolated.")
 @click.option("--keep-spikes", is_flag=True, help="Keep single samples off the track, to which it jumps and back.")
+@click.option("--format", metavar="NAME", help="See `usnet list format`.  [default: by suffix]")
 @click.option("--column", "columns", multiple=True, callback=_parse_columns, metavar="ROLE=NAME", help=_COLUMN)
 @click.option("--time-unit", type=PositiveNumber(), help="Seconds in one unit of the time column.  [default: guessed]")
 @click.option("--columns", "header", callback=_parse_names, metavar="NAMES", help=_HEADER)
@@ -86,6 +87,8 @@ def _parse_place(context: click.Context, option: click.Parameter, words: str | N
 @click.option("--duplicates", type=click.Choice(["error", "first", "mean"]), default="error", help=_DUPLICATES)
 @click.option("--skip-missing", "missing", flag_value="skip", default="refuse", help="Skip incomplete rows.")
 @click.option("--missing", "missing_place", callback=_parse_place, metavar="X,Y", help="A place that means none.")
+@click.option("--min-confidence", type=float, help="Skip rows with a smaller confidence, likelihood or score.")
+@click.option("--split-gap", type=PositiveNumber(), help="Seconds; after a longer gap, an id is another one.")
 @click.option("--encoding", default="utf-8", show_default=True, metavar="NAME", help="Encoding of a CSV file.")
 @click.option("--decimal", type=click.Choice([".", ","]), default=".", help="Decimal sign of a CSV file.  [default: .]")
 @click.option("--seed", type=WholeNumber(0, 2**63 - 1), default=0, show_default=True, help="Seed of the detector.")
@@ -112,8 +115,8 @@ def detect(
 ) -> None:
     """Find the leaders in recorded tracks: their followers, times, probabilities and reasons.
 
-    TRACKS is a CSV file with the columns id, t (or frame), x, y and optionally z, or lon and lat in degrees; or a
-    Parquet, NPZ, Movebank, GPX or PX4 ULog file. Several files are read as one.
+    TRACKS is a CSV file with the columns id, t (or frame), x, y and optionally z, or lon and lat in degrees; or a file
+    of another format, such as Parquet, GPX, SLEAP, DeepLabCut or ULog. Several files are read as one.
     """
     from usnet_env.plugins import make_detector
     from usnet_env.tracks import find_leaders, read_tracks
