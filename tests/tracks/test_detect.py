@@ -108,7 +108,8 @@ def test_json_is_one_object_with_these_keys(run, folder):
     assert len(found["windows"]) == 5
     fields = {"id", "probability", "followers", "reason", "group", "score"}
     for window in found["windows"]:
-        assert set(window) == {"start", "end", "leaders", "not_confirmed", "links", "left_out"}
+        fields_of_windows = {"start", "end", "leaders", "not_confirmed", "links", "left_out", "confound", "alike"}
+        assert set(window) == fields_of_windows
         assert [set(link) for link in window["links"]] == [{"follower", "leader", "head", "delay"}] * 11
         for leader in window["leaders"]:
             assert set(leader) == fields

@@ -155,7 +155,7 @@ def detect(
         click.echo("\n".join(map(printable, facts)))
         over_file, by_window = _tables(found)
         show(over_file)
-        events = [printable(str(event)) for event in found.events]
+        events = [printable(str(event)) for event in (*found.confounds, *found.events)]
         if len(events) > _MOST_ROWS:
             events[_MOST_ROWS:] = [f"{len(events) - _MOST_ROWS} more changes; --out DIR writes all windows."]
         click.echo("\n".join(["", *events]))
@@ -170,9 +170,12 @@ def detect(
 
 
 def _tables(found: FoundLeaders) -> list[Table]:
+    from usnet_env.tracks.leaders import CONFOUNDS
+
     rows: list[list[str]] = []
     for window in found.windows:
-        cells = [_cells(leader) for leader in window.leaders] or [["none found", "", "", ""]]
+        alike = f"{_names(window.alike)} {CONFOUNDS[window.confound]}." if window.confound else ""
+        cells = [_cells(leader) for leader in window.leaders] or [["none found", "", "", alike]]
         if window.not_confirmed:
             cells.append(["", "", "", f"Not confirmed: {_names(window.not_confirmed)}."])
         rows += [[str(window.start), str(window.end), *row] for row in cells]
