@@ -93,7 +93,7 @@ def _parse_place(context: click.Context, option: click.Parameter, words: str | N
 @click.option("--decimal", type=click.Choice([".", ","]), default=".", help="Decimal sign of a CSV file.  [default: .]")
 @click.option("--seed", type=WholeNumber(0, 2**63 - 1), default=0, show_default=True, help="Seed of the detector.")
 @click.option("--unconfirmed", is_flag=True, help="Also name leaders whose followers don't move like them later.")
-@click.option("--out", metavar="DIR", help="Folder for tables, JSON and a picture.")
+@click.option("--out", metavar="DIR", help="Folder for a page, tables, JSON and pictures.")
 @click.option("--record", is_flag=True, help="Also write an episode file and a replay; needs --out.")
 @click.option("--windows", "by_windows", is_flag=True, help="Also print the leaders of each window.")
 @click.option("--json", "as_json", is_flag=True, help="Print only the leaders, as JSON.")
@@ -121,6 +121,7 @@ def detect(
     from usnet_env.plugins import make_detector
     from usnet_env.tracks import find_leaders, read_tracks
     from usnet_env.tracks.confirm import LEAST_STEPS
+    from usnet_env.tracks.page import write_page
 
     if record and out is None:
         raise click.UsageError("--record needs --out.")
@@ -152,7 +153,6 @@ def detect(
     if as_json:
         click.echo(content)
     else:
-        click.echo("\n".join(map(printable, facts)))
         over_file, by_window = _tables(found)
         show(over_file)
         events = [printable(str(event)) for event in (*found.confounds, *found.events)]
@@ -161,11 +161,13 @@ def detect(
         click.echo("\n".join(["", *events]))
         if by_windows:
             show(by_window)
+        click.echo("\n".join(map(printable, ["", *facts])))
     if folder is not None:
         title = ", ".join(Path(name).name for name in tracks)
         episode = _make_record(even, kept, title, found.detector, seed) if record else None
         write_text(folder / "leaders.json", content + "\n")
         _write_files(folder, found, episode, ([cut for cut, _, _ in kept], title, even))
+        write_page(found, folder / "page.html", title, facts)
         click.echo(f"{', '.join(sorted(path.name for path in folder.iterdir()))} are in {folder}.", err=True)
 
 
