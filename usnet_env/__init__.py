@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 from usnet_env.config import ArgumentError
 from usnet_env.detection import Detection
-from usnet_env.envs import register_environments
-from usnet_env.swarm import register_follow_strategy, register_mobility
+from usnet_env.registration import register_environments
 from usnet_env.window import Window
 
 if TYPE_CHECKING:
     from usnet_env.drawing import plot_detection
     from usnet_env.evaluation import evaluate, results
     from usnet_env.plugins import make_detector, register_detector
+    from usnet_env.swarm import register_follow_strategy, register_mobility
     from usnet_env.tracks import Tracks, find_leaders, read_tracks
 
 try:
@@ -44,13 +44,16 @@ register_environments()
 _LATER = {"plot_detection": "drawing", **dict.fromkeys(("evaluate", "results"), "evaluation")}
 _LATER |= dict.fromkeys(("make_detector", "register_detector"), "plugins")
 _LATER |= dict.fromkeys(("Tracks", "find_leaders", "read_tracks"), "tracks")
+_LATER |= dict.fromkeys(("register_follow_strategy", "register_mobility"), "swarm")
 
 
-def __getattr__(name: str) -> Any:  # these import SciPy and tables, which an environment doesn't need
+def __getattr__(name: str) -> Any:  # these import Numba, SciPy or tables, which not every user needs
     if name in _LATER:
         return getattr(import_module(f"usnet_env.{_LATER[name]}"), name)
+    if name in ("envs", "swarm"):
+        return import_module(f"usnet_env.{name}")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted(__all__)

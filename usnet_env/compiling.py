@@ -8,9 +8,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
-from numba import njit
-from numba.core.compiler_lock import global_compiler_lock
-
 try:
     import fcntl
 except ImportError:  # Windows has no such locks
@@ -38,6 +35,8 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     same code, one compiles it, and the others wait and load it (except on Windows): Numba's own cache mixes up the code
     of two processes that compile different signatures of one function at the same time.
     """
+    from numba import njit  # it takes a quarter of a second, also where nothing is compiled
+
     # They are always given: Numba compiles a function without options by those of its first caller.
     options = {"fastmath": False, "error_model": "python", **options}
 
@@ -78,6 +77,8 @@ def _one_process_at_a_time(lock: str) -> Iterator[None]:
     Numba's own lock, which lets one thread of a process compile at a time, is taken first: a compilation begins others,
     so that two threads could wait for each other.
     """
+    from numba.core.compiler_lock import global_compiler_lock
+
     with global_compiler_lock:
         if fcntl is None or lock in _held:
             yield

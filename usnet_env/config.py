@@ -29,7 +29,7 @@ _SHORT_REPR.maxlevel = 3
 
 #: The module of each optional package, and the extra that brings it.
 EXTRAS = {"torch": "torch", "matplotlib": "render", "rerun": "replay", "ray": "ray"}
-EXTRAS |= {"pettingzoo": "multiagent", "pyarrow": "tracks", "pyproj": "tracks", "pyulog": "tracks"}
+EXTRAS |= {"pettingzoo": "multiagent", **dict.fromkeys(("pyarrow", "pyproj", "pyulog", "h5py", "pymavlink"), "tracks")}
 
 _EXPECTED = {  # texts for pydantic's error types
     "int_type": "a whole number",

@@ -5,12 +5,19 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from html import escape
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any
 from uuid import uuid4
 
 from usnet_env.config import ArgumentError, quote
+
+_STYLE = """
+body { font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 0 auto; padding: 1rem; overflow-wrap: anywhere; }
+img { max-width: 100%; } summary { cursor: pointer; }
+table { border-collapse: collapse; } td, th { padding: 0.2rem 0.6rem; border: 1px solid #ccc; text-align: left; }
+"""
 
 
 def as_path(name: str, value: Any) -> Path:
@@ -45,6 +52,14 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Write a text file in UTF-8, as :func:`atomic_write` does."""
     with atomic_write(path) as aside:
         aside.write_text(text, encoding="utf-8", newline="")
+
+
+def write_html(path: str | os.PathLike[str], title: str, body: str) -> None:
+    """Write a page that needs no network, as :func:`atomic_write` does; ``title`` is a text, ``body`` is HTML."""
+    head = '<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
+    head += f"<title>{escape(title)}</title><style>{_STYLE}</style>"
+    page = f'<!doctype html>\n<html lang="en"><head>{head}</head><body>\n<h1>{escape(title)}</h1>{body}</body></html>\n'
+    write_text(path, page)
 
 
 def reserve_folder(folder: Path) -> Path:

@@ -27,15 +27,30 @@ for bird in range(8):
 pd.concat(rows).to_csv(FILE, index=False)
 
 # %%
-tracks = read_tracks([FILE])
+tracks = read_tracks(FILE)
 print(tracks.report())
-found = find_leaders(tracks.resample(), "reader(policy='map')")
 
 # %% [markdown]
-# Who leads whom, over the file, and where this comes from: every window has an answer of its own.
+# Who leads whom, over the file, and what changes when.
 
 # %%
-for leader in found.leaders:
-    print(leader.id, "leads", leader.followers)
-for name, table in found.tables().items():
-    print(name, table.head(), sep="\n")
+found = find_leaders(tracks)
+print(found)
+
+# %% [markdown]
+# An arrow leads to the one that is followed; it is as wide as the share of the windows, and its label is the delay.
+
+# %%
+found.plot()
+
+# %%
+found.plot_timeline()
+
+# %%
+found.plot_delays()
+
+# %% [markdown]
+# All of it as a table: a row for each window and each id that leads or follows in it.
+
+# %%
+print(found.to_frame().tail())

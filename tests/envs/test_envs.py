@@ -21,8 +21,8 @@ from usnet_env.envs import (
     SingleClusterEnv,
     register_environments,
 )
-from usnet_env.envs.registration import TRACKS
 from usnet_env.envs.wrappers import BoxMasks
+from usnet_env.registration import TRACKS
 
 IDS = sorted(ENVIRONMENTS)
 MULTI = "USNET/MultiCluster-v0"
@@ -361,7 +361,8 @@ def test_rendering_shows_the_round_that_was_decided():
     assert before.shape == after.shape
     assert before.ndim == 3
     assert (before != after).any()  # the candidates are ringed now
-    assert gym.make(MULTI, **SMALL).unwrapped.render() is None
+    with pytest.warns(UserWarning, match="render_mode='rgb_array'"):
+        assert gym.make(MULTI, **SMALL).unwrapped.render() is None
 
 
 @pytest.mark.parametrize("options", [{"follow": "f3"}, "f3"])

@@ -176,4 +176,5 @@ def test_frames_show_the_last_round(game):
     assert first.dtype == np.uint8
     assert first.shape == after.shape
     assert (first != after).any()
-    assert small(game).render() is None
+    with pytest.warns(UserWarning, match="render_mode='rgb_array'"):
+        assert small(game).render() is None

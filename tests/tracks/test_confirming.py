@@ -7,7 +7,14 @@ from track_files import Answers, Sure, answer_of
 
 from usnet_env import Window
 from usnet_env.tracks import Tracks, find_leaders
-from usnet_env.tracks.confirm import LEVEL, confirm_leaders, find_alike, find_followers, follow_places
+from usnet_env.tracks.confirm import (
+    LEVEL,
+    confirm_leaders,
+    find_alike,
+    find_confound,
+    find_followers,
+    follow_places,
+)
 
 STEPS, UAVS = 200, 6
 
@@ -94,6 +101,46 @@ def test_leaders_of_short_windows_are_confirmed():
     assert (right >= 13, wrong) == (True, 0)
 
 
+def go_along(seed, uavs=6, steps=100):
+    """A window of UAVs that go along one winding way, each at a changing pace of its own."""
+    rng = np.random.default_rng(seed)
+    way = np.cumsum(walk(rng, 4 * steps), axis=0)
+    pace = 1.0 + 0.1 * np.cumsum(rng.normal(0, 1, (steps, uavs)), axis=0) / 10
+    gone = rng.uniform(0, steps / 4, uavs) + np.cumsum(pace, axis=0)
+    place = np.stack([np.interp(gone, np.arange(len(way)), axis) for axis in way.T], axis=2)
+    return make_window(np.diff(place, axis=0).transpose(1, 0, 2), place[0])
+
+
+def test_what_is_followed_instead_of_a_leader_is_named():
+    """A way; an unseen signal, with noise of their own; or nothing: walks in the open, and in a small arena."""
+    found = {"one path": 0, "one signal": 0, "walks": 0, "arena": 0}
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        signal = walk(rng, 105)
+        hidden = np.array([signal[k % 4 : k % 4 + 100] for k in range(6)]) + rng.normal(0, 0.1, (6, 100, 2))
+        walks = np.array([walk(rng, 100) for _ in range(6)])
+        bounded = 5 * np.sin(np.cumsum(walks, axis=1) / 5)  # reflected at the walls
+        start = rng.uniform(-30, 30, (6, 2))
+        windows = {"one path": go_along(seed), "one signal": make_window(hidden, start)}
+        windows |= {"walks": make_window(walks, start), "arena": make_window(np.diff(bounded, axis=1), bounded[:, 0])}
+        for words, window in windows.items():
+            confound, alike = find_confound(window)
+            assert bool(confound) == bool(alike)
+            found[words] += confound == words if words in ("one path", "one signal") else bool(confound)
+    assert found["one path"] >= 7
+    assert found["one signal"] >= 7
+    assert found["walks"] + found["arena"] <= 1
+
+
+def test_a_sentence_tells_what_is_followed_instead_of_a_leader():
+    place = go_along(0).position
+    t, i = np.nonzero(np.ones(place.shape[:2], bool))
+    found = find_leaders(Tracks.from_samples(i.tolist(), t.tolist(), place[t, i]).resample(1.0), "none", length=99)
+    assert (found.windows[0].confound, found.windows[0].alike) == ("one path", tuple(range(6)))
+    sentence = "In 1 of 1 window nobody leads, and 6 ids go along one path, each at a pace of its own."
+    assert str(found) == f"No leader was found.\n{sentence}"
+
+
 def names_the_first(leader_of_itself=0, followers=None):
     """Names the first id, and gives the next ones, and perhaps itself, the first or second id as leader."""
 
@@ -135,10 +182,11 @@ def test_a_head_of_a_small_group_does_not_follow_independent_ids():
     assert sum(len(window.leaders) for windows in found for window in windows) >= 0.8 * sum(map(len, found))
 
 
-def make_window(velocity):
-    """A window of velocities ``(N, T, 2)``."""
+def make_window(velocity, start=0.0):
+    """A window of velocities ``(N, T, 2)``, from places ``(N, 2)`` on."""
+    start = np.pad(np.zeros((len(velocity), 2)) + start, ((0, 0), (0, 1))).astype(np.float32)
     velocity = np.concatenate([velocity, 0 * velocity[..., :1]], axis=2).transpose(1, 0, 2).astype(np.float32)
-    position = np.concatenate([0 * velocity[:1], np.cumsum(velocity, axis=0)])
+    position = start + np.concatenate([0 * velocity[:1], np.cumsum(velocity, axis=0)])
     return Window(position, velocity, np.ones(position.shape[:2], bool), np.ones(velocity.shape[1], bool), step=1.0)
 
 

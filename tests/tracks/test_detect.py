@@ -108,7 +108,8 @@ def test_json_is_one_object_with_these_keys(run, folder):
     assert len(found["windows"]) == 5
     fields = {"id", "probability", "followers", "reason", "group", "score"}
     for window in found["windows"]:
-        assert set(window) == {"start", "end", "leaders", "not_confirmed", "links", "left_out"}
+        fields_of_windows = {"start", "end", "leaders", "not_confirmed", "links", "left_out", "confound", "alike"}
+        assert set(window) == fields_of_windows
         assert [set(link) for link in window["links"]] == [{"follower", "leader", "head", "delay"}] * 11
         for leader in window["leaders"]:
             assert set(leader) == fields
@@ -124,7 +125,7 @@ def test_out_and_record_write_all_files(run, folder, tmp_path):
     status, _, err = run("detect", folder / "merging.csv", *QUICK, "--out", out, "--record")
     assert status == 0
     assert "replay.rrd" in err
-    names = {"windows.csv", "leaders.csv", "leaders.json", "picture.png", "episode.npz", "replay.rrd"}
+    names = {"windows.csv", "leaders.csv", "leaders.json", "picture.png", "page.html", "episode.npz", "replay.rrd"}
     assert names <= {path.name for path in out.iterdir()}
     with open(out / "windows.csv", newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
@@ -132,6 +133,10 @@ def test_out_and_record_write_all_files(run, folder, tmp_path):
     assert {row["id"] for row in rows} == {"bird-0", "bird-1"}
     assert "bird-2" in next(row for row in rows if row["id"] == "bird-0")["followers"].split(";")
     assert json.loads((out / "leaders.json").read_text())["leaders"][0]["id"] == "bird-0"
+    page = (out / "page.html").read_text(encoding="utf-8")
+    assert "bird-1 and its 6 followers follow bird-0." in page
+    assert page.count('src="data:image/png;base64,') == 4
+    assert "<link" not in page
     record = EpisodeRecord.load(out / "episode.npz")
     assert (record.rounds, record.uavs, record.labelled) == (7, 14, False)
     ids = record.config["ids"]
@@ -154,7 +159,7 @@ def test_missing_extras_leave_out_a_file_and_say_so(run, folder, tmp_path, monke
     assert "[render]" in err
     assert "[replay]" in err
     written = {path.name for path in tmp_path.iterdir()}
-    assert written == {"episode.npz", "leaders.csv", "leaders.json", "links.csv", "windows.csv"}
+    assert written == {"episode.npz", "leaders.csv", "leaders.json", "links.csv", "page.html", "windows.csv"}
 
 
 def test_links_have_the_direct_leader_and_the_delay_in_seconds():

@@ -32,6 +32,9 @@ def test_odd_ids_are_drawn_and_written_as_plain_text(run, tmp_path):
         assert name in out
     with open(tmp_path / "out" / "leaders.csv", newline="", encoding="utf-8") as file:
         assert [row["id"] for row in csv.DictReader(file)] == ["'=1+\u9e1f"]
+    page = (tmp_path / "out" / "page.html").read_text(encoding="utf-8")
+    assert "<title>Leaders in $x_{1$.csv</title>" in page
+    assert "=1+\u9e1f leads" in page
 
 
 def test_the_picture_has_the_coordinates_and_times_of_the_file(tmp_path):

@@ -51,6 +51,11 @@ CASES = {  # rows of the file, delimiter, options
     "spreadsheet": ([HEADER, *rows([45382.3125 + t / 86400 for t in TIMES])], ",", {}),
     "two places": ([HEADER, *rows(), ["a", 60, 1e3, 1e3]], ",", {"duplicates": "first"}),
     "no place": ([HEADER, *rows(), ["a", 5e3, 0, 0], ["a", 5e3, 0, 0.0]], ",", {"missing_place": (0, 0)}),
+    "unsure": (
+        [[*HEADER, "likelihood"], *([*row, 0.9] for row in ROWS), ["a", 99, 0, 1, 0.5], ["b", 99, 0, 1, ""]],
+        ",",
+        {"min_confidence": 0.6},
+    ),
     "marks": ([HEADER, *rows(), ["a", 5e3, "-", 1], ["b", 5e3, "inf", "#N/A"]], ",", {"missing": "skip"}),
 }  # fmt: skip
 
@@ -94,9 +99,17 @@ def test_what_cannot_be_known_is_refused_with_the_option_that_helps(tmp_path):
     assert "--time-format" in refusal(write_csv(tmp_path / "days.csv", rows(stamps("03/04/2024"))))
     assert "--columns" in refusal(write_csv(tmp_path / "t.txt", ROWS[1:], list(map(str, ROWS[0])), delimiter=" "))
     assert "--duplicates" in refusal(write_csv(tmp_path / "two.csv", [*ROWS, ["a", 60, 1e3, 1e3]]))
-    (tmp_path / "tracks.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(99))
-    assert "it is no text" in refusal(tmp_path / "tracks.h5")
+    (tmp_path / "tracks.xls").write_bytes(b"\xd0\xcf\x11\xe0" + bytes(99))
+    assert "--format" in refusal(tmp_path / "tracks.xls")
     assert "names in header" in refusal(tmp_path / "two.csv", header=["id", "t"])
+
+
+def test_an_id_that_is_used_again_is_another_one(tmp_path):
+    rows = [["a", t, t, 0, ""] for t in (0, 1, 50, 51)] + [["b", t, t, 9, "a"] for t in (0, 1, 48, 49, 50)]
+    read = read_tracks(write_csv(tmp_path / "again.csv", rows, [*HEADER, "leader"]), split_gap=20)
+    assert (read.ids, read.offsets.tolist()) == (("a", "a/2", "b", "b/2"), [0, 2, 4, 6, 9])
+    assert read.leader.tolist() == [-1, -1, -1, -1, 0, 0, 0, 0, 1]
+    assert read_tracks(tmp_path / "again.csv", split_gap=60).ids == ("a", "b")
 
 
 def test_the_mean_of_two_places_is_taken(tmp_path):

@@ -42,7 +42,7 @@ Examples:
 
 \b
 Roles for --column:
-  id  t  frame  x  y  z  lon  lat  leader
+  id  t  frame  x  y  z  lon  lat  leader  confidence
 """  # click reads the control characters: they keep the lines
 
 
@@ -78,6 +78,7 @@ def _parse_place(context: click.Context, option: click.Parameter, words: str | N
 @click.option("--step", type=PositiveNumber(), help="Seconds of a step.  [default: chosen from the tracks]")
 @click.option("--max-gap", type=PositiveNumber(), help="Longest gap in seconds that is interpolated.")
 @click.option("--keep-spikes", is_flag=True, help="Keep single samples off the track, to which it jumps and back.")
+@click.option("--format", metavar="NAME", help="See `usnet list format`.  [default: by suffix]")
 @click.option("--column", "columns", multiple=True, callback=_parse_columns, metavar="ROLE=NAME", help=_COLUMN)
 @click.option("--time-unit", type=PositiveNumber(), help="Seconds in one unit of the time column.  [default: guessed]")
 @click.option("--columns", "header", callback=_parse_names, metavar="NAMES", help=_HEADER)
@@ -86,11 +87,13 @@ def _parse_place(context: click.Context, option: click.Parameter, words: str | N
 @click.option("--duplicates", type=click.Choice(["error", "first", "mean"]), default="error", help=_DUPLICATES)
 @click.option("--skip-missing", "missing", flag_value="skip", default="refuse", help="Skip incomplete rows.")
 @click.option("--missing", "missing_place", callback=_parse_place, metavar="X,Y", help="A place that means none.")
+@click.option("--min-confidence", type=float, help="Skip rows with a smaller confidence, likelihood or score.")
+@click.option("--split-gap", type=PositiveNumber(), help="Seconds; after a longer gap, an id is another one.")
 @click.option("--encoding", default="utf-8", show_default=True, metavar="NAME", help="Encoding of a CSV file.")
 @click.option("--decimal", type=click.Choice([".", ","]), default=".", help="Decimal sign of a CSV file.  [default: .]")
 @click.option("--seed", type=WholeNumber(0, 2**63 - 1), default=0, show_default=True, help="Seed of the detector.")
 @click.option("--unconfirmed", is_flag=True, help="Also name leaders whose followers don't move like them later.")
-@click.option("--out", metavar="DIR", help="Folder for tables, JSON and a picture.")
+@click.option("--out", metavar="DIR", help="Folder for a page, tables, JSON and pictures.")
 @click.option("--record", is_flag=True, help="Also write an episode file and a replay; needs --out.")
 @click.option("--windows", "by_windows", is_flag=True, help="Also print the leaders of each window.")
 @click.option("--json", "as_json", is_flag=True, help="Print only the leaders, as JSON.")
@@ -112,19 +115,20 @@ def detect(
 ) -> None:
     """Find the leaders in recorded tracks: their followers, times, probabilities and reasons.
 
-    TRACKS is a CSV file with the columns id, t (or frame), x, y and optionally z, or lon and lat in degrees; or a
-    Parquet, NPZ, Movebank, GPX or PX4 ULog file. Several files are read as one.
+    TRACKS is a CSV file with the columns id, t (or frame), x, y and optionally z, or lon and lat in degrees; or a file
+    of another format, such as Parquet, GPX, SLEAP, DeepLabCut or ULog. Several files are read as one.
     """
     from usnet_env.plugins import make_detector
     from usnet_env.tracks import find_leaders, read_tracks
     from usnet_env.tracks.confirm import LEAST_STEPS
+    from usnet_env.tracks.page import write_page
 
     if record and out is None:
         raise click.UsageError("--record needs --out.")
     folder = None if out is None else as_path("out", out)
-    player = make_detector(detector)
     read = read_tracks(list(tracks), **reading)
     report = read.report()
+    player = make_detector(detector)
     for sentence in report.warnings:
         print_message(f"warning: {sentence}")
     even = read.resample(step, max_gap=max_gap, keep_spikes=keep_spikes, length=window or 0)
@@ -149,27 +153,31 @@ def detect(
     if as_json:
         click.echo(content)
     else:
-        click.echo("\n".join(map(printable, facts)))
         over_file, by_window = _tables(found)
         show(over_file)
-        events = [printable(str(event)) for event in found.events]
+        events = [printable(str(event)) for event in (*found.confounds, *found.events)]
         if len(events) > _MOST_ROWS:
             events[_MOST_ROWS:] = [f"{len(events) - _MOST_ROWS} more changes; --out DIR writes all windows."]
         click.echo("\n".join(["", *events]))
         if by_windows:
             show(by_window)
+        click.echo("\n".join(map(printable, ["", *facts])))
     if folder is not None:
         title = ", ".join(Path(name).name for name in tracks)
         episode = _make_record(even, kept, title, found.detector, seed) if record else None
         write_text(folder / "leaders.json", content + "\n")
         _write_files(folder, found, episode, ([cut for cut, _, _ in kept], title, even))
+        write_page(found, folder / "page.html", title, facts)
         click.echo(f"{', '.join(sorted(path.name for path in folder.iterdir()))} are in {folder}.", err=True)
 
 
 def _tables(found: FoundLeaders) -> list[Table]:
+    from usnet_env.tracks.leaders import CONFOUNDS
+
     rows: list[list[str]] = []
     for window in found.windows:
-        cells = [_cells(leader) for leader in window.leaders] or [["none found", "", "", ""]]
+        alike = f"{_names(window.alike)} {CONFOUNDS[window.confound]}." if window.confound else ""
+        cells = [_cells(leader) for leader in window.leaders] or [["none found", "", "", alike]]
         if window.not_confirmed:
             cells.append(["", "", "", f"Not confirmed: {_names(window.not_confirmed)}."])
         rows += [[str(window.start), str(window.end), *row] for row in cells]

@@ -14,7 +14,7 @@ from usnet_env.parts import REGISTRIES, find_entry_points
 if TYPE_CHECKING:
     from usnet_env.detection import Tags
 
-_REGISTRIES = ("follow", "mobility", "kinematics", "formation", "placement", "fusion", "clusterer")
+_REGISTRIES = ("follow", "mobility", "kinematics", "formation", "placement", "fusion", "clusterer", "format")
 _WORDS = {  # the paper's strategies; field models tell which assumption they break
     "f1": "copies the last velocity of its head",
     "f2": "copies the sum of the last two velocities of its head",
@@ -63,7 +63,8 @@ def _describe_parts(part: str) -> dict[str, str]:
 
 def _describe_registry(argument: str) -> dict[str, str]:
     """In words, or else by equation or docstring, all parts that an argument selects."""
-    import usnet_env.multiagent.sensors  # noqa: F401  # it creates the registries of observers
+    import usnet_env.multiagent.sensors
+    import usnet_env.tracks.readers  # noqa: F401  # both create registries
 
     if argument in (modules := find_entry_points("usnet.registries")):
         modules[argument].load()

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from gymnasium import spaces
+from gymnasium import logger, spaces
 from numpy.typing import NDArray
 from pydantic import Field
 
@@ -107,6 +107,13 @@ def require_game(state: GameState | None) -> GameState:
     if state is None:
         raise ArgumentError("reset must be called first, got a game that has not begun or is over.")
     return state
+
+
+def has_mode(render_mode: str | None) -> bool:
+    """Whether pictures are drawn; if not, a warning says what draws them."""
+    if render_mode is None:
+        logger.warn("render() returns None, because the environment was made without render_mode='rgb_array'.")
+    return render_mode is not None
 
 
 def parse_candidates(action: Any, shape: tuple[int, ...], name: str = "action") -> Mask:

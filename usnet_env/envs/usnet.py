@@ -224,12 +224,12 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         """Draw the last round, or before the first one the present window, as seen from above, ``(H, W, 3)`` uint8.
 
         The axes fit the first window with a margin, and change only if a later window does not fit. Crosses mark UAVs
-        that were destroyed in earlier rounds. It returns ``None`` unless ``render_mode="rgb_array"``.
+        that were destroyed in earlier rounds. Without ``render_mode="rgb_array"``, it warns and returns ``None``.
 
         Raises:
             MissingExtraError: matplotlib is not installed.
         """
-        if self.render_mode is None:
+        if not game.has_mode(self.render_mode):
             return None
         state = game.require_game(self._game)
         window, swarm, candidates, title = self._last_round or (self._window, state.swarm, None, game.UNANSWERED)

@@ -165,7 +165,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the last round, or the current window before the first round, ``(H, W, 3)`` uint8."""
-        if self.render_mode is None:
+        if not game.has_mode(self.render_mode):
             return None
         if self.last_round is not None:
             last, title = self.last_round, game.title_round(self.last_round.metrics)

@@ -16,7 +16,7 @@ from usnet_env.arrays import Floats
 from usnet_env.config import ArgumentError, quote
 from usnet_env.tracks.samples import is_none
 
-Role = Literal["id", "t", "frame", "lon", "lat", "x", "y", "z", "leader"]
+Role = Literal["id", "t", "frame", "lon", "lat", "x", "y", "z", "leader", "confidence"]
 #: The roles of columns, with the names that are guessed, the preferred one first; a unit may follow (``time_ms``).
 ROLES: dict[str, tuple[str, ...]] = {
     "id": (
@@ -32,13 +32,14 @@ ROLES: dict[str, tuple[str, ...]] = {
     "frame": ("frame", "frame_id", "frame_number", "frame_nr", "frame_index", "frameid"),
     "lon": ("lon", "longitude", "location-long", "lng", "long"),
     "lat": ("lat", "latitude", "location-lat"),
-    "x": ("x", "pos_x", "position_x", "x_position", "easting", "utm-easting", "utm_easting"),
-    "y": ("y", "pos_y", "position_y", "y_position", "northing", "utm-northing", "utm_northing"),
+    "x": ("x", "pos_x", "position_x", "x_position", "easting", "utm-easting", "x_wcentroid"),
+    "y": ("y", "pos_y", "position_y", "y_position", "northing", "utm-northing", "y_wcentroid"),
     "z": (
         "z", "pos_z", "position_z", "altitude", "alt", "height", "elevation", "ele",
         "height-above-ellipsoid", "height-above-msl", "geoaltitude", "baroaltitude",
     ),
     "leader": ("leader", "leader_id", "head", "follows"),
+    "confidence": ("confidence", "conf", "likelihood", "score", "instance_score", "probability"),
 }  # fmt: skip
 TIME_UNITS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # seconds
 LENGTH_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "ft": 0.3048, "px": 1.0}  # metres
@@ -58,12 +59,12 @@ _COMMA = re.compile(r"\s*[+-]?(\d*,\d+|\d+,)([eE][+-]?\d+)?\s*")
 
 
 def choose_columns(
-    header: Sequence[str], mapping: Mapping[Any, str], where: str, *, one_id: bool = False
+    header: Sequence[str], mapping: Mapping[Any, str], where: str, *, one_id: bool = False, confidence: bool = False
 ) -> dict[str, str]:
     """Choose the name of the column of each role: x and y or lon and lat, t or frame, and others.
 
     Degrees, which name their datum, go before x and y, unless the caller's ``mapping`` has these. ``one_id``: the file
-    may have no id, as all of it is one track.
+    may have no id, as all of it is one track. ``confidence``: it must have that column, which is otherwise left out.
     """
     found = {role: name for role, name in mapping.items() if name}
     given = set(found)
@@ -75,9 +76,10 @@ def choose_columns(
     degrees = bool(given & {"lon", "lat"}) or {"lon", "lat"} <= found.keys()
     plane = ("lon", "lat") if degrees and not given & {"x", "y"} else ("x", "y")
     time = "frame" if "frame" in found and ("frame" in given or "t" not in found) else "t"
-    found = {role: name for role, name in found.items() if role in ("id", time, *plane, "z", "leader")}
+    needed = ["id", time, *plane, *["confidence"] * confidence]
+    found = {role: name for role, name in found.items() if role in (*needed, "z", "leader")}
     must, chosen = "", list(found.values())
-    if missing := [role for role in ("id", time, *plane) if role not in found and not (one_id and role == "id")]:
+    if missing := [role for role in needed if role not in found and not (one_id and role == "id")]:
         must = f"name those of {where} for {', '.join(missing)}"
         if any(_is_number(name) for name in header):
             first = quote(" ".join(header)[:80])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import combinations
+from itertools import combinations, permutations
 from statistics import NormalDist
 from typing import Any
 
@@ -23,8 +23,10 @@ _LEAST_SHIFT = 3 * _LAGS  # a smaller shift leaves a part of the likeness at som
 _SHORT = 48  # steps; in shorter windows, trends hide who is first, and changes of velocity count as much
 _DEVIATION_OF_BOTH = 1.7  # of the sum of two scores with a correlation of 0.45
 _LONGEST, _THIRD = 30.0, 3  # seconds, and part of a window, in which a place is reached later
+_SAME_HEADING = 0.8  # the cosine of headings at one place
 _SAME_WAY = 0.03  # squared distances to the way of a leader, as a share of those to where it is
 _MOST_OF = 0.75  # of a group
+_MOST_COMPARED = 20  # UAVs
 _MOST_ALIKE = 0.999  # the logarithm of equal tracks is infinite
 
 
@@ -93,20 +95,66 @@ def keep_group(window: Window, leader: int, followers: Sequence[int]) -> list[in
     those after 9 circular shifts in time by 3 of their standard deviations. All stay in a window of fewer than 32
     steps, and where none is kept.
     """
-    steps = window.observation_steps
-    if steps < 2 * LEAST_STEPS:
+    if window.observation_steps < 2 * LEAST_STEPS:
         return list(followers)
     unit = _scale(window.velocity, window.velocity_seen)
-    late = np.linspace(_LEAST_SHIFT, steps - _LEAST_SHIFT, _SHIFTS).astype(int)
     new, left = [leader], np.array(followers, np.int64)
-    group = []
+    group = list[int]()
     while len(new) and len(left):
-        found = np.array([_correlate(np.roll(unit[:, left], k, axis=0), unit[:, new]).max(axis=1) for k in (0, *late)])
-        like, *by_chance = np.arctanh(np.clip(found, -_MOST_ALIKE, _MOST_ALIKE))
-        kept = like > np.mean(by_chance, axis=0) + _DEVIATIONS * np.std(by_chance, axis=0)
+        kept = _are_alike(unit[:, left], unit[:, new])
         new, left = left[kept].tolist(), left[~kept]
         group += new
     return sorted(group) or list(followers)
+
+
+def _are_alike(unit: NDArray[np.float32], others: NDArray[np.float32]) -> Mask:
+    """Which scaled velocities ``(T, n, 3)`` are more like those of any other than chance allows; ``(n,)``."""
+    late = np.linspace(_LEAST_SHIFT, len(unit) - _LEAST_SHIFT, _SHIFTS).astype(int)
+    found = np.array([_correlate(np.roll(unit, k, axis=0), others).max(axis=1) for k in (0, *late)])
+    like, *by_chance = np.arctanh(np.clip(found, -_MOST_ALIKE, _MOST_ALIKE))
+    return np.asarray(like > np.mean(by_chance, axis=0) + _DEVIATIONS * np.std(by_chance, axis=0))
+
+
+def find_confound(window: Window) -> tuple[str, list[int]]:
+    """What UAVs may follow where none of them leads: ``"one path"``, ``"one signal"`` or ``""``; and which UAVs.
+
+    Two go along one path if the squared distances of the places of each to the nearest place of the other at any time
+    have a median of at most 3 % of that of the squared distances at the same time, and the cosine of their headings
+    there has a median of at least 0.8. UAVs follow one signal, or each other, if their velocities and the changes of
+    these are alike, as in :func:`keep_group`, to those of the UAV that is most like all. It must be more than half of
+    the UAVs, of which at most 20 are looked at, in a window of at least 32 steps.
+    """
+    uavs = np.unique(np.linspace(0, window.uavs - 1, min(window.uavs, _MOST_COMPARED)).astype(int))
+    if window.observation_steps < 2 * LEAST_STEPS:
+        return "", []
+    near = np.eye(len(uavs), dtype=bool)
+    for i, j in combinations(range(len(uavs)), 2):
+        near[i, j] = near[j, i] = all(_is_on_way(window, *pair) for pair in permutations((uavs[i], uavs[j])))
+    velocity, seen = window.velocity[:, uavs], window.velocity_seen[:, uavs]
+    unit, changes = _scale(velocity, seen), _scale(np.diff(velocity, axis=0), seen[1:] & seen[:-1])
+    first = int(_correlate(unit, unit).mean(axis=1).argmax())
+    alike = _are_alike(unit, unit[:, [first]]) & _are_alike(changes, changes[:, [first]])
+    alike[first] = True
+    for words, who in (("one path", near[near.sum(axis=1).argmax()]), ("one signal", alike)):
+        if 2 * who.sum() > len(who) and who.sum() > 1:
+            return words, uavs[who].tolist()
+    return "", []
+
+
+def _is_on_way(window: Window, one: int, other: int) -> bool:
+    """Whether the places of one UAV are near to some of the other's, at whatever time, and headed in the same way."""
+    seen = window.seen[1:] & window.velocity_seen
+    both = seen[:, [one, other]].all(axis=1)
+    if both.sum() < LEAST_STEPS:
+        return False
+    place, velocity = window.position[1:].astype(np.float64), window.velocity.astype(np.float64)
+    mine, theirs = seen[:, one], seen[:, other]
+    squares = ((place[mine, None, one] - place[None, theirs, other]) ** 2).sum(axis=2)
+    going, there = velocity[mine, one], velocity[theirs, other][squares.argmin(axis=1)]
+    size = np.linalg.norm(going, axis=1) * np.linalg.norm(there, axis=1)
+    alike = np.median((going * there).sum(axis=1) / np.where(size > 0, size, np.inf))
+    apart = np.median(((place[both, one] - place[both, other]) ** 2).sum(axis=1))
+    return bool(np.median(squares.min(axis=1)) <= _SAME_WAY * apart and alike >= _SAME_HEADING)
 
 
 def confirm_lead(window: Window, leader: int, followers: Sequence[int]) -> bool:

@@ -6,6 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
+from usnet_env.config import format_count
+
 if TYPE_CHECKING:
     from usnet_env.tracks.leaders import DetectedWindow
 
@@ -18,7 +20,7 @@ _SENTENCES = {
     "joins": "{who} {follow} {new}.",
     "leaves": "{who} no longer {follow} {old}.",
     "changes": "{who} {follow} {new} instead of {old}.",
-    "merges": "{old} and those behind it follow {new}.",
+    "merges": "{old}{group} {new}.",
     "splits": "{new}, which followed {old}, leads {who}.",
     "takes over": "{new} leads {who} instead of {old}.",
 }
@@ -46,7 +48,9 @@ class Event:
         more = f" and {len(self.ids) - _MOST_NAMES} more" * (len(self.ids) > _MOST_NAMES)
         who, follow = ", ".join(map(str, self.ids[:_MOST_NAMES])) + more, "follow" + "s" * (len(self.ids) == 1)
         follow = "follow" if self.kind == "leaves" else follow
-        return f"From {self.time}: " + _SENTENCES[self.kind].format(who=who, follow=follow, old=self.old, new=self.new)
+        group = f" and its {format_count(len(self.ids), 'follower')} follow" if self.ids else " follows"
+        names = {"who": who, "follow": follow, "group": group, "old": self.old, "new": self.new}
+        return f"From {self.time}: {_SENTENCES[self.kind].format(**names)}"
 
 
 def find_events(windows: Iterable[DetectedWindow]) -> tuple[Event, ...]:

@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from scipy.optimize import linear_sum_assignment
-from scipy.special import bdtrc
 
 from usnet_env.arrays import Floats, Indices
 from usnet_env.config import ArgumentError, format_count, quote, whole_number
@@ -20,7 +18,7 @@ from usnet_env.detection import Detection, ask
 from usnet_env.objectives import list_followers
 from usnet_env.parts import describe_error
 from usnet_env.plugins import DetectorLike, detector_label, make_detector
-from usnet_env.tracks.confirm import LEVEL, confirm_leaders
+from usnet_env.tracks.confirm import LEVEL, confirm_leaders, find_confound
 from usnet_env.tracks.events import Event, find_events
 from usnet_env.tracks.tracks import Tracks, TrackWindow
 
@@ -32,9 +30,13 @@ _SAME_GROUP = 0.25  # two groups are one if they share this part of all their me
 _SAME_LEADER = 0.25
 _UNLIKELY = 0.01  # a leader in as many windows is called chance if that is more probable than this
 _MOST_LAG = 12  # steps
+CONFOUNDS = {
+    "one path": "go along one path, each at a pace of its own",
+    "one signal": "move alike, but none ahead: they follow one signal, each other, or an id without a track",
+}
 _LEAST_STEPS = 4  # of the window for each step of the longest lag
 _COLUMNS = {  # of the tables
-    "windows": "start end group id probability score followers reason not_confirmed left_out",
+    "windows": "start end group id probability score followers reason not_confirmed left_out confound alike",
     "leaders": "id probability followers reason group score share",
     "rows": "start end id leader head delay probability group",
     "links": "start end follower leader head delay",
@@ -96,6 +98,8 @@ class DetectedWindow:
         not_confirmed: ids of the candidates that are not confirmed.
         links: the followers of the leaders, each with the id that it follows directly and its delay.
         left_out: ids that are seen in too few steps, so that the detector did not get them.
+        confound: ``"one path"`` or ``"one signal"``, which ids without a confirmed leader follow, or ``""``.
+        alike: these ids.
     """
 
     start: float | int | str
@@ -104,6 +108,8 @@ class DetectedWindow:
     not_confirmed: tuple[str | int, ...] = ()
     links: tuple[Link, ...] = ()
     left_out: tuple[str | int, ...] = ()
+    confound: str = ""
+    alike: tuple[str | int, ...] = ()
 
     def roots(self, ids: Sequence[str | int]) -> Indices:
         """``(N,)`` index of the leader of each of the window's ids; a leader has its own index, -1: none."""
@@ -135,11 +141,22 @@ class FoundLeaders:
     def __str__(self) -> str:
         said = [(each.id, format_count(len(each.followers), "id"), each.share or 0.0) for each in self.leaders]
         lines = [f"{name} leads {count} in {share:.0%} of the windows." for name, count, share in said]
-        return "\n".join([*(lines or ["No leader was found."]), *map(str, self.events)])
+        return "\n".join([*(lines or ["No leader was found."]), *self.confounds, *map(str, self.events)])
 
     def _repr_html_(self) -> str:
         table = pd.DataFrame([vars(leader) for leader in self.leaders], columns=_COLUMNS["leaders"].split())
         return str(table.to_html(index=False)) if self.leaders else "<p>No leader was found.</p>"
+
+    @property
+    def confounds(self) -> list[str]:
+        """A sentence about what ids follow instead of a leader, if they do so in at least half of the windows."""
+        sentences, all_windows = [], format_count(len(self.windows), "window")
+        for kind, words in CONFOUNDS.items():
+            counts = [len(window.alike) for window in self.windows if window.confound == kind]
+            if 2 * len(counts) >= len(self.windows):
+                ids = format_count(round(np.mean(counts)), "id")
+                sentences.append(f"In {len(counts)} of {all_windows} nobody leads, and {ids} {words}.")
+        return sentences
 
     @property
     def events(self) -> tuple[Event, ...]:
@@ -297,7 +314,9 @@ def _detect_window(
             ahead = head if detection.leader is None else int(detection.leader[i])
             links.append(Link(ids[i], ids[ahead], ids[head], _measure_delay(cut, i, ahead)))
     rejected = tuple(ids[head] for head in heads[~confirmed])
-    return DetectedWindow(*times, tuple(leaders), rejected, tuple(links), cut.left_out)
+    confound, alike = find_confound(cut.window) if confirm and not leaders else ("", [])
+    others = tuple(ids[i] for i in alike)
+    return DetectedWindow(*times, tuple(leaders), rejected, tuple(links), cut.left_out, confound, others)
 
 
 def _measure_delay(cut: TrackWindow, follower: int, leader: int) -> float | None:
@@ -321,6 +340,8 @@ def _number_groups(found: list[Group], known: list[Group]) -> list[int]:
 
     ``known`` holds each group as it was found last, in the order of the numbers, and is updated.
     """
+    from scipy.optimize import linear_sum_assignment  # a refusal does not wait for SciPy
+
     share = np.zeros((len(found), len(known)))
     for (k, (head, now)), (g, (leader, then)) in product(enumerate(found), enumerate(known)):
         share[k, g] = len(now & then) / len(now | then) + _SAME_LEADER * (head == leader)
@@ -333,6 +354,8 @@ def _number_groups(found: list[Group], known: list[Group]) -> list[int]:
 
 def _summarise(windows: list[DetectedWindow], ids: Sequence[str | int], seen: Indices | None) -> tuple[Leader, ...]:
     """The leaders over the file; ``seen`` ``(N,)`` windows hold each id, ``None`` if leaders are not confirmed."""
+    from scipy.special import bdtrc
+
     row = {name: k for k, name in enumerate(ids)}
     entries_of: dict[tuple[int, int], list[Leader]] = {}  # by the group and the row of its leader
     for window in windows:

@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -25,20 +26,28 @@ from usnet_env.config import ArgumentError, Config, how_to_install, quote
 from usnet_env.files import as_path
 from usnet_env.tracks import columns as roles
 from usnet_env.tracks import formats
-from usnet_env.tracks.samples import Clock, match_leaders, sort_samples
+from usnet_env.tracks.readers import READERS
+from usnet_env.tracks.samples import Clock, match_leaders, sort_samples, split_gaps
 from usnet_env.tracks.tracks import Tracks
 
 _DELIMITERS = ",;\t|"
+_FOR_ITSELF = ("gpx", "ulg")  # formats in whose files a name is that of a track
 _TEXTS = (".csv", ".tsv", ".gpx", ".json", ".txt")  # in zip archives; one of the last only if there is no other
 _TIME_OF_DAY = r"\d{1,2}:\d\d"
 _RECORDED = (315_532_800, 4_102_444_800)  # seconds from 1970 to 1980 and to 2100
 _SHORT = 0.05  # seconds between samples, or 72 minutes in days
+_SKIPPED = {
+    "skipped": "without a time, place or id",
+    "marked": "marked as outliers in the file",
+    "unsure": "with less than the least confidence",
+}
 _NO_NUMBER = ["", "NA", "na", "N/A", "n/a", "NaN", "nan", "NULL", "null", "None", "none"]  # others are read one by one
 
 
 class _Options(Config):
     """The arguments of :func:`read_tracks` but for the files."""
 
+    format: str | None
     columns: Mapping[roles.Role, str] | None
     header: Sequence[str] | None
     time_unit: Annotated[float, Field(ge=1e-12, le=1e9)] | None
@@ -46,6 +55,8 @@ class _Options(Config):
     length_unit: Literal["m", "cm", "mm", "km", "ft", "px"] | None
     missing: Literal["refuse", "skip"]
     missing_place: tuple[float, float] | None
+    min_confidence: float | None
+    split_gap: Annotated[float, Field(gt=0)] | None
     duplicates: Literal["error", "first", "mean"]
     encoding: str
     decimal: Literal[".", ","]
@@ -54,6 +65,7 @@ class _Options(Config):
 def read_tracks(
     path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | pd.DataFrame,
     *,
+    format: str | None = None,
     columns: Mapping[str, str] | None = None,
     header: Sequence[str] | None = None,
     time_unit: float | None = None,
@@ -61,19 +73,22 @@ def read_tracks(
     length_unit: Literal["m", "cm", "mm", "km", "ft", "px"] | None = None,
     missing: Literal["refuse", "skip"] = "refuse",
     missing_place: tuple[float, float] | None = None,
+    min_confidence: float | None = None,
+    split_gap: float | None = None,
     duplicates: Literal["error", "first", "mean"] = "error",
     encoding: str = "utf-8",
     decimal: Literal[".", ","] = ".",
 ) -> Tracks:
     """Read recorded tracks from one file, from several with the same clock and coordinates, or from a data frame.
 
-    The format follows from the suffix: ``.parquet`` or ``.pq``, ``.npz``, ``.gpx``, ``.json``, ``.ulg`` (PX4); any
-    other file is read as CSV. Texts may be compressed (gzip, or zip with one such file in it).
+    The format follows from the suffix, if it is the name of a reader (:mod:`usnet_env.tracks.readers`), such as
+    ``.parquet`` or ``.h5``; any other file is read as CSV. Files may be compressed: gzip, or zip with one text in it.
 
     Args:
         path: the file or files, or a frame with a row for each sample, of which a named index is a column. ULog files
             hold one track each, whose id is the name of the file. The tracks of one name in several GPX or ULog files
             are different ids, which have the path added.
+        format: the name of a reader, or ``"csv"``, where the suffix doesn't tell it.
         columns: names of columns by role, where they can't be guessed: ``id``, ``t`` (seconds or timestamps) or
             ``frame``, ``x`` and ``y`` (metres) or ``lon`` and ``lat`` (degrees), ``z``, ``leader``. ``""`` leaves one
             out. If heights are missing in some rows, all are left out unless their column is named here.
@@ -87,6 +102,8 @@ def read_tracks(
             are missed fixes, are always skipped; so are those that Movebank marks as outliers, and empty cells of a
             table with a column for each id (``x1, y1, x2, y2``).
         missing_place: a place that stands for a missing one, such as (0, 0).
+        min_confidence: leaves out rows with a smaller number, or none, in the column of the role ``confidence``.
+        split_gap: seconds; after a longer gap, an id is another one: ``a`` is ``a/2``, and then ``a/3``.
         duplicates: of several places of an id at one time, keep the ``"first"`` or the ``"mean"``, or refuse them.
         encoding: of a CSV file.
         decimal: the decimal sign of a CSV file.
@@ -122,7 +139,7 @@ class _Part:
 
     names: dict[str, str]  # of the columns by role
     rows: pd.DataFrame
-    counts: Counter[str]  # of all "rows", those "marked" as outliers, and others "skipped"
+    counts: Counter[str]  # of all "rows", and of those of _SKIPPED
     timestamps: bool  # in microseconds since 1970
     for_itself: bool  # an id means nothing in another file
 
@@ -145,7 +162,8 @@ def _read_file(path: Path, options: _Options, several: bool) -> _Part:
 def _read_part(table_of_file: formats.Table, options: _Options, where: str, stem: str | None) -> _Part:
     """Read the columns of a table; ``stem`` is its id if it has none."""
     (header, read_columns), mapping, for_itself = table_of_file, options.columns or {}, False
-    names = roles.choose_columns(header, mapping, where, one_id=stem is not None)
+    sure = {"confidence": options.min_confidence is not None}
+    names = roles.choose_columns(header, mapping, where, one_id=stem is not None, **sure)
     movebank = roles.MOVEBANK & {name.replace("_", "-") for name in header}
     marks = {"visible": "visible"} if movebank and "visible" in header else {}
     if "t" in names and (dates := [name for name in header if name.strip().lower() == "date"]):
@@ -153,7 +171,7 @@ def _read_part(table_of_file: formats.Table, options: _Options, where: str, stem
     table = read_columns(names | marks)
     if "id" in names and not mapping.get("id") and len(table) > 1 and table["id"].is_unique:
         other = [name for name in header if name != names["id"]]  # it numbers the rows
-        again = roles.choose_columns(other, mapping, where, one_id=True)
+        again = roles.choose_columns(other, mapping, where, one_id=True, **sure)
         if "id" in again:
             names, table = again, read_columns(again | marks)
     if "id" not in names:
@@ -173,7 +191,7 @@ def _read_part(table_of_file: formats.Table, options: _Options, where: str, stem
             rows[role] = roles.read_labels(column)
         else:
             rows[role] = roles.read_numbers(column, role, where, options.decimal, options.time_format)
-        if role == "leader" or (role == "z" and not mapping.get("z")):
+        if role in ("leader", "confidence") or (role == "z" and not mapping.get("z")):
             continue
         none = rows[role].isin(["", np.nan]).to_numpy()
         if none.any() and not skip:
@@ -182,10 +200,13 @@ def _read_part(table_of_file: formats.Table, options: _Options, where: str, stem
     if options.missing_place is not None:
         place = [role for role in names if role in ("lon", "lat", "x", "y")]
         good &= (rows[place] != options.missing_place).any(axis=1)
+    unsure = np.zeros(len(rows), bool)
+    if "confidence" in names:
+        unsure = good & ~(rows["confidence"] >= options.min_confidence).to_numpy()
     dated = any(roles.has_timestamps(table[role]) for role in roles.TIMES if role in names)
     timestamps = dated or options.time_format is not None
-    counts = Counter(rows=count, marked=count - len(rows), skipped=int((~good).sum()))
-    return _Part(names, rows[good], counts, timestamps, for_itself)
+    counts = Counter(rows=count, marked=count - len(rows), skipped=int((~good).sum()), unsure=int(unsure.sum()))
+    return _Part(names, rows[good & ~unsure], counts, timestamps, for_itself)
 
 
 def _join_date(clock: pd.Series[Any], date: pd.Series[Any] | None) -> pd.Series[Any]:
@@ -198,19 +219,20 @@ def _join_date(clock: pd.Series[Any], date: pd.Series[Any] | None) -> pd.Series[
 
 def _open_table(path: Path, options: _Options) -> tuple[formats.Table, bool]:
     """The table of a file, and whether its ids, such as the names of tracks, mean nothing in other files."""
-    suffix = path.suffix.lower()
-    if suffix in (".parquet", ".pq"):
-        return formats.read_parquet(path), False
-    if suffix == ".npz":
-        return formats.read_npz(path, options.columns or {}), False
-    if suffix == ".ulg":
-        return formats.read_ulog(path), True
-    data, name = _expand(path)
-    if name.lower().endswith(".gpx"):
-        return formats.read_gpx(data, Path(name).stem), True
-    if name.lower().endswith((".json", ".jsonl", ".ndjson")):
-        return formats.read_json(data, lines=not name.lower().endswith(".json")), False
-    table = _read_csv(data, options)
+    packed = path.suffix.lower() in (".gz", ".zip")
+    data, name = _expand(path) if packed else (b"", path.name)
+    kind = options.format or Path(name).suffix[1:].lower()
+    if kind in READERS or options.format not in (None, "csv"):
+        reader = READERS.find(kind)
+        with TemporaryDirectory() as folder:
+            if packed:
+                path = Path(folder, Path(name).name)
+                path.write_bytes(data)
+            frame = reader(path)
+        if not isinstance(frame, pd.DataFrame):
+            raise ArgumentError(f"reader {kind!r} must return a pandas.DataFrame, got {quote(frame)}.")
+        return formats.as_table(frame), kind in _FOR_ITSELF
+    table = _read_csv(data if packed else _expand(path)[0], options)
     has_places = {"id", "x", "lon"} & (options.columns or {}).keys()
     return (table if has_places else formats.as_long(table)), False
 
@@ -235,7 +257,7 @@ def _read_csv(data: bytes, options: _Options) -> formats.Table:
     """Read a CSV file with names in row 1, separated by commas, semicolons, tabs, bars or blanks."""
     encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else options.encoding
     if encoding == "utf-8" and b"\0" in data[:1024]:
-        raise ValueError("it is no text, and its suffix names no format that is read")
+        raise ValueError("it is no text, and its suffix names no format that is read (--format does)")
     comments = 0
     with io.TextIOWrapper(io.BytesIO(data), encoding) as lines:
         while (first := lines.readline(2**20).removeprefix("\ufeff")).startswith("#"):
@@ -290,7 +312,7 @@ def _make_tracks(paths: list[Path], parts: list[_Part], options: _Options, where
         notes.append(f"Column {names.pop('z')} (z) has no value in {empty} of {len(rows)} rows and is left out.")
         rows = rows.drop(columns="z")
     notes.insert(0, f"Columns: {', '.join(f'{role} = {name}' for role, name in names.items())}.")
-    for kind, what in (("skipped", "without a time, place or id"), ("marked", "marked as outliers in the file")):
+    for kind, what in _SKIPPED.items():
         if counts[kind]:
             notes.append(f"{counts[kind]} of {counts['rows']} rows, {what}, skipped.")
     if "frame" in names and options.time_unit is None:
@@ -317,7 +339,8 @@ def _make_tracks(paths: list[Path], parts: list[_Part], options: _Options, where
         notes += sentences
     given: Any = {"clock": clock, "origin": origin, "leader": leader, "notes": notes, "duplicates": options.duplicates}
     frame = "pixels" if options.length_unit == "px" and frame == "metres" else frame
-    return Tracks(**sort_samples(ids, codes, time, axes, **given), frame=frame)
+    tracks = Tracks(**sort_samples(ids, codes, time, axes, **given), frame=frame)
+    return tracks if options.split_gap is None else split_gaps(tracks, options.split_gap)
 
 
 def _guess_time_unit(time: Floats, names: Mapping[str, str]) -> tuple[float, str]:

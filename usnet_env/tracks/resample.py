@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
 from usnet_env.arrays import Floats, Indices
 from usnet_env.config import ArgumentError, format_number
-from usnet_env.tracks.samples import Samples
-
-SamplesT = TypeVar("SamplesT", bound=Samples)
+from usnet_env.tracks.samples import Samples, SamplesT
 
 JUMP = 5.0  # a jump is faster than this many times the speed that 95 % of the steps don't exceed
 _GROSS = 20.0  # times the usual speed; such a jump has the squared length of more than 400 steps

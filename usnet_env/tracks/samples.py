@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,6 +93,9 @@ class Samples:
         return self.clock.file_time(seconds)
 
 
+SamplesT = TypeVar("SamplesT", bound=Samples)
+
+
 def sort_samples(
     ids: tuple[str | int, ...],
     codes: NDArray[np.integer[Any]],
@@ -152,6 +155,22 @@ def sort_samples(
         "clock": clock,
         "notes": tuple(notes),
     }
+
+
+def split_gaps(tracks: SamplesT, gap: float) -> SamplesT:
+    """The tracks with another id after each gap of more than so many seconds: ``a``, then ``a/2``, ``a/3``."""
+    parts = np.flatnonzero(np.append(True, ~tracks.inner_steps | (np.diff(tracks.time) > gap)))
+    owner, start = np.searchsorted(tracks.offsets, parts, side="right") - 1, tracks.time[parts]
+    number = np.arange(len(parts)) - np.searchsorted(owner, owner)
+    if not number.any():
+        return tracks
+    ids = tuple(f"{tracks.ids[k]}/{n + 1}" if n else str(tracks.ids[k]) for k, n in zip(owner, number, strict=True))
+    leader = tracks.leader
+    if leader is not None:  # the part of the leader that is there, or was last
+        length = tracks.duration + 1.0
+        part = np.searchsorted(owner * length + start, leader * length + tracks.time, side="right") - 1
+        leader = np.where(leader < 0, -1, np.maximum(part, np.searchsorted(owner, leader)))
+    return replace(tracks, ids=ids, offsets=np.append(parts, tracks.samples), leader=leader)
 
 
 def match_leaders(

@@ -1,0 +1,141 @@
+"""Formats of trackers, and those of strangers: each is read as the plain CSV of the same tracks."""
+
+import json
+
+import numpy as np
+import pytest
+from track_files import HEADER, refusal, rows_of, straight, write_csv
+
+from usnet_env import parts
+from usnet_env.tracks import read_tracks
+
+PLACES = straight()[..., :2]  # (20, 3, 2)
+PARTS = np.array([[-1.0, 0.0], [1.0, 0.0]])  # of a body, about its middle
+BODIES = PLACES[:, :, None] + PARTS  # (20, 3, 2 parts, 2)
+FRAMES = [[row[0], round(row[1] * 2), *row[2:]] for row in rows_of(straight())]
+
+
+def write_sleap(path, names, **axes):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w") as file:
+        order = axes.get("order", ("track", "xy", "node", "frame"))
+        values = BODIES.transpose([("frame", "track", "node", "xy").index(name) for name in order])
+        file["tracks"] = values
+        if axes:
+            file["tracks"].attrs["dims"] = json.dumps(order)
+        file["track_names"] = names
+        file["instance_scores"] = np.full((3, 20), 0.9)
+    return path
+
+
+def write_movement(path):
+    h5py = pytest.importorskip("h5py")
+    axes = {"time": np.arange(20) / 2, "space": ["x", "y"], "keypoints": ["nose", "tail"], "individuals": list("abc")}
+    with h5py.File(path, "w") as file:
+        file["position"] = BODIES.transpose(0, 3, 2, 1)
+        for k, (name, values) in enumerate(axes.items()):
+            file[name] = values
+            file[name].make_scale(name)
+            file["position"].dims[k].attach_scale(file[name])
+        file.attrs["time_unit"] = "seconds"
+    return path
+
+
+def write_idtracker(path):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w") as file:
+        file["trajectories"], file["id_probabilities"] = PLACES, np.ones((20, 3, 1))
+        file.attrs["frames_per_second"] = 2.0
+    return path
+
+
+def write_deeplabcut(path):
+    names = [["scorer", *["net"] * 18], ["individuals", *np.repeat(list("abc"), 6)]]
+    names += [["bodyparts", *["nose"] * 3, *["tail"] * 3] * 1 + ["nose", "nose", "nose", "tail", "tail", "tail"] * 2]
+    names += [["coords", *["x", "y", "likelihood"] * 6]]
+    sure = np.concatenate([BODIES, np.full((20, 3, 2, 1), 0.9)], axis=3)
+    return write_csv(path, [*names[1:], *([k, *now.ravel()] for k, now in enumerate(sure))], names[0])
+
+
+def write_mot(path):
+    rows = [[frame, "abc".index(name), x - 2, y - 1, 4, 2, 1, -1, -1, -1] for name, frame, x, y in FRAMES]
+    return write_csv(path, rows[1:], rows[0])
+
+
+def write_trajnet(path):
+    lines = [{"scene": {"id": 0, "p": 0, "s": 0, "e": 19}}]
+    lines += [{"track": {"f": frame, "p": name, "x": x, "y": y}} for name, frame, x, y in FRAMES]
+    path.write_text("\n".join(map(json.dumps, lines)))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("write", "options"),
+    [
+        (lambda folder: write_sleap(folder / "s.analysis.h5", ["a", "b", "c"]), {"time_unit": 0.5}),
+        (lambda folder: write_sleap(folder / "s.h5", [], order=("frame", "track", "node", "xy")), {"time_unit": 0.5}),
+        (lambda folder: write_movement(folder / "m.nc"), {}),
+        (lambda folder: write_idtracker(folder / "trajectories.h5"), {}),
+        (lambda folder: write_deeplabcut(folder / "d.csv"), {"format": "deeplabcut", "time_unit": 0.5}),
+        (lambda folder: write_mot(folder / "gt.txt"), {"format": "mot", "time_unit": 0.5}),
+        (lambda folder: write_trajnet(folder / "t.ndjson"), {"time_unit": 0.5}),
+    ],
+    ids=["sleap", "sleap-axes", "movement", "idtracker", "deeplabcut", "mot", "trajnet"],
+)
+def test_trackers_files_are_read(tmp_path, write, options):
+    read = read_tracks(write(tmp_path), **options)
+    assert len(read.ids) == 3
+    assert read.duration == 9.5
+    np.testing.assert_allclose((read.position + read.origin)[:, :2], PLACES.transpose(1, 0, 2).reshape(-1, 2))
+
+
+def test_a_file_for_each_animal(tmp_path):
+    for k, name in enumerate("ab"):
+        place = PLACES[:, k]
+        np.savez(
+            tmp_path / f"trex_{name}.npz",
+            **{"X#wcentroid": place[:, 0], "Y#wcentroid": place[:, 1]},
+            time=np.arange(20) / 2,
+            id=np.array([k]),
+            other=np.zeros((3, 2)),
+        )
+        names = [["scorer", *["net"] * 3], ["bodyparts", *["nose"] * 3], ["coords", "x", "y", "likelihood"]]
+        rows = [[k, *place, 0.9] for k, place in enumerate(place)]
+        write_csv(tmp_path / f"dlc_{name}.csv", [*names[1:], *rows], names[0])
+    for files, options, ids in (
+        ("trex_{}.npz", {}, ("0", "1")),
+        ("dlc_{}.csv", {"format": "deeplabcut"}, ("dlc_a", "dlc_b")),
+    ):
+        read = read_tracks([tmp_path / files.format(name) for name in "ab"], **options)
+        assert tuple(map(str, read.ids)) == ids
+        np.testing.assert_allclose((read.position + read.origin)[:20, :2], PLACES[:, 0])
+
+
+@pytest.fixture
+def stranger(monkeypatch, tmp_path):
+    """Installs a distribution with a reader of ``.two``, and one that gives no frame."""
+    program = "import pandas as pd\ndef read(path): return pd.read_csv(path, sep='/', names=['id', 't', 'x', 'y'])\n"
+    (tmp_path / "stranger_reader.py").write_text(f"{program}def read_none(path): ...\n")
+    about = tmp_path / "stranger-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: stranger\nVersion: 1.0\n")
+    points = "two = stranger_reader:read\nnone = stranger_reader:read_none"
+    (about / "entry_points.txt").write_text(f"[usnet.readers]\n{points}\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    parts.find_entry_points.cache_clear()
+    yield
+    parts.find_entry_points.cache_clear()
+
+
+def test_a_strangers_reader_is_found_by_the_suffix_or_by_its_name(tmp_path, stranger):
+    text = "\n".join("/".join(map(str, row)) for row in rows_of(straight()))
+    for name, options in (("tracks.two", {}), ("tracks.txt", {"format": "two"})):
+        (tmp_path / name).write_text(text)
+        assert read_tracks(tmp_path / name, **options).ids == ("a", "b", "c")
+    assert "must return a pandas.DataFrame" in refusal(tmp_path / "tracks.txt", format="none")
+
+
+def test_an_unknown_format_is_refused_and_csv_can_be_named(tmp_path):
+    path = write_csv(tmp_path / "tracks.npz", rows_of(straight()), HEADER)
+    assert read_tracks(path, format="csv").ids == ("a", "b", "c")
+    assert refusal(path, format="excel").startswith("format must be one of")

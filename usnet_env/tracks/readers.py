@@ -1,0 +1,202 @@
+"""Readers of formats other than CSV, as functions from a path to a frame; by their exceptions they say what is wrong.
+
+The frame has a row for each sample, and columns that are named as those of a CSV file. An installed distribution adds a
+reader by an entry point of the group ``usnet.readers``. A reader is taken for files with its name as their suffix, or
+where ``format`` (``--format``) names it.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import warnings
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from usnet_env.arrays import Floats
+from usnet_env.parts import Registry, check_factory
+
+Reader = Callable[[Path], pd.DataFrame]
+_TOPICS = {  # of ULog
+    "vehicle_global_position": {"lon": "lon", "lat": "lat", "z": "alt"},
+    "vehicle_local_position": {"x": "y", "y": "x", "z": "z"},  # its columns are north, east and down
+}
+_MESSAGES = {  # of MAVLink and of ArduPilot's logs: the fields, and units in a degree and in a metre
+    "GLOBAL_POSITION_INT": ("lon", "lat", "alt", 1e7, 1e3),
+    "POS": ("Lng", "Lat", "Alt", 1.0, 1.0),
+}
+_SLEAP = {"tracks": '["track", "xy", "node", "frame"]', "instance_scores": '["track", "frame"]'}  # the usual axes
+_MOVEMENT = ("position", "confidence")
+
+
+def read_json(path: Path) -> pd.DataFrame:
+    """A list of records."""
+    return pd.read_json(path, convert_dates=False)
+
+
+def read_lines(path: Path) -> pd.DataFrame:
+    """A JSON record on each line, or the tracks of Trajnet++."""
+    rows = pd.read_json(path, lines=True, convert_dates=False)
+    tracks = [cell for cell in rows.get("track", ()) if isinstance(cell, dict)]
+    return pd.json_normalize(tracks).rename(columns={"f": "frame", "p": "id"}) if tracks else rows
+
+
+def read_parquet(path: Path) -> pd.DataFrame:
+    """Parquet; an index that pandas has written into it is a column like others."""
+    import pyarrow.parquet
+
+    return pyarrow.parquet.read_table(path).to_pandas(ignore_metadata=True)
+
+
+def read_npz(path: Path) -> pd.DataFrame:
+    """NumPy or TRex: 1-D arrays of one length; or ``position`` ``(T, N, 2 or 3)`` and arrays beside it.
+
+    Beside ``position`` there may be ``t`` ``(T,)`` (otherwise the numbers of the instants count), ``id`` ``(N,)``
+    (otherwise they are numbered), ``leader`` ``(N,)`` or ``(T, N)`` and ``seen`` ``(T, N)``; NaN is unseen as well.
+    """
+    with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
+        arrays: dict[str, NDArray[Any]] = {name: file[name] for name in file.files}
+    if arrays.get("position", np.empty(0)).ndim == 3:
+        place = arrays.pop("position").astype(np.float64)
+        place[~arrays.pop("seen", np.ones((), bool)).astype(bool) & np.ones(place.shape[:2], bool)] = np.nan
+        names = arrays.pop("ids", None)
+        return _list_samples(place, arrays, names)
+    length = max((values.size for values in arrays.values() if values.ndim == 1), default=0)
+    alike = {name: values for name, values in arrays.items() if values.size == 1 or values.shape == (length,)}
+    return pd.DataFrame({k: v.item() if v.size == 1 else v for k, v in alike.items()}, index=range(length))
+
+
+def read_hdf5(path: Path) -> pd.DataFrame:
+    """Analysis files of SLEAP, netCDF files of movement, and trajectories of idtracker.ai.
+
+    The place of an animal is the mean of the parts that are seen; a time is in seconds if the file has a frame rate.
+    """
+    import h5py
+
+    with h5py.File(path) as file:
+        if "trajectories" in file:
+            place, rate = file["trajectories"][()], file.attrs.get("frames_per_second")
+            found = {} if rate is None else {"t": np.arange(len(place)) / float(rate)}
+            if "id_probabilities" in file:
+                found["confidence"] = file["id_probabilities"][()].reshape(place.shape[:2])
+            return _list_samples(place, found)
+        if "tracks" in file:
+            axes = {name: json.loads(file[name].attrs.get("dims", _SLEAP[name])) for name in _SLEAP if name in file}
+            found = {name: _arrange(file[name], axes[name], ("frame", "track", "xy")) for name in axes}
+            names = file["track_names"]
+            return _list_samples(found.pop("tracks"), found, names.asstr()[()] if len(names) else None)
+        if "position" not in file:
+            raise ValueError(f"it has neither trajectories, tracks nor position, but {', '.join(file) or 'nothing'}")
+        axes = {name: [scales[0].name.strip("/") for scales in file[name].dims] for name in _MOVEMENT if name in file}
+        who = next(name for name in axes["position"] if name.startswith("individual"))
+        found = {name: _arrange(file[name], axes[name], ("time", who, "space")) for name in axes}
+        place, frames = found.pop("position"), file.attrs.get("time_unit") in ("frames", b"frames")
+        return _list_samples(place, found | {"frame" if frames else "t": file["time"][()]}, file[who].asstr()[()])
+
+
+def _arrange(values: Any, axes: Sequence[str], order: Sequence[str]) -> Floats:
+    """An array with its axes in this order; over those that are not named, the mean is taken."""
+    rest = tuple(k for k, name in enumerate(axes) if name not in order)
+    left = [name for name in axes if name in order]
+    with warnings.catch_warnings(action="ignore"):  # of places where no part is seen
+        mean = np.nanmean(np.asarray(values, np.float64), axis=rest)
+    return np.transpose(mean, [left.index(name) for name in order if name in left])
+
+
+def _list_samples(place: NDArray[Any], columns: Mapping[str, Any], names: Any = None) -> pd.DataFrame:
+    """A row for each place ``(T, N, 2 or 3)`` that is seen; other columns are ``(T,)``, ``(N,)`` or ``(T, N)``."""
+    times, ids = place.shape[:2]
+    who, when = np.nonzero(np.isfinite(place).all(axis=2).T)
+    found: dict[str, Any] = {"id": (np.arange(ids) if names is None else np.asarray(names))[who], "frame": when}
+    for name, values in columns.items():
+        of_times = values.shape == (times,) and name not in ("id", "leader")
+        found[name] = np.broadcast_to(values[:, None] if of_times else values, (times, ids))[when, who]
+    return pd.DataFrame(found | {"xyz"[axis]: place[when, who, axis] for axis in range(place.shape[2])})
+
+
+def read_deeplabcut(path: Path) -> pd.DataFrame:
+    """CSV of DeepLabCut, a file for one animal or for several; a place is the mean of the parts of the body."""
+    with open(path, encoding="utf-8") as file:
+        several = [file.readline(), file.readline()][1].startswith("individuals")
+    table = pd.read_csv(path, header=[1, 2, 3] if several else [1, 2], index_col=0)
+    table.columns = table.columns.set_names(["id", "part", "axis"] if several else ["part", "axis"])
+    mean = table.T.groupby(level=["id", "axis"] if several else ["axis"], sort=False).mean().T
+    mean = mean.rename_axis("frame")
+    return (mean.stack("id", future_stack=True) if several else mean).dropna(subset=["x", "y"]).reset_index()
+
+
+def read_mot(path: Path) -> pd.DataFrame:
+    """Boxes of the MOT challenge: frame, id, left, top, width, height, confidence; a place is the middle of a box."""
+    rows = pd.read_csv(path, header=None).iloc[:, :7]
+    frame, name, left, top, width, height, sure = (rows[k] for k in rows)
+    places = {"x": left + width / 2, "y": top + height / 2}
+    return pd.DataFrame({"frame": frame, "id": name, **places, "confidence": sure})
+
+
+def read_gpx(path: Path) -> pd.DataFrame:
+    """Track points of GPX; the ids are the names of the tracks.
+
+    A name that several tracks share has the number of the track added, as has the file's, for a track without a name.
+    """
+    tracks = list(ElementTree.parse(path).iterfind(".//{*}trk"))
+    names = [(track.findtext("{*}name") or "").strip() for track in tracks]
+    count = Counter(names)
+    points: list[dict[str, Any]] = []
+    for number, (name, track) in enumerate(zip(names, tracks, strict=True), start=1):
+        label = name if name and count[name] == 1 else f"{name or path.stem}-{number}"
+        for point in track.iterfind(".//{*}trkpt"):
+            cells = {role: (point.findtext(f"{{*}}{role}") or "").strip() for role in ("ele", "time")}
+            points.append({"name": label, "lon": point.get("lon"), "lat": point.get("lat"), **cells})
+    return pd.DataFrame(points, columns=["name", "lon", "lat", "ele", "time"])
+
+
+def read_ulog(path: Path) -> pd.DataFrame:
+    """Estimated positions of a PX4 ULog file: ``vehicle_global_position``, or else the local one."""
+    import pyulog
+
+    log = pyulog.ULog(io.BytesIO(path.read_bytes()), list(_TOPICS))
+    found = {dataset.name: dataset.data for dataset in reversed(log.data_list)}
+    topic = next((name for name in _TOPICS if name in found), "")
+    data = found.get(topic, {"timestamp": []})
+    frame = pd.DataFrame({role: np.asarray(data[name], float) for role, name in _TOPICS.get(topic, {}).items()})
+    if topic == "vehicle_local_position":
+        frame["z"] *= -1
+    return frame.assign(t=np.asarray(data["timestamp"], float) / 1e6, id=path.stem)
+
+
+def read_mavlink(path: Path) -> pd.DataFrame:
+    """Estimated positions in a MAVLink or ArduPilot log; the ids are the numbers of the systems, or the file's name."""
+    from pymavlink import mavutil
+
+    log, rows = mavutil.mavlink_connection(os.fspath(path)), []
+    while (message := log.recv_match(type=list(_MESSAGES))) is not None:
+        *fields, degree, metre = _MESSAGES[message.get_type()]
+        lon, lat, z = (getattr(message, str(name)) for name in fields)
+        who = message.get_srcSystem() if hasattr(message, "get_srcSystem") else path.stem
+        rows.append((who, message._timestamp, lon / degree, lat / degree, z / metre))
+    return pd.DataFrame(rows, columns=["id", "t", "lon", "lat", "z"])
+
+
+_OWN: dict[str, Reader] = {
+    **dict.fromkeys(("parquet", "pq"), read_parquet),
+    **dict.fromkeys(("jsonl", "ndjson"), read_lines),
+    **dict.fromkeys(("h5", "hdf5", "nc"), read_hdf5),
+    **dict.fromkeys(("tlog", "bin"), read_mavlink),
+    "json": read_json,
+    "npz": read_npz,
+    "gpx": read_gpx,
+    "ulg": read_ulog,
+    "deeplabcut": read_deeplabcut,
+    "mot": read_mot,
+}
+READERS = Registry(
+    "reader", "format", "usnet.readers", __name__, check_factory, own=_OWN, reserved=("csv",), classes=True
+)
