@@ -49,7 +49,8 @@ def _environment_page(kind: str) -> str:
     ids = {name: arguments for name, (of, arguments) in ENVIRONMENTS.items() if of == kind}
     rows = [(f"`{name}`", _list_values(arguments)) for name, arguments in ids.items()]
     ids_table = _table(("id", "arguments that it sets"), rows)
-    use = f"{ids_table}\n\n`gym.make_vec` creates {{class}}`usnet_env.envs.{kind}VectorEnv`."
+    create = f'`gym.make("usnet_env:{next(iter(ids))}")` creates one'
+    use = f"{ids_table}\n\n{create}, `gym.make_vec` a batch, {{class}}`usnet_env.envs.{kind}VectorEnv`."
     return _page(kind, getattr(usnet_env.envs, f"{kind}Env"), use)
 
 

@@ -27,7 +27,7 @@ def refused(run, words, *expected):
     assert status == 2, err
     assert out == ""
     assert err.startswith("usnet: ")
-    assert err.endswith(".\n")
+    assert err.endswith((".\n", "?\n"))
     assert err.count("\n") == 1
     assert all(word in err for word in expected), err
 

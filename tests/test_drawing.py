@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from usnet_env import drawing
 
 matplotlib = pytest.importorskip("matplotlib")
+collections = pytest.importorskip("matplotlib.collections")
 
 UAVS, HEADS = 9, (0, 4)
 
@@ -102,6 +103,17 @@ def test_clusters_keep_their_colour_when_followers_change_sides():
     assert set(numbered) == {drawing.CLUSTER_COLORS[7]} | set(colors) & {drawing.NO_CLUSTER_COLOR}
     assert set(drawing.cluster_colors(values["head"], np.full(UAVS, -1))) == {drawing.NO_CLUSTER_COLOR}
     assert len(set(drawing.cluster_colors(np.ones(24, bool), np.arange(24)))) == 24
+
+
+def test_lines_of_the_palest_clusters_have_a_contrast_of_three_on_white():
+    values = scene()
+    for number in range(len(drawing.CLUSTER_COLORS)):
+        axes = drawing.draw_round(**values, number=np.full(UAVS, number), legend=False).axes[0]
+        lines = [each.get_colors() for each in axes.collections if isinstance(each, collections.LineCollection)]
+        colors = np.concatenate(lines)
+        strong = colors[colors[:, 3] == 1, :3]  # where the tracks end
+        linear = np.where(strong <= 0.04, strong / 12.92, ((strong + 0.055) / 1.055) ** 2.4)
+        assert (1.05 / (linear @ (0.2126, 0.7152, 0.0722) + 0.05) >= 3).all()
 
 
 def test_an_empty_window_can_be_drawn():

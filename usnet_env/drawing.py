@@ -59,6 +59,7 @@ _STYLES: dict[str, dict[str, Any]] = {  # of the marks, in the order of the lege
     MISSED_MARK: _RING | {"s": 400, "edgecolors": MISSED, "linestyles": [(0, (2, 1.2))], "linewidths": 1.6},
     DESTROYED_MARK: {"marker": "x", "s": 34, "c": NO_CLUSTER_COLOR, "linewidths": 1.5, "zorder": 2.5},
 }
+_INK = (0.68, 0.68, 0.68, 1.0)  # of a colour in lines, which have no dark edge: a contrast of 3 to 1 on white
 _TRACK_PARTS = 6  # number of segments of a track, from faint to strong
 _TRACK_SAMPLES = 49  # maximum number of points of a track; more would not be visible
 _MARGIN_OF_FRAMES = 0.4  # room for the swarm to drift and spread before the axes have to grow
@@ -156,7 +157,7 @@ def _draw_tracks(axes: Axes, position: Singles, seen: Mask, colors: NDArray[np.s
     path = path[np.unique(np.linspace(0, len(path) - 1, min(len(path), _TRACK_SAMPLES)).astype(int))]
     edges = np.linspace(0, len(path) - 1, min(_TRACK_PARTS, len(path) - 1) + 1).astype(int)
     for part, (first, last) in enumerate(pairwise(edges), start=1):
-        shades = to_rgba_array(colors.tolist(), 0.75 * part / (len(edges) - 1))
+        shades = to_rgba_array(colors.tolist(), part / (len(edges) - 1)) * _INK
         lines = list(np.swapaxes(path[first : last + 1], 0, 1))
         axes.add_collection(LineCollection(lines, colors=shades, linewidths=0.9, capstyle="round", zorder=2))
 
@@ -224,6 +225,7 @@ def draw_round(
         MissingExtraError: matplotlib is not installed.
     """
     from matplotlib.collections import LineCollection
+    from matplotlib.colors import to_rgba_array
 
     if axes is None:
         axes = new_figure(9.6, 7.2).add_axes((0.07, 0.08, 0.66, 0.86) if legend else (0.09, 0.08, 0.88, 0.86))
@@ -242,7 +244,8 @@ def draw_round(
     colors = cluster_colors(head, root, number)
     linked = marks[LINK_MARK]
     links = list(np.stack([place[linked, :2], place[root[linked], :2]], axis=1))
-    axes.add_collection(LineCollection(links, colors=colors[linked], alpha=0.28, linewidths=0.7, zorder=1))
+    shades = to_rgba_array(colors[linked].tolist(), 0.35) * _INK
+    axes.add_collection(LineCollection(links, colors=shades, linewidths=0.7, zorder=1))
     _draw_tracks(axes, position[:, shown], (seen & alive)[:, shown], colors[shown])
 
     for mark, who in marks.items():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import json
 import re
 import sys
 
@@ -131,6 +132,18 @@ def test_a_button_of_each_round_goes_to_its_first_frame(page):
     found = re.findall(r"(anim\w+)\.set_frame\((\d+)\); return", page.read_text())
     assert [number for _, number in found] == ["0", "6"]
     assert f"{found[0][0]} = new Animation" in page.read_text()
+
+
+def test_a_uav_is_named_where_it_is_drawn(page, scenes):
+    names, frames = re.search("const names = (.*), frames = (.*);", page.read_text()).groups()
+    assert json.loads(names) == [f"UAV {i}" for i in range(UAVS)]
+    painter = Painter(small_episode())
+    painter.draw(scenes[0])
+    picture = pixels_of(painter.figure)
+    place = np.array(json.loads(frames)[0])
+    column, up = (place[np.isfinite(place[:, 0])] * (picture.shape[1], picture.shape[0])).astype(int).T
+    assert len(column) > 0
+    assert (picture[len(picture) - 1 - up, column] < 200).all()  # a grey dot
 
 
 def test_a_page_of_many_rounds_animates_the_first_and_names_cannot_break_it(tmp_path, monkeypatch):

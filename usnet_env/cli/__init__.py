@@ -70,7 +70,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         click.echo(error.format_message(), err=True)
         return _REFUSED
     except click.ClickException as error:
-        print_message(" ".join(error.format_message().split()).rstrip(".") + ".")
+        sentence = " ".join(error.format_message().split()).rstrip(".")
+        print_message(sentence if sentence.endswith("?") else f"{sentence}.")
         return _REFUSED
     except (ArgumentError, MissingExtraError) as error:
         print_message(str(error))

@@ -15,6 +15,7 @@ import click
 
 from usnet_env.cli.options import PositiveNumber, WholeNumber, complete_names, parse_pairs
 from usnet_env.cli.output import print_message, show
+from usnet_env.config import format_count
 
 if TYPE_CHECKING:
     from usnet_env.evaluation import EvaluationResult
@@ -29,7 +30,7 @@ _EXAMPLES = """
 Examples:
   usnet evaluate --episodes 10
   usnet evaluate --detector reader --trivial --episodes 20 --set follow=f3 clusters=3
-  usnet evaluate --suite controls --detector reader --out runs/controls
+  usnet evaluate --suite controls-v2 --detector reader --out runs/controls
 """  # click reads the control characters: they keep the lines
 
 
@@ -103,8 +104,8 @@ def evaluate(
     for sentence in result.failures.values():
         print_message(sentence)
     if record is not None and env_id is not None:
-        written = record_episodes(result, record, detectors, env_id, env_kwargs, out)
-        click.echo(f"{written} episode files are in {out}/episodes; `usnet replay {out}` lists them.", err=True)
+        files = format_count(record_episodes(result, record, detectors, env_id, env_kwargs, out), "episode file")
+        click.echo(f"Wrote {files} to {out}/episodes; `usnet replay {out}` lists them.", err=True)
     if out is not None and not as_json:
         click.echo(f"Rows and arguments are in {out}.", err=True)
     if not (result.rows["error"] == "").groupby(result.rows["detector"]).any().all():

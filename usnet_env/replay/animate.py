@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usnet_env import drawing
+from usnet_env.arrays import Floats
 from usnet_env.config import ArgumentError, format_count, quote, whole_number
 from usnet_env.files import atomic_write
 from usnet_env.replay.episode import EpisodeRecord
@@ -18,6 +19,7 @@ from usnet_env.replay.figure import check_ending, describe_scene, find_least_sid
 from usnet_env.replay.story import describe_outcome, describe_round, name_round
 
 _WIDTH, _HEIGHT = 9.6, 5.7  # inches
+BESIDE = 0.5  # the right map is so far from the left one, in widths of the picture
 _RATE = 2  # frames per second
 WATCH, NAME, VERDICT, REMERGE = range(4)  # phases of a round
 SECONDS = (0.5, 2.0, 2.5, 2.0)  # how long their frames stay
@@ -55,26 +57,37 @@ class Painter:
         self.figure = drawing.new_figure(_WIDTH, _HEIGHT, dpi)
         bottom = self.figure.add_axes((0, 0, 1, 0.1))
         bottom.axis("off")
-        places = [(left, 0.11, 0.45, 0.45 * _WIDTH / _HEIGHT) for left in (0.04, 0.54)]
+        places = [(left, 0.11, 0.45, 0.45 * _WIDTH / _HEIGHT) for left in (0.04, 0.04 + BESIDE)]
         self.observed, self.truth = map(self.figure.add_axes, places)
         known = record.position[record.seen & record.alive[:, None]]
         self.limits = drawing.limits_around(known, 0.08, find_least_side(record))
-        self.header = self.figure.text(0.02, 0.975, "", fontsize=12, va="top")
+        self.header = self.figure.text(0.02, 0.985, "", fontsize=13, va="top", wrap=True)
         marks = [drawing.HEAD_MARK, drawing.FOLLOWER_MARK, drawing.CANDIDATE_MARK, drawing.HIT_MARK]
         marks += [drawing.REDUNDANT_MARK, drawing.MISSED_MARK, *[drawing.DECOY_MARK] * bool(record.decoys.any())]
         marks += [drawing.DESTROYED_MARK] * (not record.recorded)
         names = {mark: mark for mark in marks} if record.labelled else drawing.TRACK_WORDS
-        place = {"loc": "center", "bbox_to_anchor": (0.5, 0.35), "ncols": 4, "fontsize": 8, "markerscale": 0.6}
+        place = {"loc": "center", "bbox_to_anchor": (0.5, 0.35), "ncols": 4, "labelspacing": 0.5, "markerscale": 0.6}
         drawing.draw_legend(bottom, names, **place)
+
+    def _describe(self, scene: Scene) -> dict[str, Any]:
+        """What a scene shows, as arguments of ``draw_round``."""
+        window = describe_scene(self.record, scene.round)
+        window |= {name: window[name][: scene.samples] for name in ("position", "seen")}
+        if scene.phase == REMERGE:
+            window |= {"alive": self.record.alive[scene.round], "root": self.record.root[scene.round]}
+        return window
+
+    def locate(self, scene: Scene) -> Floats:
+        """Where UAVs stand in the left map of a scene, ``(N, 2)``: parts of the picture, from below. One was drawn."""
+        window = self._describe(scene)
+        place = drawing.last_seen_position(window["position"], window["seen"] & window["alive"])[:, :2]
+        return self.figure.transFigure.inverted().transform(self.observed.transData.transform(place))
 
     def draw(self, scene: Scene) -> None:
         """Draw a scene in place of the one before."""
         record, r = self.record, scene.round - 1
-        window = describe_scene(record, scene.round)
-        window |= {name: window[name][: scene.samples] for name in ("position", "seen")}
+        window = self._describe(scene)
         named = record.candidates[r] if scene.phase in (NAME, VERDICT) else None
-        if scene.phase == REMERGE:
-            window |= {"alive": record.alive[scene.round], "root": record.root[scene.round]}
         right = dict(window)
         if not record.labelled and scene.phase == WATCH:
             right |= {"head": np.zeros_like(record.head), "root": np.full(record.uavs, -1)}
@@ -92,7 +105,7 @@ class Painter:
 
 def write_frames(
     record: EpisodeRecord, scenes: Iterable[Scene], writer: Any, path: Path, dpi: float, rate: int
-) -> None:
+) -> Painter:
     """Draw scenes with a writer of matplotlib, with ``rate`` frames for each second of a scene, and at least one."""
     painter = Painter(record, dpi)
     with writer.saving(painter.figure, str(path), dpi=dpi):
@@ -100,6 +113,7 @@ def write_frames(
             painter.draw(scene)
             for _ in range(max(1, round(SECONDS[scene.phase] * rate))):
                 writer.grab_frame()
+    return painter
 
 
 def animate(record: EpisodeRecord, path: str | os.PathLike[str], *, frames: int = 8) -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from html import escape
@@ -11,7 +12,7 @@ from tempfile import TemporaryDirectory
 from usnet_env import drawing
 from usnet_env.config import format_count
 from usnet_env.files import write_html
-from usnet_env.replay.animate import list_scenes, write_frames
+from usnet_env.replay.animate import BESIDE, list_scenes, write_frames
 from usnet_env.replay.episode import EpisodeRecord
 from usnet_env.replay.story import describe_outcome, describe_round, list_marked, name_game, name_round, name_uav
 
@@ -22,6 +23,23 @@ _ICONS = {
     "minus": "−", "plus": "+", "fast-backward": "|◀", "fast-forward": "▶|", "step-backward": "◁", "step-forward": "▷",
     "play fa-flip-horizontal": "◀", "play": "▶", "pause": "||",
 }  # fmt: skip
+#: Says below the animation which UAV is under the pointer: the nearest one in either map of the frame that is shown.
+_POINTER = """
+<p id="pointed" role="status">Point at a UAV to read its name.</p>
+<script>
+const names = NAMES, frames = FRAMES;
+document.querySelector(".animation img").onmousemove = (event) => {
+  const {width, height} = event.target, x = event.offsetX / width, y = 1 - event.offsetY / height;
+  let nearest = 12, name = "\u00a0";  // pixels
+  frames[PLAYER.current_frame].forEach(([left, up], i) => {
+    const across = Math.min(Math.abs(x - left), Math.abs(x - left - BESIDE));
+    const away = Math.hypot(across * width, (y - up) * height);
+    if (away < nearest) [nearest, name] = [away, names[i]];
+  });
+  document.getElementById("pointed").textContent = name;
+};
+</script>
+"""
 
 
 def _animate(record: EpisodeRecord) -> tuple[str, dict[int, str]]:
@@ -34,13 +52,17 @@ def _animate(record: EpisodeRecord) -> tuple[str, dict[int, str]]:
     writer = HTMLWriter(fps=1, embed_frames=True, default_mode="once", embed_limit=200)
     with TemporaryDirectory() as folder:
         path = Path(folder, "animation.html")
-        write_frames(record, scenes, writer, path, _DPI, rate=0)
+        painter = write_frames(record, scenes, writer, path, _DPI, rate=0)
         text = re.sub("<link[^>]*>", "", path.read_text(encoding="utf-8"))
     text = text.replace("<img id", '<img alt="animation of the episode" id')
     text = re.sub(r'<i class="fa fa-([^"]*)"></i>', lambda icon: _ICONS[icon[1]], text)
     player = re.findall(r"(anim\w+) = new Animation", text)[0]
     numbers = [scene.round for scene in scenes]
     show = ' <button onclick="{0}.pause_animation(); {0}.set_frame({1}); return false">show</button>'
+    names = json.dumps([name_uav(record, i) for i in range(record.uavs)]).replace("</", "<\\/")
+    places = [painter.locate(scene).round(3).tolist() for scene in scenes]
+    values = {"NAMES": names, "FRAMES": json.dumps(places), "PLAYER": player, "BESIDE": str(BESIDE)}
+    text += re.sub("|".join(values), lambda word: values[word[0]], _POINTER)
     return text, {number: show.format(player, numbers.index(number)) for number in numbers}
 
 

@@ -65,6 +65,8 @@ def _arrange(writers: Sequence[EpisodeWriter], labels: Sequence[str]) -> rrb.Blu
     record, single = writers[0].record, len(writers) == 1
     columns: list[Any] = []
     charts: list[Any] = []
+    start, end = writers[0].rr.TimeRangeBoundary.infinite(), writers[0].rr.TimeRangeBoundary.cursor_relative()
+    past = writers[0].rr.VisibleTimeRange("time", start=start, end=end)  # curves don't show the future
     for writer, label in zip(writers, labels, strict=True):
         root, prefix = f"/{writer.root}", f"{label}: "
         spaces = [_space(writer, f"{prefix}the truth" if record.labelled else f"{prefix}tracks", truth=True)]
@@ -77,7 +79,8 @@ def _arrange(writers: Sequence[EpisodeWriter], labels: Sequence[str]) -> rrb.Blu
             charts.append(rrb.Spatial2DView(origin=f"{root}mind/attention", name="Attention of a UAV (row)"))
     for name in ("J", "heads_left") * (not record.recorded):
         paths = [f"/{writer.root}game/{name}" for writer in writers]
-        charts.append(rrb.TimeSeriesView(origin="/", contents=paths, name=name.replace("_", " ")))
+        view = rrb.TimeSeriesView(origin="/", contents=paths, name=name.replace("_", " "), time_ranges=[past])
+        charts.append(view)
     about = rrb.TextDocumentView(origin="/about", name="What you see")
     above = rrb.Horizontal(*columns, about, column_shares=[4] * (len(columns) - single) + [2] * (1 + single))
     panel = rrb.TimePanel(state="collapsed", timeline="time", play_state="paused", loop_mode="off")
