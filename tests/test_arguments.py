@@ -15,7 +15,7 @@ import pytest
 import usnet_env
 from usnet_env import ArgumentError, Detection, Window, make_detector
 from usnet_env.cli import main
-from usnet_env.envs import FieldEnv, MultiClusterEnv, MultiClusterVectorEnv, SingleClusterEnv
+from usnet_env.envs import MultiClusterEnv, MultiClusterVectorEnv, SingleClusterEnv
 from usnet_env.multiagent import usnet_evasion_v0, usnet_observers_v0
 from usnet_env.tracks import read_tracks
 
@@ -32,6 +32,7 @@ RELATED = {
     "sample_every": ("observation_steps",),
     "most_delay": ("memory",),
     "follow": ("memory",),
+    "distribution": ("a",),
     "observers": ("sensing_range", "position_noise", "miss_rate"),
     "max_rounds": ("max_cycles",),
     "extras": ("probability",),
@@ -97,7 +98,6 @@ def doors(tmp_path_factory):
         "SingleClusterEnv": (make(SingleClusterEnv), defaults(SingleClusterEnv, followers=4, observation_steps=6)),
         "MultiClusterEnv": (make(MultiClusterEnv), defaults(MultiClusterEnv, **SMALL)),
         "MultiClusterVectorEnv": (make(MultiClusterVectorEnv), {"num_envs": 2, **SMALL}),
-        "FieldEnv": (make(FieldEnv), defaults(FieldEnv)),
         "usnet_observers_v0": (
             make(usnet_observers_v0.parallel_env),
             defaults(usnet_observers_v0.parallel_env, **SMALL),

@@ -6,9 +6,10 @@ from typing import Any
 
 import gymnasium as gym
 
+_FIELD: dict[str, Any] = {"distribution": "field-v0", "memory": 12}
 TRACKS = "USNET/Tracks-v0"  # replays a file, which is a required argument; so it has no presets
 
-# id -> (class, arguments). The arguments are plain names and numbers, so that `env.spec.to_json()` is complete.
+# id -> (class, arguments). The arguments are what JSON can hold, so that `env.spec.to_json()` is complete.
 ENVIRONMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "USNET/SingleCluster-v0": ("SingleCluster", {}),
     "USNET/SingleCluster-Decoy-v0": ("SingleCluster", {"followers": 5, "decoys": 1}),
@@ -16,13 +17,13 @@ ENVIRONMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "USNET/MultiCluster-M8-v0": ("MultiCluster", {"clusters": 8, "uavs": 185}),
     "USNET/MultiCluster-Smooth-v0": ("MultiCluster", {"mobility": "gauss_markov", "head_jitter": True}),
     "USNET/MultiCluster-NoFollowers-v0": ("MultiCluster", {"follow": "none"}),
-    "USNET/Field-v0": ("Field", {}),
-    "USNET/Field-v1": ("Field", {"distribution": 2}),
-    "USNET/Field-Delays-v0": ("Field", {"follow": "unequal_delays"}),
-    "USNET/Field-Chain-v0": ("Field", {"follow": "chain"}),
-    "USNET/Field-Pigeons-v0": ("Field", {"follow": "pigeons"}),
-    "USNET/Field-Flock-v0": ("Field", {"follow": "couzin"}),
-    "USNET/Field-Shepherd-v0": ("Field", {"follow": "shepherd"}),
+    "USNET/Field-v0": ("MultiCluster", _FIELD),
+    "USNET/Field-v1": ("MultiCluster", _FIELD | {"distribution": "field-v1"}),
+    "USNET/Field-Delays-v0": ("MultiCluster", _FIELD | {"follow": "unequal_delays"}),
+    "USNET/Field-Chain-v0": ("MultiCluster", _FIELD | {"follow": "chain"}),
+    "USNET/Field-Pigeons-v0": ("MultiCluster", _FIELD | {"follow": "pigeons"}),
+    "USNET/Field-Flock-v0": ("MultiCluster", _FIELD | {"follow": "couzin"}),
+    "USNET/Field-Shepherd-v0": ("MultiCluster", _FIELD | {"follow": "shepherd"}),
 }
 
 

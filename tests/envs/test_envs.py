@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from usnet_env import ArgumentError
 from usnet_env.envs import (
     ENVIRONMENTS,
-    FieldEnv,
     MultiClusterEnv,
     MultiDiscreteCandidates,
     SingleClusterEnv,
@@ -242,7 +241,7 @@ anything = st.one_of(
 )
 
 
-@pytest.mark.parametrize("kind", [SingleClusterEnv, MultiClusterEnv, FieldEnv])
+@pytest.mark.parametrize("kind", [SingleClusterEnv, MultiClusterEnv])
 @given(data=st.data())
 def test_every_argument_works_or_is_named(kind, data):
     name, value = data.draw(st.sampled_from(list(inspect.signature(kind).parameters))), data.draw(anything)

@@ -20,7 +20,10 @@ def same(one, other):
         if one[key].dtype == object:
             assert [value is None for value in one[key]] == [value is None for value in other[key]]
             for mine, theirs in zip(one[key], other[key], strict=True):
-                same(mine or {}, theirs or {})
+                if isinstance(mine, dict):
+                    same(mine, theirs)
+                else:  # the name of what was drawn
+                    assert mine == theirs
             continue
         np.testing.assert_array_equal(one[key], other[key], err_msg=key)
         assert one[key].dtype == other[key].dtype, key

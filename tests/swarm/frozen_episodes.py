@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from usnet_env.envs.field import DISTRIBUTIONS
+from usnet_env.envs.distribution import DISTRIBUTIONS
 from usnet_env.swarm import SwarmConfig, advance, destroy, start
 from usnet_env.swarm.follow import CONTROLS, FIELD_MODELS, LIMIT_MODELS
 from usnet_env.swarm.kinematics import KINEMATICS
@@ -66,8 +66,8 @@ def make_entries() -> dict[str, Callable[[], Any]]:
         "clutter 1": lambda: fly(follow="f2", traffic=3, clutter=8),
         "course_noise 1": lambda: fly(follow="f2", position_noise=1.0, course_noise=3.0),
         **{
-            f"distribution {version}": lambda each=each: [each.draw(np.random.default_rng(s)) for s in range(4)]
-            for version, each in DISTRIBUTIONS.items()
+            f"distribution {name}": lambda each=each: [each.draw(np.random.default_rng(s)) for s in range(4)]
+            for name, each in DISTRIBUTIONS.items()
         },
     }
     return entries

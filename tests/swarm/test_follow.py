@@ -42,7 +42,7 @@ def test_noise_free_flight_obeys_the_row_of_table_2(name, formation):
     assert share > 0.5 if formation == "around" else share < 0.5  # both branches of f6's indicator are flown
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [*NAMES, "random"])
 def test_compiled_flight_equals_the_general_loop(name):
     config = SwarmConfig(follow=name, clusters=3, uavs=20, formation="around", observation_steps=50)
     rngs = generators([0, 1])

@@ -23,6 +23,7 @@ _WORDS = {  # the paper's strategies; field models tell which assumption they br
     "f5": "copies the squares, axis by axis, of the last three velocities of its head",
     "f6": "copies the last velocity of its head, and is pulled to it beyond 60 m",
     "f7": "a random network of its own positions and of the head's velocities and position",
+    "random": "a random law of the head's last velocities, another one in each episode, and none of f1 to f7",
 }
 _NAMES = ("envs", "detectors", *_REGISTRIES, "suites")
 

@@ -70,9 +70,7 @@ class GameState:
     def join(cls, states: Sequence[Self]) -> Self:
         """The batch of all games of some batches."""
         counters = {name: np.concatenate([getattr(state, name) for state in states]) for name in COUNTERS}
-        swarms = [state.swarm.arrays() for state in states]
-        swarm = SwarmState(**{name: np.concatenate([arrays[name] for arrays in swarms]) for name in swarms[0]})
-        return cls(swarm, **counters)
+        return cls(SwarmState.join([state.swarm for state in states]), **counters)
 
     def with_rows(self, episodes: NDArray[np.intp], other: GameState) -> Self:
         """A copy of this batch in which ``other`` replaces some games."""
@@ -130,9 +128,20 @@ def check_options(options: Any) -> None:
         raise ArgumentError(f"options must be empty, since a game is changed by its arguments, got {quote(options)}.")
 
 
-def start_games(config: SwarmConfig, rngs: Sequence[np.random.Generator]) -> GameState:
-    """Start B games, one per generator."""
-    swarm = start(config, rngs)
+def _sort_games(configs: Sequence[SwarmConfig]) -> list[tuple[SwarmConfig, NDArray[np.intp]]]:
+    """Each configuration with the indices of its games, which fly together."""
+    games: dict[int, list[int]] = {}
+    for b, config in enumerate(configs):
+        games.setdefault(id(config), []).append(b)
+    return [(configs[rows[0]], np.array(rows)) for rows in games.values()]
+
+
+def start_games(configs: Sequence[SwarmConfig], rngs: Sequence[np.random.Generator]) -> GameState:
+    """Start B games, each with its configuration and its generator."""
+    kinds = _sort_games(configs)
+    swarm = SwarmState.join([start(config, [rngs[b] for b in rows]) for config, rows in kinds])
+    if len(kinds) > 1:
+        swarm = swarm.rows(np.argsort(np.concatenate([rows for _, rows in kinds])))
     zeros = np.zeros(len(rngs), np.int64)
     return GameState(swarm, zeros, zeros.copy(), zeros.astype(bool), zeros.astype(bool))
 
@@ -207,7 +216,7 @@ def truth_info(swarm: SwarmState) -> dict[str, NDArray[Any]]:
 
 
 def observe_windows(
-    config: SwarmConfig, state: GameState, rngs: Sequence[np.random.Generator]
+    configs: Sequence[SwarmConfig], state: GameState, rngs: Sequence[np.random.Generator]
 ) -> tuple[GameState, Observation]:
     """Simulate and observe the next window of every game that has not terminated; other games get an empty window.
 
@@ -215,14 +224,19 @@ def observe_windows(
         The games at the end of the window, and the observation with a leading axis B.
     """
     running = np.flatnonzero(~state.terminated)
-    swarm, window = state.swarm, ObservationBatch.unseen(config, state.swarm.alive)
-    if len(running) == len(rngs):
-        swarm, window = advance(config, swarm, rngs)
-    elif len(running):
-        part, observed = advance(config, swarm.rows(running), [rngs[int(b)] for b in running])
-        swarm = swarm.with_rows(running, part)
+    kinds = [(config, running[rows]) for config, rows in _sort_games([configs[b] for b in running])]
+    if len(kinds) == 1 and len(running) == len(rngs):
+        swarm, window = advance(configs[0], state.swarm, rngs)
+        return replace(state, swarm=swarm), show_window(window, state.rounds[:, None])
+    window, flown = ObservationBatch.unseen(configs[0], state.swarm.alive), [state.swarm]
+    for config, rows in kinds:
+        part, observed = advance(config, state.swarm.rows(rows), [rngs[b] for b in rows])
+        flown.append(part)
         for name in ("position", "velocity", "seen"):
-            getattr(window, name)[running] = getattr(observed, name)
+            getattr(window, name)[rows] = getattr(observed, name)
+    order = np.arange(len(rngs))
+    order[[b for _, rows in kinds for b in rows]] = len(order) + np.arange(len(running))
+    swarm = SwarmState.join(flown).rows(order) if kinds else state.swarm
     return replace(state, swarm=swarm), show_window(window, state.rounds[:, None])
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Annotated, Any, ClassVar
 
 import gymnasium as gym
@@ -16,6 +17,7 @@ from usnet_env.arrays import Mask, Observation
 from usnet_env.config import ArgumentError, list_arguments, optional_seed, quote, takes_arguments
 from usnet_env.drawing import EpisodeFrames
 from usnet_env.envs import game
+from usnet_env.envs.distribution import DrawnArguments, Draws
 from usnet_env.swarm import SwarmConfig, SwarmState
 from usnet_env.swarm.config import BystanderArguments, MobilityArguments, SensorArguments, SwarmArguments
 
@@ -59,7 +61,13 @@ class OutputArguments(game.RenderArguments):
 
 
 class SingleClusterArguments(
-    OutputArguments, game.ShotArguments, SensorArguments, BystanderArguments, MobilityArguments, SwarmArguments
+    DrawnArguments,
+    OutputArguments,
+    game.ShotArguments,
+    SensorArguments,
+    BystanderArguments,
+    MobilityArguments,
+    SwarmArguments,
 ):
     """The arguments of :class:`SingleClusterEnv`."""
 
@@ -70,24 +78,41 @@ class SingleClusterArguments(
     followers: Annotated[int, Field(ge=2, le=90_000)] = Field(15, description="m, number of followers, at least 2")
 
 
-class MultiClusterArguments(OutputArguments, game.RoundArguments, SwarmConfig):
+class MultiClusterArguments(DrawnArguments, OutputArguments, game.RoundArguments, SwarmConfig):
     """The arguments of :class:`MultiClusterEnv`."""
 
     instead: ClassVar[Mapping[str, str]] = {"followers": "the sizes are 'clusters', 'uavs' and 'cluster_sizes'"}
 
 
+def _make_cluster(arguments: SingleClusterArguments, drawn: dict[str, Any], most: int | None) -> SwarmConfig:
+    """The swarm of P1, in arrays for ``most`` UAVs."""
+    given = dict(arguments) | drawn
+    uavs = 1 + sum(given[name] for name in ("followers", "decoys", "bystanders", "traffic", "clutter"))
+    most, values = most or uavs, {name: value for name, value in drawn.items() if name != "followers"}
+    return arguments.part(SwarmConfig, **values, clusters=1, uavs=most, absent=most - uavs)
+
+
+def _make_clusters(arguments: MultiClusterArguments, drawn: dict[str, Any], most: int | None) -> SwarmConfig:
+    """The swarm of P2, in arrays for ``most`` UAVs."""
+    uavs = drawn.get("uavs", arguments.uavs)
+    most = most or uavs
+    return arguments.part(SwarmConfig, **drawn | {"uavs": most, "absent": arguments.absent + most - uavs})
+
+
 class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
-    """Base class of :class:`SingleClusterEnv`, :class:`MultiClusterEnv` and :class:`FieldEnv`.
+    """Base class of :class:`SingleClusterEnv` and :class:`MultiClusterEnv`.
 
     Attributes:
-        config: the swarm and its observer.
+        config: the swarm of the present episode and its observer.
+        widest_config: a swarm whose bounds hold in all episodes.
         rules: the problem, its limits and its prices.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 1}  # type: ignore[misc]  # Gymnasium's is no ClassVar
 
-    def __init__(self, config: SwarmConfig, rules: game.Rules, output: OutputArguments) -> None:
-        self.config = config
+    def __init__(self, draws: Draws, rules: game.Rules, output: OutputArguments) -> None:
+        self._draws = draws
+        self.config = self.widest_config = config = draws.widest
         self.rules = rules
         self.reveal_truth = output.reveal_truth
         self.render_mode = output.render_mode
@@ -124,7 +149,8 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         """
         game.check_options(options)
         super().reset(seed=optional_seed("seed", seed))
-        state = game.start_games(self._draw_config(), [self.np_random])
+        self.config = self._draws.draw(self.np_random)
+        state = game.start_games([self.config], [self.np_random])
         metrics = game.initial_info(self.rules, state)
         self._last_round, self._frames = None, EpisodeFrames()
         return self._observe(state), self._info(metrics)
@@ -146,12 +172,8 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         observation, over = self._observe(state), (bool(state.terminated[0]), bool(state.truncated[0]))
         return observation, float(rewards[0]), *over, self._info(metrics)
 
-    def _draw_config(self) -> SwarmConfig:
-        """The swarm of the next episode."""
-        return self.config
-
     def _observe(self, state: game.GameState) -> Observation:
-        self._game, observation = game.observe_windows(self.config, state, [self.np_random])
+        self._game, observation = game.observe_windows([self.config], state, [self.np_random])
         return self._show({name: values[0] for name, values in observation.items()})
 
     def _show(self, window: Observation) -> Observation:
@@ -168,15 +190,18 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
             self._frames = EpisodeFrames()
         self._show(window)
 
-    def place(self, state: game.GameState, window: Observation, rng: np.random.Generator, seed: int) -> None:
+    def place(
+        self, config: SwarmConfig, state: game.GameState, window: Observation, rng: np.random.Generator, seed: int
+    ) -> None:
         """Become a game that is played elsewhere, with its generator."""
+        self.config = config
         self._game, self._window, self._np_random, self._np_random_seed = state, window, rng, seed
 
     def _info(self, metrics: dict[str, NDArray[Any]]) -> dict[str, Any]:
         info: dict[str, Any] = {name: values[0].item() for name, values in metrics.items()}
         if self.reveal_truth:
             truth = game.truth_info(self.swarm)
-            info |= {**truth, "heads_left": int(truth["heads_left"])}
+            info |= {**truth, "heads_left": int(truth["heads_left"]), **self._draws.reveal(self.config)}
         return info
 
     def action_masks(self) -> Mask:
@@ -186,7 +211,8 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
 
     def _settings(self) -> dict[str, Any]:
         """What all states of an environment share: its arguments."""
-        return {"config": self.config.model_dump(), "rules": self.rules.model_dump()}
+        shared = {"widest_config": self.widest_config, "distribution": self._draws.distribution, "rules": self.rules}
+        return {name: part.model_dump() for name, part in shared.items()}
 
     def get_state(self) -> dict[str, Any]:
         """A copy of the complete state of the episode as plain arrays and numbers."""
@@ -210,9 +236,7 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         if {name: state.get(name) for name in here} != here:
             raise ArgumentError(f"state must come from get_state with the same arguments, got {quote(state)}.")
         saved = copy.deepcopy(state)
-        config = SwarmConfig(**saved["config"])
-        if config != self.config:  # drawn for each episode
-            self.config = config
+        self.config = SwarmConfig(**saved["config"])
         self._game = game.GameState(swarm=SwarmState(**saved["swarm"]), **saved["game"])
         self._last_round, self._frames = None, EpisodeFrames()
         if self._np_random is None:
@@ -283,10 +307,8 @@ class SingleClusterEnv(UsnetEnv):
 
     @takes_arguments(SingleClusterArguments)
     def __init__(self, arguments: SingleClusterArguments) -> None:
-        others = arguments.decoys + arguments.bystanders + arguments.traffic + arguments.clutter
-        uavs = arguments.followers + 1 + others
-        config = arguments.part(SwarmConfig, clusters=1, uavs=uavs)
-        super().__init__(config, arguments.part(game.Rules, problem="P1", max_rounds=1), arguments)
+        rules = arguments.part(game.Rules, problem="P1", max_rounds=1)
+        super().__init__(Draws(arguments, partial(_make_cluster, arguments)), rules, arguments)
 
 
 @list_arguments(observation=OBSERVATION, info=INFO_P2)
@@ -330,10 +352,14 @@ class MultiClusterEnv(UsnetEnv):
     ## Arguments
     {arguments}
 
+    The ids `USNET/Field-…` draw [another kind of swarm](../field.md#the-environment) in every episode. In some no UAV
+    leads: H_0 is empty, the right answer is the empty set, and the game ends after one round.
+
     ## Version History
     * v0: first version
     """
 
     @takes_arguments(MultiClusterArguments)
     def __init__(self, arguments: MultiClusterArguments) -> None:
-        super().__init__(arguments.part(SwarmConfig), arguments.part(game.Rules, problem="P2"), arguments)
+        rules = arguments.part(game.Rules, problem="P2")
+        super().__init__(Draws(arguments, partial(_make_clusters, arguments)), rules, arguments)

@@ -52,6 +52,7 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
         self.single_action_space = single.action_space
         self.observation_space = batch_space(single.observation_space, self.num_envs)
         self.action_space = batch_space(single.action_space, self.num_envs)
+        self._draws, self._configs = single._draws, [single.config] * self.num_envs
         self._singles = [copy.copy(single) for _ in range(self.num_envs)]
         self._rngs: list[np.random.Generator] = []
         self._seeds: list[int] = []
@@ -96,9 +97,9 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
         chosen = np.flatnonzero(mask)
         self._seed(self._parse_seeds(seed), chosen)
         rngs = [self._rngs[b] for b in chosen]
-        begun = game.start_games(self.config, rngs)
+        begun = self._start(chosen)
         metrics = game.initial_info(self.rules, begun)
-        begun, window = game.observe_windows(self.config, begun, rngs)
+        begun, window = game.observe_windows([self._configs[b] for b in chosen], begun, rngs)
         if len(chosen) < self.num_envs:
             infos = self._infos(metrics, begun.swarm, chosen)
             begun = game.require_game(self._game).with_rows(chosen, begun)
@@ -128,6 +129,12 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
                 rng, used = seeding.np_random(seeds[b])
                 self._rngs[b : b + 1], self._seeds[b : b + 1] = [rng], [used]
 
+    def _start(self, chosen: Indices) -> game.GameState:
+        """Draw and start some games."""
+        for b in chosen:
+            self._configs[b] = self._draws.draw(self._rngs[b])
+        return game.start_games([self._configs[b] for b in chosen], [self._rngs[b] for b in chosen])
+
     def step(self, actions: Any) -> tuple[Observation, Floats, Mask, Mask, dict[str, Any]]:
         """Play one round of every running game, with candidates ``(B, N)`` of 0 and 1; see the class on resets.
 
@@ -150,12 +157,12 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
             reward[over] = 0.0
         ended = np.flatnonzero(over)
         if len(ended):
-            begun = game.start_games(self.config, [self._rngs[b] for b in ended])
+            begun = self._start(ended)
             state = begun if len(ended) == self.num_envs else state.with_rows(ended, begun)
             for name, values in game.initial_info(self.rules, begun).items():
                 metrics[name] = metrics[name].copy()
                 metrics[name][ended] = values
-        self._game, window = game.observe_windows(self.config, state, self._rngs)
+        self._game, window = game.observe_windows(self._configs, state, self._rngs)
         shown = self._show(window, ended, played)
         return shown, reward, terminated, truncated, self._infos(metrics, self._game.swarm) | final
 
@@ -163,7 +170,8 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
         """``final_obs`` and ``final_info`` of the games that ended in this step."""
         if not len(ended):
             return {}
-        last, window = game.observe_windows(self.config, state.rows(ended), [self._rngs[b] for b in ended])
+        configs, rngs = ([each[b] for b in ended] for each in (self._configs, self._rngs))
+        last, window = game.observe_windows(configs, state.rows(ended), rngs)
         mask, observations = np.zeros(self.num_envs, bool), np.full(self.num_envs, None)
         mask[ended] = True
         for row, b in enumerate(ended):
@@ -176,11 +184,16 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
     ) -> dict[str, Any]:
         """One array per key, and the mask ``_key`` of the games that have it: all, or those given."""
         values = metrics | (game.truth_info(swarm) if self.reveal_truth else {})
+        if self.reveal_truth and self._draws.names:
+            drawn = [self._draws.reveal(self._configs[b]) for b in (range(self.num_envs) if games is None else games)]
+            values |= {name: _make_array([each[name] for each in drawn]) for name in self._draws.names}
         mask = np.ones(self.num_envs, bool)
         if games is not None:
             mask = np.isin(np.arange(self.num_envs), games)
             spread = {name: np.zeros((self.num_envs, *part.shape[1:]), part.dtype) for name, part in values.items()}
             for name, part in values.items():
+                if part.dtype == object:
+                    spread[name][:] = None
                 spread[name][games] = part
             values = spread
         return {name: part.copy() for name, part in values.items()} | {f"_{name}": mask.copy() for name in values}
@@ -211,7 +224,7 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
         for b, env in enumerate(self._singles):
             if self._game is not None:
                 window = {name: values[b].copy() for name, values in self._window.items()}
-                env.place(self._game.rows(np.array([b])), window, self._rngs[b], self._seeds[b])
+                env.place(self._configs[b], self._game.rows(np.array([b])), window, self._rngs[b], self._seeds[b])
         return self._singles
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
@@ -246,6 +259,7 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
         """
         for env, state in zip(self.games, states, strict=True):
             env.set_state(state)
+        self._configs = [env.config for env in self._singles]
         self._game = game.GameState.join([game.require_game(env._game) for env in self._singles])
         windows = [env._window for env in self._singles]
         self._window = {name: np.stack([window[name] for window in windows]) for name in windows[0]}
@@ -259,6 +273,11 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
         """``(B, 2 N)`` bool, the masks of :meth:`UsnetEnv.action_masks` of each game."""
         alive = game.require_game(self._game).swarm.alive
         return np.stack([np.ones_like(alive), alive], axis=2).reshape(self.num_envs, -1)
+
+
+def _make_array(values: list[Any]) -> NDArray[Any]:
+    """One value of each game, names as objects."""
+    return np.array(values, object if isinstance(values[0], str) else None)
 
 
 class SingleClusterVectorEnv(UsnetVectorEnv):

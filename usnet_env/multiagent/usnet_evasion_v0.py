@@ -136,7 +136,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         super().__init__(config, rules, arguments.render_mode, observations, actions)
 
     def _start(self, rng: np.random.Generator) -> base.Start:
-        self._game = game.start_games(self.config, [rng])
+        self._game = game.start_games([self.config], [rng])
         self._flown = np.zeros(self.config.clusters, np.int64)  # the mobility of each head in the window before
         self._decoys = np.empty(0, np.intp)  # the followers that are decoys in the current window
         self._sighting = None

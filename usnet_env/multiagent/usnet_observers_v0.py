@@ -109,7 +109,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         ranges = self.sensor_config.expand("sensing_range")
         self._observers = [Observer(*parts) for parts in zip(positions, ranges, self._sensors, noise_rngs, strict=True)]
         self._messages = np.zeros_like(self._messages)
-        state = game.start_games(self.config, [rng])
+        state = game.start_games([self.config], [rng])
         metrics = game.initial_info(self.rules, state)
         self._sense_next_window(state)
         return self._observations(), {agent: base.to_scalars(metrics) for agent in self.agents}
@@ -140,7 +140,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
 
     def _sense_next_window(self, state: game.GameState) -> None:
         """Fly and observe the next window; after the end of the game all windows are empty."""
-        self._game, truth = game.observe_windows(self._flight, state, [self._rng])
+        self._game, truth = game.observe_windows([self._flight], state, [self._rng])
         if state.terminated[0]:
             self._sightings = [ObservationBatch.unseen(self.config, state.swarm.alive[0])] * len(self._observers)
         else:

@@ -97,6 +97,8 @@ class SwarmConfig(SensorArguments, SizeArguments, BystanderArguments, MobilityAr
         ArgumentError: an argument has the wrong type or is out of range.
     """
 
+    absent: Few = Field(0, description="how many of the N indices have no UAV, as in the smaller swarms of a batch")
+
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         strategy, sizes, followers = self.follow_strategy, self.cluster_sizes, self.followers
@@ -108,12 +110,13 @@ class SwarmConfig(SensorArguments, SizeArguments, BystanderArguments, MobilityAr
         if sizes is not None and (len(sizes) != self.clusters or sum(sizes) != followers):
             raise ArgumentError(
                 f"cluster_sizes must hold {self.clusters} numbers with the sum uavs - clusters - decoys - bystanders "
-                f"- traffic - clutter = {followers}, got {quote(list(sizes))}."
+                f"- traffic - clutter - absent = {followers}, got {quote(list(sizes))}."
             )
         if followers < 2 * self.clusters:
             raise ArgumentError(
                 f"uavs must be at least 3 * clusters + decoys + bystanders + traffic + clutter = "
-                f"{self.uavs - followers + 2 * self.clusters} (every head has at least 2 followers), got {self.uavs}."
+                f"{self.uavs - self.absent - followers + 2 * self.clusters} (every head has at least 2 followers), "
+                f"got {self.uavs - self.absent}."
             )
         if 0 < self.miss_burst < max(1.0, odds := self.miss_rate / (1.0 - self.miss_rate)):
             raise ArgumentError(
@@ -130,7 +133,8 @@ class SwarmConfig(SensorArguments, SizeArguments, BystanderArguments, MobilityAr
     @property
     def followers(self) -> int:
         """Number of followers of all clusters at the start."""
-        return self.uavs - self.clusters - self.decoys - self.bystanders - self.traffic - self.clutter
+        others = self.decoys + self.bystanders + self.traffic + self.clutter + self.absent
+        return self.uavs - self.clusters - others
 
     @property
     def follow_strategy(self) -> FollowStrategy | None:

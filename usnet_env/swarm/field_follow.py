@@ -26,6 +26,7 @@ Pair = tuple[float, float]
 class FieldStrategy(FollowStrategy):
     """A field model. Its pairs are the smallest and largest value of a follower."""
 
+    compiled = True
     version: ClassVar[int] = 1  # increases when the model's behaviour changes
     equation: str = ""
     citation: str = ""  # where the model comes from

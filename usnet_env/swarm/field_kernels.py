@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from usnet_env.compiling import compiled
-from usnet_env.swarm.kernels import FOLLOWS, finish_step, gap, move, norm
+from usnet_env.swarm.kernels import FOLLOWS, begin_step, end_step, finish_step, gap, norm
 
 COLUMNS = 7  # of the table: delay, gain, noise, salt of the hashed draws, and the three coordinates of the slot
 DELAY, GAIN, NOISE, SALT, OFFSET = 0, 1, 2, 3, 4
@@ -44,7 +44,7 @@ def find_top(i, motion, source):
 @compiled(error_model="numpy")
 def fly_links(
     links, strength, scale, answers, block, share, idle_noise, table, source, clock, motion, start, noise, position,
-    velocity,
+    velocity, craft,
 ):  # fmt: skip
     """Followers copy up to ``links`` UAVs above them in the chain of sources.
 
@@ -71,6 +71,7 @@ def fly_links(
             salt[i] = table[b, SALT, top % uavs]
         for s in range(steps):
             t = start + s
+            begin_step(b, s, t, motion, craft, noise, position, velocity)
             now = (clock[b] + s) // block
             for i in range(uavs):
                 if motion[b, i] != FOLLOWS:
@@ -97,11 +98,11 @@ def fly_links(
                         v = velocity[b, t - late[i, k], above[i, k]]
                         x, y, z = x + weight * v[0], y + weight * v[1], z + weight * v[2]
                 finish_step(b, s, t, i, x, y, z, noise_scale, noise, velocity)
-            move(b, t, position, velocity)
+            end_step(b, s, t, motion, craft, position, velocity)
 
 
 @compiled(error_model="numpy")
-def fly_kinds(answers, block, reach, table, source, clock, motion, start, noise, position, velocity):
+def fly_kinds(answers, block, reach, table, source, clock, motion, start, noise, position, velocity, craft):
     """Each follower flies by one of f1 to f6 at a time, drawn once or, for each cluster, again in every block.
 
     f_k with lags l: norm(sum_{tau<l} v_{iL,t-tau} + kappa_i n), squares for f4 and f5; f6 adds the pull of its row.
@@ -114,6 +115,7 @@ def fly_kinds(answers, block, reach, table, source, clock, motion, start, noise,
             salt[i] = table[b, SALT, top % uavs]
         for s in range(steps):
             t = start + s
+            begin_step(b, s, t, motion, craft, noise, position, velocity)
             now = (clock[b] + s) // block if answers == EACH_CLUSTER else 0
             for i in range(uavs):
                 if motion[b, i] != FOLLOWS:
@@ -135,11 +137,11 @@ def fly_kinds(answers, block, reach, table, source, clock, motion, start, noise,
                     if distance > reach:
                         x, y, z = x + dx / distance, y + dy / distance, z + dz / distance
                 finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], noise, velocity)
-            move(b, t, position, velocity)
+            end_step(b, s, t, motion, craft, position, velocity)
 
 
 @compiled(error_model="numpy")
-def fly_slots(lags, pull, near, table, source, motion, start, noise, position, velocity):
+def fly_slots(lags, pull, near, table, source, motion, start, noise, position, velocity, craft):
     """Followers keep a slot in the frame of their source, whose course is its mean velocity over ``lags`` steps.
 
     v_{i,t+1} = norm(v_{L,t+1-d_i} + pull g / max(|g|, near) + kappa_i n), g = p_L + R(course) o_i - p_i, where R turns
@@ -152,6 +154,7 @@ def fly_slots(lags, pull, near, table, source, motion, start, noise, position, v
         framed[:] = -1
         for s in range(steps):
             t = start + s
+            begin_step(b, s, t, motion, craft, noise, position, velocity)
             for i in range(uavs):
                 if motion[b, i] != FOLLOWS:
                     continue
@@ -178,4 +181,4 @@ def fly_slots(lags, pull, near, table, source, motion, start, noise, position, v
                 v = velocity[b, t - np.int64(table[b, DELAY, i]), h]
                 x, y, z = v[0] + weight * gx, v[1] + weight * gy, v[2] + weight * gz
                 finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], noise, velocity)
-            move(b, t, position, velocity)
+            end_step(b, s, t, motion, craft, position, velocity)

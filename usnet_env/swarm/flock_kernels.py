@@ -10,7 +10,7 @@ import numpy as np
 
 from usnet_env.compiling import compiled
 from usnet_env.swarm.field_kernels import NOISE, find_top
-from usnet_env.swarm.kernels import DESTROYED, FOLLOWS, finish_step, move, norm
+from usnet_env.swarm.kernels import DESTROYED, FOLLOWS, begin_step, end_step, finish_step, norm
 
 NO_CHASER, PREDATOR, DRIVER = range(3)
 
@@ -159,7 +159,7 @@ def _steer_chaser(chaser, standoff, i, first, last, top, t, p, middle, position,
 @compiled(error_model="numpy")
 def fly_flock(
     ranges, weights, chaser, flight_range, flight_weight, standoff, preference, table, root, source, bystander,
-    motion, start, noise, position, velocity,
+    motion, start, noise, position, velocity, craft,
 ):  # fmt: skip
     """Followers fly by repulsion, or else by alignment and attraction, from the UAVs of their flock, and flee chasers.
 
@@ -185,6 +185,7 @@ def fly_flock(
         chasers = np.flatnonzero(bystander[b] & (motion[b, :uavs] == FOLLOWS))
         for s in range(steps):
             t = start + s
+            begin_step(b, s, t, motion, craft, noise, position, velocity)
             for c in range(members):
                 for axis in range(3):
                     p[axis, c], v[axis, c] = position[b, t, order[c], axis], velocity[b, t - 1, order[c], axis]
@@ -249,4 +250,4 @@ def fly_flock(
                     chaser, standoff, i, first[f], first[f + 1], f, t, p, middle[f], position[b], velocity[b]
                 )
                 finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], noise, velocity)
-            move(b, t, position, velocity)
+            end_step(b, s, t, motion, craft, position, velocity)

@@ -20,6 +20,7 @@ from usnet_env.swarm import field_follow, flock_follow, kernels
 from usnet_env.swarm.field_follow import FieldStrategy
 from usnet_env.swarm.field_kernels import EACH_CLUSTER, EACH_FOLLOWER
 from usnet_env.swarm.open_follow import OPEN_LAWS
+from usnet_env.swarm.random_follow import RandomLaw
 from usnet_env.swarm.strategy import KAPPA, KAPPA_NOISE, KAPPA_RANGE, FollowInputs, FollowStrategy, TrajectoryBatch
 
 
@@ -30,6 +31,7 @@ class Lags(FollowStrategy):
     v * v (axis-wise) replaces v if ``square``.
     """
 
+    compiled = True
     lags: int = 1
     square: bool = False
     kappa: float = KAPPA
@@ -58,6 +60,7 @@ class StayInRange(FollowStrategy):
     """f6: the head's velocity, plus a pull towards the head beyond the distance kappa_r (Table II, type 6)."""
 
     equation: str = "v_{i,t+1} = norm(κ_0 v_{iL,t} + κ_n n + 1{‖d‖ > κ_r} κ_p d / ‖d‖), d = p_{iL,t} − p_{i,t}"
+    compiled = True
     lags: int = 1
     kappa: float = KAPPA
     pull: float = KAPPA
@@ -89,6 +92,7 @@ class Network(FollowStrategy):
     """
 
     equation: str = "v_{i,t+1} = norm(MLP(P_{i,t+1}, V_{iL,t}, p_{iL,t-3}) + κ_n n)"
+    compiled = True
     lags: int = kernels.MLP_LAGS
     noise: float = KAPPA_NOISE
     position_scale: float = 300.0
@@ -292,7 +296,8 @@ LIMIT_MODELS: dict[str, FieldStrategy] = {
 }
 
 _TABLE_2 = {"f1": Lags(1), "f2": Lags(2), "f3": Lags(3), "f4": Lags(2, square=True), "f5": Lags(3, square=True)}
-_OWN = {**_TABLE_2, "f6": StayInRange(), "f7": Network(), **FIELD_MODELS, **CONTROLS, **LIMIT_MODELS, **OPEN_LAWS}
+_PAPER = {**_TABLE_2, "f6": StayInRange(), "f7": Network()}
+_OWN = {**_PAPER, "random": RandomLaw(), **FIELD_MODELS, **CONTROLS, **LIMIT_MODELS, **OPEN_LAWS}
 
 #: All follow strategies by name; ``"none"`` selects the control without followers.
 FOLLOW_STRATEGIES = Registry(

@@ -8,20 +8,28 @@ steps are simulated by the call. All arrays except the mobility state, and all c
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from usnet_env.compiling import compiled
 
 DESTROYED, FREE, FOLLOWS = 0, 1, 2  # how a UAV moves in a window; a free UAV (head or decoy) follows no UAV
 IID, GAUSS_MARKOV, SMOOTH_TURN, WAYPOINT, LOCAL_WAYPOINT, STRAIGHT = range(6)
-VARIED_SPEED, LAGGED, LIMITED, LAYERED = range(4)  # the kinematics models that `fly_kinematics` steps
+UNIT, VARIED_SPEED, LAGGED, LIMITED, LAYERED = range(5)  # the kinematics that are compiled
 MOBILITY_STATE = 8  # number of float64 values in the mobility state of a UAV
 
 # The network of f7: inputs -> hidden tanh units -> 3 outputs, in the order of `Network.direction` in follow.py.
 MLP_LAGS = 4
 MLP_INPUTS = 3 + 3 * MLP_LAGS + 3 * MLP_LAGS  # relative position, own velocities, head velocities
 MLP_HIDDEN = 16
+
+# A random law: three terms, each with the number of its kind, its lag, its weight and a network of 6 x 8 and 8 x 3
+# numbers; then a rotation, a saturation, an offset and a pull.
+LAW_KINDS = ("linear", "cube", "root", "product", "network")
+LAW_TERM, LAW_END = 3 + 48 + 24, 9 + 1 + 3 + 1
+LAW = 3 * LAW_TERM + LAW_END
 
 _ONE = np.float32(1.0)
 _ZERO = np.float32(0.0)
@@ -132,32 +140,59 @@ def _step_mobility(code, state, z, p, numbers, out):
     out[0], out[1], out[2] = state[0], state[1], state[2]
 
 
-@compiled()
-def fly_free(code, numbers, free, start, normals, jitter, state, position, velocity):
-    """Velocities of the free UAVs ``(B, n)`` by mobility ``code``; writes ``state`` and ``velocity`` in place.
+class Craft(NamedTuple):
+    """How n free UAVs want to fly in a flight of S steps, and what all UAVs can fly."""
 
-    ``numbers`` ``(6,)`` are the constants of the mobility, ``normals`` ``(B, S, n, k)`` its random numbers, and
-    ``jitter`` ``(B, S, N, 3)`` is the scaled noise that is added to the unit direction; length 0: no noise.
-    """
-    episodes, steps, count = normals.shape[0], normals.shape[1], normals.shape[2]
+    mobility: NDArray[np.int64]  # (n,), the number of the mobility of each
+    constants: NDArray[np.float64]  # (n, 6), of the mobility
+    free: NDArray[np.int64]  # (B, n), their indices
+    normals: NDArray[np.float32]  # (B, S, n, k), random numbers
+    state: NDArray[np.float64]  # (B, n, MOBILITY_STATE), changed in place
+    jittered: int  # the first so many fly with the noise of the flight, scaled by `jitter`
+    jitter: np.float32
+    kinematics: int  # its number; with UNIT the free UAVs fly all steps before the others
+    numbers: NDArray[np.float32]  # constants of the kinematics
+    pushes: NDArray[np.float32]  # (B, S, N, k), its random numbers
+    kept: NDArray[np.float32]  # (B, N, k), its state, changed in place
+
+
+#: The craft of a flight whose free UAVs have flown.
+FLOWN = Craft(
+    np.empty(0, np.int64), np.empty((0, 6)), np.empty((0, 0), np.int64), np.empty((0, 0, 0, 0), np.float32),
+    np.empty((0, 0, MOBILITY_STATE)), 0, np.float32(0.0), UNIT, np.empty(0, np.float32),
+    np.empty((0, 0, 0, 0), np.float32), np.empty((0, 0, 0), np.float32),
+)  # fmt: skip
+
+
+@compiled()
+def _fly_free_uavs(b, t, first, last, craft, noise, position, velocity):
+    """Velocities of the free UAVs of swarm b in steps ``first`` to ``last`` - 1, of which the first is instant t."""
     out = np.empty(3, np.float32)
     p = np.empty(3, np.float64)
-    for b in range(episodes):
-        for j in range(count):
-            i = free[b, j]
-            for axis in range(3):
-                p[axis] = position[b, start, i, axis]
-            for s in range(steps):
-                _step_mobility(code, state[b, j], normals[b, s, j], p, numbers, out)
-                x, y, z = norm(out[0], out[1], out[2])
-                if len(jitter):
-                    x, y, z = norm(x + jitter[b, s, i, 0], y + jitter[b, s, i, 1], z + jitter[b, s, i, 2])
-                velocity[b, start + s, i, 0] = x
-                velocity[b, start + s, i, 1] = y
-                velocity[b, start + s, i, 2] = z
-                p[0] += x
-                p[1] += y
-                p[2] += z
+    for j in range(craft.free.shape[1]):
+        i = craft.free[b, j]
+        for axis in range(3):
+            p[axis] = position[b, t, i, axis]
+        for s in range(first, last):
+            _step_mobility(craft.mobility[j], craft.state[b, j], craft.normals[b, s, j], p, craft.constants[j], out)
+            x, y, z = norm(out[0], out[1], out[2])
+            if j < craft.jittered:
+                x += craft.jitter * noise[b, s, i, 0]
+                y += craft.jitter * noise[b, s, i, 1]
+                z += craft.jitter * noise[b, s, i, 2]
+                x, y, z = norm(x, y, z)
+            v = velocity[b, t + s - first, i]
+            v[0], v[1], v[2] = x, y, z
+            p[0] += x
+            p[1] += y
+            p[2] += z
+
+
+@compiled()
+def fly_free(start, craft, noise, position, velocity):
+    """Velocities of the free UAVs in all steps from instant ``start`` on, in place."""
+    for b in range(velocity.shape[0]):
+        _fly_free_uavs(b, start, 0, velocity.shape[1] - start, craft, noise, position, velocity)
 
 
 @compiled()
@@ -176,8 +211,90 @@ def integrate(start, position, velocity):
             move(b, t, position, velocity)
 
 
+@compiled(error_model="numpy")
+def _steer(x, y, z, u, v, w, limit):
+    """Turn the unit vector (x, y, z) towards the unit vector (u, v, w) by at most ``limit``; also return the cosine."""
+    cosine = min(max(x * u + y * v + z * w, -_ONE), _ONE)
+    angle = min(np.float32(math.acos(cosine)), limit)
+    u, v, w = u - cosine * x, v - cosine * y, w - cosine * z
+    size = np.sqrt(u * u + v * v + w * w)
+    if size < np.float32(1e-4):  # ahead or behind: turn in the level plane
+        u, v, w = -y, x, _ZERO
+        size = np.sqrt(u * u + v * v) + _TINY
+    c, s = np.float32(math.cos(angle)), np.float32(math.sin(angle)) / size
+    x, y, z = norm(c * x + s * u, c * y + s * v, c * z + s * w)
+    return x, y, z, cosine
+
+
+@compiled(error_model="numpy")
+def steer(code, numbers, b, s, t, motion, normals, state, position, velocity):
+    """Replace the wanted directions of swarm b in step t by velocities; ``normals`` ``(B, S, N, k)`` has step s."""
+    for i in range(motion.shape[1]):
+        if motion[b, i] == DESTROYED:
+            velocity[b, t, i, 0] = velocity[b, t, i, 1] = velocity[b, t, i, 2] = _ZERO
+            continue
+        x, y, z = velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2]
+        bx, by, bz = velocity[b, t - 1, i, 0], velocity[b, t - 1, i, 1], velocity[b, t - 1, i, 2]
+        if code == VARIED_SPEED:
+            state[b, i, 1] = numbers[0] * state[b, i, 1] + numbers[1] * normals[b, s, i, 0]
+            speed = min(max(state[b, i, 0] * (_ONE + state[b, i, 1]), numbers[2]), numbers[3])
+            x, y, z = x * speed, y * speed, z * speed
+        elif code == LAGGED:
+            share = state[b, i, 0]
+            x, y, z = bx + (x - bx) * share, by + (y - by) * share, bz + (z - bz) * share
+        elif code == LIMITED:
+            speed = np.sqrt(bx * bx + by * by + bz * bz)
+            scale = _ONE / max(speed, np.float32(1e-6))
+            x, y, z, cosine = _steer(bx * scale, by * scale, bz * scale, x, y, z, state[b, i, 0])
+            goal = numbers[0] + (_ONE - numbers[0]) * np.float32(0.5) * (_ONE + cosine)
+            speed = min(max(goal, speed - numbers[1]), speed + numbers[1])
+            speed = min(max(speed, _ZERO), _ONE)
+            x, y, z = x * speed, y * speed, z * speed
+        else:
+            rise = (state[b, i, 0] - position[b, t, i, 2]) / np.float32(10.0)
+            z = min(max(rise, -numbers[0]), numbers[0])
+            scale = np.sqrt(_ONE - z * z) / np.sqrt(x * x + y * y + _TINY)
+            x, y = x * scale, y * scale
+        velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = x, y, z
+
+
 @compiled()
-def fly_lags(kappa, square, noise_scale, root, motion, start, noise, position, velocity):
+def fly_kinematics(code, numbers, t, motion, normals, state, position, velocity):
+    """Step t of all models but ``unit``; the arguments are those of ``Kinematics.fly``."""
+    for b in range(motion.shape[0]):
+        steer(code, numbers, b, 0, t, motion, normals, state, position, velocity)
+        move(b, t, position, velocity)
+
+
+@compiled()
+def begin_step(b, s, t, motion, craft, noise, position, velocity):
+    """Fly the free UAVs in step t, if what they want depends on what was flown."""
+    if craft.kinematics != UNIT:
+        _fly_free_uavs(b, t, s, s + 1, craft, noise, position, velocity)
+        for i in range(motion.shape[1]):
+            if motion[b, i] == DESTROYED:
+                velocity[b, t, i, 0] = velocity[b, t, i, 1] = velocity[b, t, i, 2] = _ZERO
+
+
+@compiled()
+def end_step(b, s, t, motion, craft, position, velocity):
+    """Turn what all UAVs want in step t into what they fly, and write their next positions."""
+    if craft.kinematics != UNIT:
+        steer(craft.kinematics, craft.numbers, b, s, t, motion, craft.pushes, craft.kept, position, velocity)
+    move(b, t, position, velocity)
+
+
+@compiled()
+def fly_alone(motion, start, noise, position, velocity, craft):
+    """A flight without followers."""
+    for b in range(noise.shape[0]):
+        for s in range(noise.shape[1]):
+            begin_step(b, s, start + s, motion, craft, noise, position, velocity)
+            end_step(b, s, start + s, motion, craft, position, velocity)
+
+
+@compiled()
+def fly_lags(kappa, square, noise_scale, root, motion, start, noise, position, velocity, craft):
     """f1 to f5: v_{i,t+1} = norm(sum_tau kappa_tau v_{iL,t-tau}^p + kappa_n n), with p = 2 where ``square``.
 
     The loop computes the sum once per step and head.
@@ -189,6 +306,7 @@ def fly_lags(kappa, square, noise_scale, root, motion, start, noise, position, v
         followers, free = np.flatnonzero(motion[b] == FOLLOWS), np.flatnonzero(motion[b] == FREE)
         for s in range(steps):
             t = start + s
+            begin_step(b, s, t, motion, craft, noise, position, velocity)
             for h in free:
                 for axis in range(3):
                     total = _ZERO
@@ -199,16 +317,17 @@ def fly_lags(kappa, square, noise_scale, root, motion, start, noise, position, v
             for i in followers:
                 h = root[b, i]
                 finish_step(b, s, t, i, target[h, 0], target[h, 1], target[h, 2], noise_scale, noise, velocity)
-    integrate(start, position, velocity)
+            end_step(b, s, t, motion, craft, position, velocity)
 
 
 @compiled()
-def fly_range(kappa, pull, reach, noise_scale, root, motion, start, noise, position, velocity):
+def fly_range(kappa, pull, reach, noise_scale, root, motion, start, noise, position, velocity, craft):
     """f6: norm(kappa_0 v_{iL,t} + kappa_n n + 1{|d| > kappa_r} kappa_p d / |d|), d = p_{iL,t} - p_{i,t}."""
     for b in range(noise.shape[0]):
         followers = np.flatnonzero(motion[b] == FOLLOWS)
         for s in range(noise.shape[1]):
             t = start + s
+            begin_step(b, s, t, motion, craft, noise, position, velocity)
             for i in followers:
                 h = root[b, i]
                 dx, dy, dz = gap(position, b, t - 1, h, i)
@@ -218,7 +337,7 @@ def fly_range(kappa, pull, reach, noise_scale, root, motion, start, noise, posit
                 y = kappa * velocity[b, t - 1, h, 1] + noise_scale * noise[b, s, i, 1] + gain * dy
                 z = kappa * velocity[b, t - 1, h, 2] + noise_scale * noise[b, s, i, 2] + gain * dz
                 velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = norm(x, y, z)
-            move(b, t, position, velocity)
+            end_step(b, s, t, motion, craft, position, velocity)
 
 
 @compiled()
@@ -241,7 +360,7 @@ def _tanh(x):
 
 
 @compiled()
-def fly_mlp(parameters, position_scale, noise_scale, root, motion, start, noise, position, velocity):
+def fly_mlp(parameters, position_scale, noise_scale, root, motion, start, noise, position, velocity, craft):
     """f7: norm(MLP(P_{i,t+1}, V_{iL,t}, p_{iL,t-3}) + kappa_n n), one network per episode.
 
     A head's contribution to the hidden layer is computed once per step.
@@ -259,6 +378,7 @@ def fly_mlp(parameters, position_scale, noise_scale, root, motion, start, noise,
         followers, free = np.flatnonzero(motion[b] == FOLLOWS), np.flatnonzero(motion[b] == FREE)
         for s in range(steps):
             t = start + s
+            begin_step(b, s, t, motion, craft, noise, position, velocity)
             for h in free:
                 for unit in range(MLP_HIDDEN):
                     from_head[h, unit] = bias[unit]
@@ -289,56 +409,71 @@ def fly_mlp(parameters, position_scale, noise_scale, root, motion, start, noise,
                     y += active * readout[unit, 1]
                     z += active * readout[unit, 2]
                 velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = norm(x, y, z)
-            move(b, t, position, velocity)
+            end_step(b, s, t, motion, craft, position, velocity)
 
 
-@compiled(error_model="numpy")
-def _steer(x, y, z, u, v, w, limit):
-    """Turn the unit vector (x, y, z) towards the unit vector (u, v, w) by at most ``limit``; also return the cosine."""
-    cosine = min(max(x * u + y * v + z * w, -_ONE), _ONE)
-    angle = min(np.float32(math.acos(cosine)), limit)
-    u, v, w = u - cosine * x, v - cosine * y, w - cosine * z
-    size = np.sqrt(u * u + v * v + w * w)
-    if size < np.float32(1e-4):  # ahead or behind: turn in the level plane
-        u, v, w = -y, x, _ZERO
-        size = np.sqrt(u * u + v * v) + _TINY
-    c, s = np.float32(math.cos(angle)), np.float32(math.sin(angle)) / size
-    x, y, z = norm(c * x + s * u, c * y + s * v, c * z + s * w)
-    return x, y, z, cosine
+@compiled()
+def _add_term(term, now, before, total):
+    """Add a term of a random law to ``total``; ``now`` is the head's velocity at its lag, ``before`` a step earlier."""
+    kind, weight = int(term[0]), term[2]
+    if kind < 4:
+        for axis in range(3):
+            v = now[axis]
+            if kind == 1:
+                v = np.float32(1.7) * v * v * v
+            elif kind == 2:
+                v = np.sqrt(abs(v)) if v >= _ZERO else -np.sqrt(abs(v))
+            elif kind == 3:
+                v = np.float32(3.0) * now[(axis + 1) % 3] * now[(axis + 2) % 3]
+            total[axis] += weight * v
+        return
+    for unit in range(8):
+        inner = _ZERO
+        for axis in range(3):
+            inner += now[axis] * term[3 + 8 * axis + unit] + before[axis] * term[3 + 8 * (3 + axis) + unit]
+        active = _tanh(inner)
+        for axis in range(3):
+            total[axis] += weight * active * term[51 + 3 * unit + axis]
 
 
-@compiled(error_model="numpy")
-def fly_kinematics(code, numbers, t, motion, normals, state, position, velocity):
-    """One step of all models but ``unit``; the arguments are those of ``Kinematics.fly``."""
-    for b in range(motion.shape[0]):
-        for i in range(motion.shape[1]):
-            if motion[b, i] == DESTROYED:
-                velocity[b, t, i, 0] = velocity[b, t, i, 1] = velocity[b, t, i, 2] = _ZERO
-                continue
-            x, y, z = velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2]
-            bx, by, bz = velocity[b, t - 1, i, 0], velocity[b, t - 1, i, 1], velocity[b, t - 1, i, 2]
-            if code == VARIED_SPEED:
-                state[b, i, 1] = numbers[0] * state[b, i, 1] + numbers[1] * normals[b, i, 0]
-                speed = min(max(state[b, i, 0] * (_ONE + state[b, i, 1]), numbers[2]), numbers[3])
-                x, y, z = x * speed, y * speed, z * speed
-            elif code == LAGGED:
-                share = state[b, i, 0]
-                x, y, z = bx + (x - bx) * share, by + (y - by) * share, bz + (z - bz) * share
-            elif code == LIMITED:
-                speed = np.sqrt(bx * bx + by * by + bz * bz)
-                scale = _ONE / max(speed, np.float32(1e-6))
-                x, y, z, cosine = _steer(bx * scale, by * scale, bz * scale, x, y, z, state[b, i, 0])
-                goal = numbers[0] + (_ONE - numbers[0]) * np.float32(0.5) * (_ONE + cosine)
-                speed = min(max(goal, speed - numbers[1]), speed + numbers[1])
-                speed = min(max(speed, _ZERO), _ONE)
-                x, y, z = x * speed, y * speed, z * speed
-            else:
-                rise = (state[b, i, 0] - position[b, t, i, 2]) / np.float32(10.0)
-                z = min(max(rise, -numbers[0]), numbers[0])
-                scale = np.sqrt(_ONE - z * z) / np.sqrt(x * x + y * y + _TINY)
-                x, y = x * scale, y * scale
-            velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = x, y, z
-        move(b, t, position, velocity)
+@compiled()
+def fly_laws(laws, noise_scale, root, motion, start, noise, position, velocity, craft):
+    """Random laws ``(B, LAW)``, or ``(1, LAW)`` for all swarms: see ``RandomFollowStrategy``.
+
+    What a follower is told by its head is the same for all followers of the head but for the pull.
+    """
+    uavs = noise.shape[2]
+    told = np.empty((uavs, 3), np.float32)
+    total = np.empty(3, np.float32)
+    for b in range(noise.shape[0]):
+        law = laws[b % len(laws)]
+        end = law[len(law) - LAW_END :]
+        followers, free = np.flatnonzero(motion[b] == FOLLOWS), np.flatnonzero(motion[b] == FREE)
+        for s in range(noise.shape[1]):
+            t = start + s
+            begin_step(b, s, t, motion, craft, noise, position, velocity)
+            for h in free:
+                total[:] = _ZERO
+                for k in range(3):
+                    term = law[k * LAW_TERM : (k + 1) * LAW_TERM]
+                    lag = int(term[1])
+                    _add_term(term, velocity[b, t - 1 - lag, h], velocity[b, t - 2 - lag, h], total)
+                if end[9] > _ZERO:
+                    for axis in range(3):
+                        total[axis] = _tanh(end[9] * total[axis]) / end[9]
+                for axis in range(3):
+                    row = end[3 * axis : 3 * axis + 3]
+                    told[h, axis] = total[0] * row[0] + total[1] * row[1] + total[2] * row[2]
+            for i in followers:
+                h = root[b, i]
+                x, y, z = told[h, 0], told[h, 1], told[h, 2]
+                if end[13] > _ZERO:
+                    gx, gy, gz = gap(position, b, t - 1, h, i)
+                    gx, gy, gz = gx + end[10], gy + end[11], gz + end[12]
+                    weight = end[13] / max(np.sqrt(gx * gx + gy * gy + gz * gz), _ONE)
+                    x, y, z = x + weight * gx, y + weight * gy, z + weight * gz
+                finish_step(b, s, t, i, x, y, z, noise_scale, noise, velocity)
+            end_step(b, s, t, motion, craft, position, velocity)
 
 
 @compiled()
@@ -382,3 +517,22 @@ def remerge(head, alive, apart, position, root, source):
             while 0 <= above < uavs and source[b, above] != above:
                 above = source[b, above]
             root[b, i] = above if 0 <= above < uavs and head[b, above] else -1
+
+
+@compiled()
+def remember(keep, noise):
+    """Make normal numbers ``(B, T, N, 3)`` an autoregressive process of order 1 in time with correlation ``keep``."""
+    push = np.sqrt(_ONE - keep * keep)
+    for b in range(noise.shape[0]):
+        for t in range(1, noise.shape[1]):
+            for i in range(noise.shape[2]):
+                for axis in range(3):
+                    noise[b, t, i, axis] = keep * noise[b, t - 1, i, axis] + push * noise[b, t, i, axis]
+
+
+@compiled()
+def miss_in_bursts(after_hit, after_miss, drawn, detected):
+    """Who is detected, ``(T, N)``, from the first instant on: the probability of a miss depends on the one before."""
+    for t in range(1, drawn.shape[0]):
+        for i in range(drawn.shape[1]):
+            detected[t, i] = drawn[t, i] >= (after_hit if detected[t - 1, i] else after_miss)

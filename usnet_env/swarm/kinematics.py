@@ -82,25 +82,26 @@ class Unit(Kinematics):
     breaks = "–"
 
 
-class _Compiled(Kinematics):
-    """A model with a compiled step; ``_code`` is its number and ``_constants`` the names of its constants."""
+class CompiledKinematics(Kinematics):
+    """A model with a compiled step; ``code`` is its number and ``_constants`` the names of its constants."""
 
-    _code: ClassVar[int]
+    code: ClassVar[int]
     _constants: ClassVar[tuple[str, ...]] = ()
 
     @property
-    def _numbers(self) -> Singles:
+    def numbers(self) -> Singles:
+        """The constants for the kernel."""
         return np.array([getattr(self, name) for name in self._constants], np.float32)
 
     def fly(
         self, t: int, motion: NDArray[np.int8], normals: Singles, state: Singles, position: Singles, velocity: Singles
     ) -> None:
         """Compiled step."""
-        kernels.fly_kinematics(self._code, self._numbers, t, motion, normals, state, position, velocity)
+        kernels.fly_kinematics(self.code, self.numbers, t, motion, normals[:, None], state, position, velocity)
 
 
 @dataclass(frozen=True)
-class VariedSpeed(_Compiled):
+class VariedSpeed(CompiledKinematics):
     """Speeds that differ between UAVs and vary over time, by an autoregressive process of order 1."""
 
     equation = "v_{t+1} = s_{t+1} u_{t+1}, s = clip(s̄_i (1 + a)), a_{t+1} = φ a_t + σ √(1 − φ²) n"
@@ -108,7 +109,7 @@ class VariedSpeed(_Compiled):
     breaks = "all UAVs fly at one constant speed"
     values = 2  # mean speed, relative deviation
     normals = 1
-    _code = kernels.VARIED_SPEED
+    code = kernels.VARIED_SPEED
     slowest: float = 0.5  # metres per step
     fastest: float = 1.5
     spread: float = 0.2  # the UAVs' mean speeds are uniform in 1 ± spread, metres per step
@@ -121,7 +122,8 @@ class VariedSpeed(_Compiled):
         return self.fastest
 
     @property
-    def _numbers(self) -> Singles:
+    def numbers(self) -> Singles:
+        """φ, σ √(1 − φ²), and the speeds."""
         push = self.deviation * math.sqrt(1.0 - self.keep**2)
         return np.array([self.keep, push, self.slowest, self.fastest], np.float32)
 
@@ -132,14 +134,14 @@ class VariedSpeed(_Compiled):
 
 
 @dataclass(frozen=True)
-class Lagged(_Compiled):
+class Lagged(CompiledKinematics):
     """A first-order lag: the velocity approaches the wanted one with a time constant of each UAV, in steps."""
 
     equation = "v_{t+1} = v_t + (u_{t+1} − v_t) / τ_i"
     source = "first-order velocity response (Beard & McLain 2012, §9)"
     breaks = "a UAV flies the wanted velocity at once"
     values = 1  # 1 / time constant
-    _code = kernels.LAGGED
+    code = kernels.LAGGED
     shortest: float = 1.5
     longest: float = 4.0
 
@@ -149,14 +151,14 @@ class Lagged(_Compiled):
 
 
 @dataclass(frozen=True)
-class Limited(_Compiled):
+class Limited(CompiledKinematics):
     """A limited turn rate and acceleration; a UAV that wants to turn more slows down."""
 
     equation = "∠(v_{t+1}, v_t) ≤ ω_i, |s_{t+1} − s_t| ≤ a, s aims at s_0 + (1 − s_0) (1 + cos ∠(u, v)) / 2"
     source = "bounded turn rate and acceleration (Dubins 1957; Beard & McLain 2012)"
     breaks = "a UAV can turn at any rate"
     values = 1  # turn rate
-    _code = kernels.LIMITED
+    code = kernels.LIMITED
     _constants = ("slowest", "acceleration")
     least_turn: float = 0.15  # the UAVs' turn rates are uniform from here, radians per step
     most_turn: float = 0.35
@@ -169,7 +171,7 @@ class Limited(_Compiled):
 
 
 @dataclass(frozen=True)
-class Layered(_Compiled):
+class Layered(CompiledKinematics):
     """Altitude layers: a UAV keeps the altitude of its layer and flies the wanted course in the plane.
 
     ``layers`` layers are ``height`` metres apart, the lowest at half of it; ``climb`` is the largest vertical speed.
@@ -179,7 +181,7 @@ class Layered(_Compiled):
     source = "altitude layers of urban airspace (Sunil et al. 2015, Metropolis)"
     breaks = "the three axes are alike"
     values = 1  # altitude
-    _code = kernels.LAYERED
+    code = kernels.LAYERED
     _constants = ("climb",)
     layers: int = 5
     height: float = 20.0

@@ -81,10 +81,14 @@ class CompiledMobility(Mobility):
     def fly(self, state: Floats, position: Singles, steps: int, rng: np.random.Generator) -> Singles:
         """Directions for one swarm; for a batch the simulator calls the kernel directly."""
         uavs = len(state)
-        velocity, jitter = np.zeros((1, steps, uavs, 3), np.float32), np.empty((0, steps, uavs, 3), np.float32)
+        velocity, none = np.zeros((1, steps, uavs, 3), np.float32), np.empty((1, 0, uavs, 3), np.float32)
         normals = rng.standard_normal((1, steps, uavs, self.normals), dtype=np.float32)
-        free, place, constants = np.arange(uavs)[None], position[None, None].copy(), self.constants()
-        kernels.fly_free(self.code, constants, free, 0, normals, jitter, state[None], place, velocity)
+        every, constants = np.full(uavs, self.code), np.tile(self.constants(), (uavs, 1))
+        craft = kernels.FLOWN._replace(
+            mobility=every, constants=constants, free=np.arange(uavs)[None], normals=normals, state=state[None].copy()
+        )
+        kernels.fly_free(0, craft, none, position[None, None].copy(), velocity)
+        state[...] = craft.state[0]
         return velocity[0]
 
 

@@ -1,4 +1,4 @@
-"""Random follow strategies for off-line training and held-out tests; none of f1 to f7 can be drawn.
+"""Random follow strategies for training and held-out tests; none of f1 to f7 can be drawn.
 
 A strategy is a sum of one to three terms of the head's past velocities, followed by an output map. Every drawn strategy
 has at least one part that no row of Table II has: a cube, a signed root, a product of axes, a small network or a
@@ -55,6 +55,7 @@ class RandomFollowStrategy(FollowStrategy):
     pull: float = 0.0
     lags: int = 4
     noise: float = KAPPA_NOISE
+    compiled = True
 
     def direction(self, inputs: FollowInputs) -> Singles:
         """The sum of the terms, saturated and rotated, plus the pull."""
@@ -69,25 +70,59 @@ class RandomFollowStrategy(FollowStrategy):
             total = total + np.float32(self.pull) * gap / np.maximum(distance, np.float32(1.0))
         return total
 
+    def pack(self) -> Singles:
+        """The law as numbers ``(LAW,)``, as :func:`kernels.fly_laws` reads them; those of a part left out are 0."""
+        law, rotation = np.zeros(kernels.LAW, np.float32), self.rotation
+        for row, term in zip(law[: -kernels.LAW_END].reshape(-1, kernels.LAW_TERM), self.terms, strict=False):
+            row[:3] = kernels.LAW_KINDS.index(term.kind), term.lag, term.weight
+            if term.layer is not None:
+                row[3:] = np.concatenate([part.ravel() for part in term.layer])
+        law[-14:-5] = np.eye(3, dtype=np.float32).ravel() if rotation is None else rotation.ravel()
+        law[-5] = self.saturation or 0.0
+        if self.offset is not None:
+            law[-4:-1], law[-1] = self.offset, self.pull
+        return law
+
     def fly(self, flight: TrajectoryBatch) -> None:
-        """The general loop, with the followers of all swarms at once."""
-        position, velocity = flight.position, flight.velocity
-        swarm, who = np.nonzero(flight.motion == kernels.FOLLOWS)
-        head = flight.root[swarm, who]
-        noise = np.float32(self.noise) * flight.noise[swarm, :, who]
-        for s in range(flight.steps):
-            t = flight.start + s
-            now, past = slice(t - self.lags, t + 1), slice(t - self.lags, t)
-            inputs = FollowInputs(
-                own_position=position[swarm, now, who][:, ::-1],
-                head_velocity=velocity[swarm, past, head][:, ::-1],
-                head_position=position[swarm, now, head][:, ::-1],
-                parameters=flight.parameters[0],
-            )
-            total = self.direction(inputs) + noise[:, s]
-            length = np.sqrt((total * total).sum(axis=-1, keepdims=True, dtype=np.float32))
-            velocity[swarm, t, who] = total / np.maximum(length, np.float32(1e-6))
-            position[:, t + 1] = position[:, t] + velocity[:, t]
+        """Compiled loop."""
+        kernels.fly_laws(self.pack()[None], np.float32(self.noise), flight.root, *flight.flown)
+
+
+@dataclass(frozen=True)
+class RandomLaw(FollowStrategy):
+    """``follow="random"``: in each episode another :class:`RandomFollowStrategy`."""
+
+    equation = f"another one in each episode, none of f1 to f7: {RandomFollowStrategy.equation}"
+    lags: int = 4
+    noise: float = KAPPA_NOISE
+    compiled = True
+
+    def draw(self, rng: np.random.Generator) -> Singles:
+        """Draw the law."""
+        return random_follow_strategy(rng).pack()
+
+    def direction(self, inputs: FollowInputs) -> Singles:
+        """That of the law."""
+        return _unpack(inputs.parameters).direction(inputs)
+
+    def fly(self, flight: TrajectoryBatch) -> None:
+        """Compiled loop."""
+        kernels.fly_laws(flight.parameters, np.float32(self.noise), flight.root, *flight.flown)
+
+
+def _unpack(law: Singles) -> RandomFollowStrategy:
+    """The strategy of :meth:`RandomFollowStrategy.pack`."""
+    terms = [
+        Term(
+            kernels.LAW_KINDS[int(row[0])],
+            int(row[1]),
+            float(row[2]),
+            (row[3:51].reshape(6, 8), row[51:].reshape(8, 3)),
+        )
+        for row in law[: -kernels.LAW_END].reshape(-1, kernels.LAW_TERM)
+    ]
+    offset, pull = (law[-4:-1], float(law[-1])) if law[-1] else (None, 0.0)
+    return RandomFollowStrategy(tuple(terms), law[-14:-5].reshape(3, 3), float(law[-5]) or None, offset, pull)
 
 
 def _multiply(rows: Singles, matrix: Singles) -> Singles:

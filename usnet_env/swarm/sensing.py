@@ -9,6 +9,7 @@ from typing import Self
 import numpy as np
 
 from usnet_env.arrays import Indices, Mask, Singles
+from usnet_env.swarm import kernels
 from usnet_env.swarm.config import NOISE_BOUND, SWAP_RANGE, SwarmConfig
 
 Generators = Sequence[np.random.Generator]
@@ -101,9 +102,7 @@ def sense(
     seen &= present
     if config.position_noise > 0:
         if config.noise_memory > 0:
-            keep = np.float32(config.noise_memory)
-            for t in range(1, noise.shape[1]):
-                noise[:, t] = keep * noise[:, t - 1] + np.sqrt(1 - keep * keep) * noise[:, t]
+            kernels.remember(np.float32(config.noise_memory), noise)
         if config.course_noise != 1:
             course = np.diff(position, axis=1, append=2 * position[:, -1:] - position[:, -2:-1])
             course /= np.maximum(np.linalg.norm(course, axis=-1, keepdims=True), np.float32(1e-6))
@@ -143,11 +142,8 @@ def _detect(drawn: Singles, rate: float, burst: float) -> Mask:
     """Which UAVs are detected, ``(T_ob + 1, N)``, from uniform numbers of this shape."""
     if burst == 0:
         return drawn >= rate
-    detected = np.empty(drawn.shape, bool)
-    detected[0] = drawn[0] >= rate
-    for t in range(1, len(drawn)):
-        missed = np.where(detected[t - 1], rate / (burst * (1.0 - rate)), 1.0 - 1.0 / burst)
-        detected[t] = drawn[t] >= missed
+    detected = drawn >= rate
+    kernels.miss_in_bursts(rate / (burst * (1.0 - rate)), 1.0 - 1.0 / burst, drawn, detected)
     return detected
 
 
@@ -172,9 +168,9 @@ def _swap(position: Singles, present: Mask, swaps: Mask, alive: Mask) -> Indices
     ``swaps`` ``(T_ob + 1, N)`` marks the identities that switch if another one is near and present.
     """
     holder = np.arange(len(alive))  # the true UAV of each identity
-    shown = np.empty(swaps.shape, np.int64)
-    for t, place in enumerate(position):
-        free = alive & present[t][holder]
+    shown = np.tile(holder, (len(swaps), 1))
+    for t in np.flatnonzero(swaps.any(axis=1)):
+        place, free = position[t], alive & present[t][holder]
         for i in np.flatnonzero(swaps[t] & free):
             distance = np.linalg.norm(place[holder] - place[holder[i]], axis=1)
             distance[~free | (np.arange(len(alive)) == i)] = np.inf
@@ -182,5 +178,5 @@ def _swap(position: Singles, present: Mask, swaps: Mask, alive: Mask) -> Indices
             if free[i] and distance[j] <= SWAP_RANGE:
                 holder[i], holder[j] = holder[j], holder[i]
                 free[i] = free[j] = False
-        shown[t] = holder
+        shown[t:] = holder
     return shown

@@ -3,7 +3,7 @@
 A batch has a leading axis B. All random numbers of an episode come from its own generator, so episode b of a batch
 equals the single swarm with the same seed, bit for bit. A free UAV is one that follows no UAV: a head, decoy or
 bystander, and every UAV with ``follow="none"``. With other kinematics than ``unit`` a step at a time is simulated:
-first what the UAVs want, then what they fly.
+first what the UAVs want, then what they fly. If all parts are compiled, one compiled loop does so.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from usnet_env.arrays import Floats, Indices, Mask, Singles
 from usnet_env.swarm import kernels
 from usnet_env.swarm.config import SwarmConfig
 from usnet_env.swarm.formation import FORMATIONS, draw_corridors
-from usnet_env.swarm.kinematics import Unit
+from usnet_env.swarm.kinematics import CompiledKinematics, Unit
 from usnet_env.swarm.mobility import MOBILITIES, CompiledMobility, Mobility
 from usnet_env.swarm.sensing import Generators, ObservationBatch, draw_normals, sense, shift_tracks
-from usnet_env.swarm.state import LASTING, Roles, SwarmState
+from usnet_env.swarm.state import LASTING, Roles, SwarmState, destroy
 from usnet_env.swarm.strategy import TrajectoryBatch
 
 Laws = list[tuple[Mobility, slice]]  # the mobilities, each with its columns of ``SwarmState.free``
@@ -41,11 +41,13 @@ def draw_roles(rngs: Generators, config: SwarmConfig) -> Roles:
     """Draw the roles of B swarms, with indices permuted at random; every array has a leading axis B."""
     sizes = np.array([config.cluster_sizes] * len(rngs)) if config.cluster_sizes else None
     sizes = random_cluster_sizes(rngs, config.clusters, config.followers) if sizes is None else sizes
-    counts = (config.clusters, config.decoys, config.followers, config.bystanders, config.traffic, config.clutter)
+    others = config.bystanders, config.traffic, config.clutter, config.absent
+    counts = (config.clusters, config.decoys, config.followers, *others)
     order = np.array([rng.permutation(config.uavs) for rng in rngs])
     kind, root = np.empty_like(order), np.tile(np.arange(config.uavs), (len(rngs), 1))
     np.put_along_axis(kind, order, np.repeat(np.arange(len(counts)), counts)[None], axis=1)
-    head, decoy, _, bystander, traffic, clutter = (kind == k for k in range(len(counts)))
+    head, decoy, _, bystander, traffic, clutter, absent = (kind == k for k in range(len(counts)))
+    root[absent] = -1
     heads, followers = order[:, : config.clusters], order[:, config.clusters + config.decoys :][:, : config.followers]
     np.put_along_axis(root, followers, np.repeat(heads.ravel(), sizes.ravel()).reshape(followers.shape), axis=1)
     return Roles(head, decoy, root, bystander | traffic | clutter, traffic, clutter, root.copy(), heads)
@@ -57,16 +59,16 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
     In these T_0 steps followers move in random directions: they have no past of their head to follow yet.
     """
     drawn = _draw_swarms(config, rngs)
-    place, velocity = drawn.pop("place"), drawn.pop("velocity")
+    place, velocity, absent = (drawn.pop(name) for name in ("place", "velocity", "absent"))
     (episodes, memory, all_uavs, _), uavs = velocity.shape, config.uavs
     position = np.zeros((episodes, memory + 1, all_uavs, 3), np.float32)
     position[:, 0] = place
     velocity /= np.sqrt((velocity * velocity).sum(axis=-1, keepdims=True))
-    laws = _find_laws(config, drawn["free"].shape[1])
-    normals, no_jitter = _draw_for(laws, memory, rngs), np.empty((0, memory, all_uavs, 3), np.float32)
-    _fly_free(laws, normals, drawn["free"], drawn["mobility_state"], position, velocity, 0, rngs, no_jitter)
+    craft = _draw_craft(laws := _find_laws(config, drawn["free"].shape[1]), memory, rngs)
+    craft = craft._replace(free=drawn["free"], state=drawn["mobility_state"])
+    _fly_free(laws, craft, np.empty((0, 0, 0, 3), np.float32), position, velocity, 0, rngs)
     kernels.integrate(0, position, velocity)
-    return SwarmState(
+    begun = SwarmState(
         alive=np.ones((episodes, uavs), bool),
         past_position=position[:, :, :uavs],
         past_velocity=velocity[:, :, :uavs],
@@ -75,6 +77,7 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
         reference_velocity=velocity[:, :, uavs:],
         **drawn,
     )
+    return destroy(begun, absent) if config.absent else begun
 
 
 def _draw_swarms(config: SwarmConfig, rngs: Generators) -> dict[str, NDArray[Any]]:
@@ -108,6 +111,7 @@ def _draw_swarms(config: SwarmConfig, rngs: Generators) -> dict[str, NDArray[Any
     from_heads = np.take_along_axis(place, drawn.drawn[:, :references, None], axis=1)
     return {
         **roles,
+        "absent": drawn.root < 0,
         "free": np.concatenate(free, axis=1),
         "mobility_state": mobility_state,
         "parameters": np.array(parameters),
@@ -176,34 +180,44 @@ def _fly(
     """Simulate the episodes of ``flight`` and write its positions and velocities, and both states, in place."""
     strategy, kinematics = config.follow_strategy, config.kinematics_model
     position, velocity, noise, motion = flight.position, flight.velocity, flight.noise, flight.motion
-    jitter = noise[:0]
+    craft = _draw_craft(laws := _find_laws(config, free.shape[1]), flight.steps, rngs)
+    craft = craft._replace(free=free, state=mobility_state)
     if config.head_jitter:
-        jitter = noise * np.float32(strategy.noise if strategy is not None else JITTER)
-    laws = _find_laws(config, free.shape[1])
-    normals = _draw_for(laws, flight.steps, rngs)
+        scale = np.float32(strategy.noise if strategy is not None else JITTER)
+        craft = craft._replace(jittered=laws[0][1].stop, jitter=scale)
+    follow = strategy.fly if strategy is not None and strategy.has_followers else None
+
+    def fly_together(flight: TrajectoryBatch) -> None:
+        if follow is None:
+            kernels.fly_alone(*flight.flown)
+        else:
+            follow(flight)
+
     # Their velocity is assigned, not multiplied: the sign of a zero would show which of them were free.
     memory, gone = config.memory, motion == kernels.DESTROYED
     if isinstance(kinematics, Unit):
-        _fly_free(laws, normals, free, mobility_state, position, velocity, memory, rngs, jitter)
+        _fly_free(laws, craft, noise, position, velocity, memory, rngs)
         velocity[:, memory:].swapaxes(1, 2)[gone] = 0.0
-        if strategy is None or not strategy.has_followers:
-            kernels.integrate(memory, position, velocity)
-        else:
-            strategy.fly(flight)
+        fly_together(flight)
         return
     pushes = draw_normals(rngs, *noise.shape[1:3], kinematics.normals)
+    compiled = all(isinstance(law, CompiledMobility) for law, _ in laws) and (follow is None or strategy.compiled)
+    if compiled and isinstance(kinematics, CompiledKinematics):
+        model = {"kinematics": kinematics.code, "numbers": kinematics.numbers}
+        fly_together(replace(flight, craft=craft._replace(**model, pushes=pushes, kept=kinematic_state)))
+        return
     for s in range(flight.steps):
         t, now = memory + s, slice(s, s + 1)
-        drawn = [numbers[:, now] for numbers in normals]
-        _fly_free(laws, drawn, free, mobility_state, position, velocity[:, : t + 1], t, rngs, jitter[:, now])
+        step = craft._replace(normals=craft.normals[:, now])
+        _fly_free(laws, step, noise[:, now], position, velocity[:, : t + 1], t, rngs)
         velocity[:, t][gone] = 0.0
-        if strategy is not None and strategy.has_followers:
+        if follow is not None:
             cut: dict[str, Any] = {
                 "position": position[:, s : t + 2],
                 "velocity": velocity[:, s : t + 1],
                 "noise": noise[:, now],
             }
-            strategy.fly(replace(flight, **cut, clock=flight.clock + s))
+            follow(replace(flight, **cut, clock=flight.clock + s))
         kinematics.fly(t, motion, pushes[:, s], kinematic_state, position, velocity)
 
 
@@ -219,34 +233,47 @@ def _find_laws(config: SwarmConfig, free: int) -> Laws:
     return laws
 
 
-def _draw_for(laws: Laws, steps: int, rngs: Generators) -> list[Singles]:
-    """Draw the random numbers ``(B, S, n, k)`` of every mobility; k is 0 for one that is not compiled."""
-    return [draw_normals(rngs, steps, part.stop - part.start, law.normals) for law, part in laws]
+def _draw_craft(laws: Laws, steps: int, rngs: Generators) -> kernels.Craft:
+    """The mobilities of all free UAVs, and their random numbers, as a craft."""
+    free = laws[-1][1].stop
+    normals = np.empty((len(rngs), steps, free, max(law.normals for law, _ in laws)), np.float32)
+    codes, constants = np.zeros(free, np.int64), np.zeros((free, 6))
+    for law, part in laws:
+        normals[:, :, part, : law.normals] = draw_normals(rngs, steps, part.stop - part.start, law.normals)
+        if isinstance(law, CompiledMobility):
+            codes[part], constants[part] = law.code, law.constants()
+    return kernels.FLOWN._replace(mobility=codes, constants=constants, normals=normals)
 
 
 def _fly_free(
     laws: Laws,
-    normals: list[Singles],
-    free: Indices,
-    mobility_state: Floats,
+    craft: kernels.Craft,
+    noise: Singles,
     position: Singles,
     velocity: Singles,
     first: int,
     rngs: Generators,
-    jitter: Singles,
 ) -> None:
-    """Write the velocities of the free UAVs from step ``first`` on; those of the first law fly with the jitter."""
+    """Write the velocities of the free UAVs from step ``first`` on."""
+    if all(isinstance(law, CompiledMobility) for law, _ in laws):
+        kernels.fly_free(first, craft, noise, position, velocity)
+        return
     count = velocity.shape[1] - first
-    for (mobility, part), drawn in zip(laws, normals, strict=True):
-        columns, state, added = free[:, part], mobility_state[:, part], jitter if part.start == 0 else jitter[:0]
-        if isinstance(mobility, CompiledMobility):
-            constants = mobility.constants()
-            kernels.fly_free(mobility.code, constants, columns, first, drawn, added, state, position, velocity)
+    for law, part in laws:
+        columns, state, jittered = craft.free[:, part], craft.state[:, part], part.start < craft.jittered
+        if isinstance(law, CompiledMobility):
+            own = {
+                "mobility": craft.mobility[part],
+                "constants": craft.constants[part],
+                "jittered": jittered * part.stop,
+            }
+            one = craft._replace(**own, free=columns, state=state, normals=craft.normals[:, :, part])
+            kernels.fly_free(first, one, noise, position, velocity)
             continue
         for b, rng in enumerate(rngs):
-            wanted = _normalise(mobility.fly(state[b], position[b, first, columns[b]], count, rng).astype(np.float32))
-            if len(added):
-                wanted = _normalise(wanted + added[b][:, columns[b]])
+            wanted = _normalise(law.fly(state[b], position[b, first, columns[b]], count, rng).astype(np.float32))
+            if jittered:
+                wanted = _normalise(wanted + craft.jitter * noise[b][:, columns[b]])
             velocity[b, first : first + count, columns[b]] = wanted.swapaxes(0, 1)
 
 

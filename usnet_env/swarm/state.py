@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, Self
 
@@ -11,7 +12,26 @@ from numpy.typing import NDArray
 from usnet_env.arrays import Floats, Indices, Mask, Singles
 from usnet_env.swarm import kernels
 
+Rows = NDArray[np.intp] | slice
+
 LASTING = ("head", "decoy", "root", "bystander", "source")  # the roles that :class:`SwarmState` keeps
+
+
+def _pack(rows: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Arrays of several swarms as one with a leading axis; as an array of arrays, if swarms of several kinds differ."""
+    if len({row.shape for row in rows}) == 1:
+        return np.stack(rows)
+    packed = np.empty(len(rows), object)
+    for b, row in enumerate(rows):
+        packed[b] = row
+    return packed
+
+
+def _join(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """One array of the rows of several ones."""
+    if len({(part.shape[1:], part.dtype) for part in parts}) == 1:
+        return np.concatenate(parts)
+    return _pack([row for part in parts for row in part])
 
 
 @dataclass(frozen=True)
@@ -60,6 +80,9 @@ class SwarmState:
 
     Besides its N UAVs a swarm of a field model may have R references: points that fly like heads and that no sensor
     sees. Their indices are N to N + R - 1.
+
+    Swarms of one batch may be of several kinds, with other follow strategies, mobilities or kinematics, if N and T_0
+    are the same. Arrays whose shapes then differ are arrays ``(B,)`` of arrays.
 
     Args:
         head: ``(B, N)`` bool, H_0, the heads at the start, destroyed or not; none in a swarm that no UAV leads.
@@ -121,16 +144,24 @@ class SwarmState:
         """Copies of all arrays by name; ``SwarmState(**arrays)`` restores the state."""
         return {field.name: getattr(self, field.name).copy() for field in fields(self)}
 
-    def rows(self, episodes: NDArray[np.intp] | slice) -> Self:
+    def rows(self, episodes: Rows) -> Self:
         """The state of some episodes of the batch."""
-        return replace(self, **{field.name: getattr(self, field.name)[episodes] for field in fields(self)})
+        chosen = {name: array[episodes] for name, array in vars(self).items()}
+        return replace(self, **{name: _pack(part) if part.dtype == object else part for name, part in chosen.items()})
+
+    @classmethod
+    def join(cls, states: Sequence[Self]) -> Self:
+        """The batch of all swarms of some batches."""
+        if len(states) == 1:
+            return states[0]
+        arrays = {field.name: [getattr(state, field.name) for state in states] for field in fields(cls)}
+        return cls(**{name: _join(parts) for name, parts in arrays.items()})
 
     def with_rows(self, episodes: NDArray[np.intp], other: SwarmState) -> Self:
         """A copy of this batch in which ``other`` replaces some episodes."""
-        arrays = self.arrays()
-        for name, array in arrays.items():
-            array[episodes] = getattr(other, name)
-        return replace(self, **arrays)
+        order = np.arange(len(self.alive))
+        order[episodes] = len(order) + np.arange(len(episodes))
+        return type(self).join([self, other]).rows(order)  # type: ignore[list-item]  # of the same class
 
     def episode(self, b: int = 0) -> SwarmState:
         """A copy of episode ``b`` without the leading axis."""

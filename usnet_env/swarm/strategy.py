@@ -54,6 +54,7 @@ class TrajectoryBatch:
             steps of the free UAVs.
         noise: ``(B, S, N + R, 3)`` float32, the followers' n ~ N(0, I), before the scaling by kappa_n.
         motion: ``(B, N + R)`` int8, how each UAV moves: ``kernels.DESTROYED``, ``FREE`` or ``FOLLOWS``.
+        craft: how the compiled loops fly the free UAVs, and the kinematics; by default the free UAVs have flown.
     """
 
     position: Singles
@@ -65,11 +66,12 @@ class TrajectoryBatch:
     source: Indices
     bystander: Mask
     clock: Indices
+    craft: kernels.Craft = kernels.FLOWN
 
     @property
-    def flown(self) -> tuple[NDArray[np.int8], int, Singles, Singles, Singles]:
-        """Who flies, from which step on, with which noise, and what is filled: for the compiled loops."""
-        return self.motion, self.start, self.noise, self.position, self.velocity
+    def flown(self) -> tuple[NDArray[np.int8], int, Singles, Singles, Singles, kernels.Craft]:
+        """Who flies, from which step on, with which noise, what is filled, and the craft: for the compiled loops."""
+        return self.motion, self.start, self.noise, self.position, self.velocity, self.craft
 
     episodes = AxisLength("noise", 0)  #: B
     steps = AxisLength("noise", 1)  #: S, the number of steps to simulate
@@ -91,6 +93,7 @@ class FollowStrategy(ABC):
         noise: kappa_n, the scale of the noise.
         has_references: whether each cluster has a reference, which flies by the swarm's mobility in place of its heads.
         has_followers: whether UAVs follow; otherwise all UAVs fly by the swarm's mobility.
+        compiled: whether :meth:`fly` is a compiled loop that obeys the craft of the flight.
         shifts_tracks: whether the observer sees the steps of each track rolled in time by a shift of its own.
     """
 
@@ -99,6 +102,7 @@ class FollowStrategy(ABC):
     noise: float = KAPPA_NOISE
     has_references: bool = False
     has_followers: bool = True
+    compiled: bool = False
     shifts_tracks: bool = False
 
     def draw(self, rng: np.random.Generator) -> Singles:

@@ -10,7 +10,7 @@ from detectors.reader.prior.families import draw_name, draw_whole
 from detectors.reader.prior.observing import draw_sensors, make_examples
 from detectors.reader.prior.strategies import MEMORY, draw_strategy
 from usnet_env.arrays import Indices, Mask
-from usnet_env.envs.field import DISTRIBUTIONS
+from usnet_env.envs.distribution import DISTRIBUTIONS
 from usnet_env.swarm import SwarmConfig, SwarmState, advance, destroy, start
 from usnet_env.swarm.field_follow import Frontness, Links
 from usnet_env.swarm.field_kernels import DELAY
@@ -45,7 +45,8 @@ def draw_model_swarm(
 def draw_field_swarm(rng: np.random.Generator, steps: int, most_uavs: int, without: Collection[str]) -> SwarmConfig:
     """Draw a swarm as the field environment does, with constants of its model varied in half of the draws."""
     faults = [list(names)[-1] for fault, names in draw_sensors(rng).items() if fault in without]
-    while (arguments := DISTRIBUTIONS[2].draw(rng))["follow"] in without or any(arguments.get(name) for name in faults):
+    field = DISTRIBUTIONS["field-v1"]
+    while (arguments := field.draw(rng))["follow"] in without or any(arguments.get(name) for name in faults):
         pass
     arguments["follow"] = draw_strategy(rng, arguments["follow"])
     uavs = draw_whole(rng, 24, 44 if rng.random() < 0.85 else 60)

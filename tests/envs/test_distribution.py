@@ -1,0 +1,157 @@
+"""Games that differ: what is drawn, what an argument fixes, and the state of such a game."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from usnet_env import ArgumentError
+from usnet_env.envs import DISTRIBUTIONS, MultiClusterEnv, SingleClusterEnv
+from usnet_env.envs.distribution import list_extremes
+from usnet_env.swarm import KINEMATICS, SwarmConfig
+from usnet_env.swarm.follow import FIELD_MODELS
+
+FIELD = "USNET/Field-v1"
+PAPER = ["f1", "f2", "f3", "f4", "f5", "f6", "f7"]
+DRAWN = {
+    "follow": PAPER,
+    "uavs": (12, 24),
+    "clusters": (2, 4),
+    "position_noise": (0.0, 0.5),
+    "kinematics": ["unit", "lagged"],
+}
+
+
+def make(**arguments):
+    return MultiClusterEnv(**{"distribution": "field-v1", "memory": 12, "observation_steps": 2, **arguments})
+
+
+def drawn(count=300, **arguments):
+    env = make(**arguments)
+    for seed in range(count):
+        env.reset(seed=seed)
+        yield env.config
+
+
+@pytest.mark.parametrize("name", DISTRIBUTIONS)
+def test_all_that_a_distribution_holds_is_drawn(name):
+    rules = DISTRIBUTIONS[name].rules
+    assert set(rules["follow"]) == set(FIELD_MODELS)
+    assert set(rules["kinematics"]) <= set(KINEMATICS)
+    rngs = map(np.random.default_rng, range(300))
+    swarms = [DISTRIBUTIONS[name].draw(rng) for rng in rngs]
+    for part in ("follow", "mobility", "kinematics", "formation", "head_jitter"):
+        assert {swarm[part] for swarm in swarms} == set(rules[part]), part
+    for part in ("clusters", "decoys", "bystanders", "traffic"):
+        low, high = rules[part]
+        assert {swarm[part] for swarm in swarms} == set(range(low, high + 1)), part
+    noise = [swarm["position_noise"] for swarm in swarms]
+    assert max(noise) <= rules["position_noise"].high
+    assert np.mean(np.array(noise) == 0) == pytest.approx(0.5, abs=0.1)
+
+
+def test_the_versions_differ_in_the_formation_alone():
+    for before, after in zip(drawn(10, distribution="field-v0"), drawn(10), strict=True):
+        assert after.formation == {"around": "gathered", "uniform": "uniform"}[before.formation]
+        assert SwarmConfig(**{**after.model_dump(), "formation": before.formation}) == before
+
+
+def test_an_argument_fixes_its_part_and_no_other():
+    for config, fixed in zip(drawn(10), drawn(10, follow="f3", kinematics="unit"), strict=True):
+        assert (fixed.follow, fixed.kinematics) == ("f3", "unit")
+        assert fixed == SwarmConfig(**{**config.model_dump(), "follow": "f3", "kinematics": "unit"})
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ({"uavs": 20}, "uavs"),
+        ({"follow": ["f1", "f8"]}, "follow"),
+        ({"kinematics": {}}, "kinematics"),
+        ({"clusters": (6, 2)}, "clusters"),
+        ({"clusters": (2, 30)}, "uavs"),
+        ({"decoys": ["a"]}, "decoys"),
+        ({"miss_rate": {"low": 0.1}}, "miss_rate"),
+        ({"position_noise": {"low": 0.0, "high": 1.0, "log": True}}, "position_noise"),
+        ({"distribution": "field-v9"}, "distribution"),
+        ({"distribution": {"memory": [4, 12]}}, "distribution"),
+        ({"distribution": {"followers": [4, 12]}}, "distribution"),
+    ],
+)
+def test_what_can_not_be_drawn_is_refused_when_the_environment_is_made(arguments, named):
+    with pytest.raises(ArgumentError, match=rf"^{named} "):
+        make(**arguments)
+
+
+def test_lists_and_ranges_survive_the_spec_and_are_told():
+    env = gym.make("USNET/MultiCluster-v0", reveal_truth=True, observation_steps=3, **DRAWN)
+    again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
+    assert again.observation_space == env.observation_space
+    seen = []
+    for seed in range(30):
+        window, info = env.reset(seed=seed)
+        np.testing.assert_array_equal(again.reset(seed=seed)[0]["position"], window["position"])
+        assert env.observation_space.contains(window)
+        assert window["alive"].sum() == info["uavs"]
+        assert info["head"].sum() == info["clusters"]
+        assert env.step(info["head"])[1] == -1.0
+        seen.append((info["follow"], info["kinematics"], info["clusters"], info["uavs"]))
+    follow, kinematics, clusters, uavs = map(set, zip(*seen, strict=True))
+    assert (follow, kinematics, clusters) == (set(PAPER), {"unit", "lagged"}, {2, 3, 4})
+    assert (min(uavs) >= 12, max(uavs) <= 24, len(uavs) > 5) == (True, True, True)
+
+
+def test_swarms_of_p1_of_several_sizes():
+    env = SingleClusterEnv(followers=(3, 9), decoys=(0, 2), observation_steps=3, reveal_truth=True)
+    assert env.action_space.n == 12
+    for seed in range(10):
+        window, info = env.reset(seed=seed)
+        assert window["alive"].sum() == 1 + info["followers"] + info["decoys"]
+        assert not window["seen"][:, window["alive"] == 0].any()
+        assert not window["position"][:, window["alive"] == 0].any()
+        assert env.step(info["head"])[1] == 0.0
+        env.reset()
+        assert env.step(window["alive"] == 0)[1] < 0  # to name who isn't there is redundant
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+def test_a_batch_of_games_that_differ_equals_single_games(mode):
+    arguments = {**DRAWN, "observation_steps": 3, "max_rounds": 2, "reveal_truth": True}
+    batch = gym.make_vec("USNET/MultiCluster-v0", num_envs=6, autoreset_mode=mode, **arguments)
+    options = {"vectorization_mode": "sync", "vector_kwargs": {"autoreset_mode": batch.metadata["autoreset_mode"]}}
+    singles = gym.make_vec("USNET/MultiCluster-v0", num_envs=6, **options, **arguments)
+    rng = np.random.default_rng(0)
+    (one, info), (other, known) = batch.reset(seed=0), singles.reset(seed=0)
+    for _ in range(5):
+        np.testing.assert_equal(one, other)
+        assert list(info["follow"]) == list(known["follow"])
+        for name in ("uavs", "position_noise", "root"):
+            np.testing.assert_array_equal(info[name], known[name])
+        actions = (rng.random(batch.action_space.shape) < 0.3).astype(np.int8)
+        (one, *rest, info), (other, *others, known) = batch.step(actions), singles.step(actions)
+        np.testing.assert_equal(rest, others)
+    states = batch.get_state()
+    np.testing.assert_equal(states, list(singles.call("get_state")))
+    window = batch.set_state(states)
+    np.testing.assert_equal(window, one)
+
+
+def test_a_state_of_another_swarm_is_restored():
+    env, other = make(uavs=40), make(uavs=40)
+    env.reset(seed=3)
+    state, config = env.get_state(), env.config
+    after = env.step(np.eye(40, dtype=np.int8)[0])
+    other.reset(seed=4)
+    assert other.config != config
+    other.set_state(state)
+    assert other.config == config
+    np.testing.assert_array_equal(other.step(np.eye(40, dtype=np.int8)[0])[0]["position"], after[0]["position"])
+    with pytest.raises(ArgumentError, match="state must come from"):
+        make(uavs=40, observation_steps=11).set_state(state)
+
+
+def test_the_widest_swarm_has_the_bounds_of_all():
+    env = make(kinematics=["unit", "varied_speed"], position_noise=(0.0, 2.0))
+    widest = env.widest_config
+    assert (widest.kinematics, widest.position_noise) == ("varied_speed", 2.0)
+    for rule in DISTRIBUTIONS["field-v1"].rules.values():
+        assert len(list_extremes(rule)) >= 2

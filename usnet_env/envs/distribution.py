@@ -1,0 +1,228 @@
+"""Games that differ: arguments of the swarm that are drawn anew for each episode."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from usnet_env.config import ArgumentError, Config, quote
+from usnet_env.swarm import KINEMATICS, SwarmConfig
+
+_MOST_KEPT = 4096  # configurations that are kept, so that equal games of a batch fly together
+
+Names = Sequence[str] | Mapping[str, Annotated[float, Field(gt=0)]] | None
+Whole = tuple[int, int] | None
+
+
+class Spread(Config):
+    """A number whose logarithm is uniform between those of ``low`` and ``high``, if ``log``, or else the number itself.
+
+    With the probability ``zero`` it is 0 instead.
+    """
+
+    low: float
+    high: float
+    log: bool = False
+    zero: Annotated[float, Field(ge=0, le=1)] = 0.0
+
+
+Numbers = tuple[float, float] | Spread | None
+
+
+class Distribution(Config):
+    """What is drawn for each episode, from the environment's own generator; all draws are independent.
+
+    ``["f1", "f2"]`` are names that are equally likely, ``{"f1": 3, "f2": 1}`` names with weights. ``[2, 6]`` are all
+    numbers from the first to the second. The faults of the sensor also take ``{"low": 0.01, "high": 0.1, "log": True,
+    "zero": 0.5}``, see :class:`Spread`. What is ``None`` is not drawn. The order of the draws is that of the fields.
+
+    Args:
+        version: increases when a draw changes.
+        uavs: N of P2; the largest value is that of the arrays, in which indices without a UAV are never alive.
+        followers: m of P1, likewise.
+    """
+
+    version: Literal[1] = 1
+    follow: Names = None
+    mobility: Names = None
+    kinematics: Names = None
+    formation: Names = None
+    clusters: Whole = None
+    decoys: Whole = None
+    bystanders: Whole = None
+    traffic: Whole = None
+    head_jitter: tuple[bool, bool] | None = None
+    position_noise: Numbers = None
+    miss_rate: Numbers = None
+    noise_memory: Numbers = None
+    miss_burst: Numbers = None
+    partial_tracks: Numbers = None
+    swap_rate: Numbers = None
+    clutter: Whole = None
+    course_noise: Numbers = None
+    uavs: Whole = None
+    followers: Whole = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _make_spreads(cls, values: Any) -> Any:
+        made = dict(values)
+        for name, rule in values.items():
+            if isinstance(rule, Mapping) and "low" in rule:
+                try:
+                    made[name] = Spread(**rule)
+                except ArgumentError as error:
+                    raise ArgumentError(f"{name} is no range: {error}") from None
+        return made
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        for name, rule in self.rules.items():
+            if not isinstance(rule, Spread) and not len(rule):
+                raise ArgumentError(f"{name} must hold at least one name, got {quote(rule)}.")
+            low, high = list_extremes(rule)[:2] if _is_range(rule) else (0, 0)
+            if low > high or (isinstance(rule, Spread) and rule.log and low <= 0):
+                raise ArgumentError(f"{name} must go from a number to a larger one, got {quote(rule)}.")
+        return self
+
+    @property
+    def rules(self) -> dict[str, Any]:
+        """What is drawn, by name."""
+        return {name: rule for name, rule in self if name != "version" and rule is not None}
+
+    def draw(self, rng: np.random.Generator) -> dict[str, Any]:
+        """Draw the arguments of one swarm."""
+        return {name: _draw(rule, rng) for name, rule in self.rules.items()}
+
+
+def _is_range(rule: Any) -> bool:
+    return isinstance(rule, Spread) or not isinstance(next(iter(rule)), str | bool)
+
+
+def list_extremes(rule: Any) -> list[Any]:
+    """The values of a rule that must be valid, so that all are: both ends of a range, or each name."""
+    if isinstance(rule, Spread):
+        return [rule.low, rule.high, *[0.0] * (rule.zero > 0)]
+    return list(rule)
+
+
+def _draw(rule: Any, rng: np.random.Generator) -> Any:
+    if not _is_range(rule):
+        values = list(rule)
+        weights = np.array(list(rule.values()) if isinstance(rule, Mapping) else np.ones(len(values)))
+        return values[int(rng.choice(len(values), p=weights / weights.sum()))]
+    low, high = list_extremes(rule)[:2]
+    if not isinstance(rule, Spread):
+        return int(rng.integers(low, high + 1)) if isinstance(low, int) else float(rng.uniform(low, high))
+    value = float(np.exp(rng.uniform(np.log(low), np.log(high))) if rule.log else rng.uniform(low, high))
+    return value if rng.random() >= rule.zero else 0.0
+
+
+_FAULTS = {
+    "position_noise": {"low": 0.01, "high": 0.1, "log": True, "zero": 0.5},
+    "miss_rate": {"low": 0.01, "high": 0.1, "zero": 0.5},
+    "noise_memory": {"low": 0.3, "high": 0.9, "zero": 0.5},
+    "miss_burst": {"low": 2.0, "high": 6.0, "zero": 0.5},
+    "partial_tracks": {"low": 0.05, "high": 0.2, "zero": 0.5},
+    "swap_rate": {"low": 0.0002, "high": 0.001, "zero": 0.5},
+}
+_LEADERLESS = dict.fromkeys(("shepherd", "reference"), 0.5)  # swarms that no UAV leads
+_LED = ("unequal_delays", "mixed", "switching", "chain", "pigeons", "cucker_smale", "vicsek")
+_LED += ("couzin", "frontness", "part_time", "partial_turns", "predator", "informed")
+_FIELD: dict[str, Any] = {
+    "follow": dict.fromkeys(_LED, 1.0) | _LEADERLESS,
+    "mobility": {"gauss_markov": 3.0, "smooth_turn": 2.0, "waypoint": 2.0, "local_waypoint": 2.0, "iid": 1.0},
+    "kinematics": ["unit", "varied_speed", "lagged", "limited", "layered"],
+    "clusters": [2, 6],
+    "decoys": [0, 2],
+    "bystanders": [0, 6],
+    "traffic": [0, 6],
+    "head_jitter": [True, False],
+    **_FAULTS,
+}
+
+_GATHERED = {"formation": {"gathered": 3.0, "uniform": 1.0}}
+
+#: The distributions that have a name.
+DISTRIBUTIONS = {
+    "field-v0": Distribution(**_FIELD, formation={"around": 3.0, "uniform": 1.0}),
+    "field-v1": Distribution(**_FIELD, **_GATHERED),
+}
+
+
+class DrawnArguments(Config):
+    """The argument about games that differ. A list or mapping for another argument is a part of it."""
+
+    distribution: Distribution | None = Field(
+        None, description="what is drawn for each episode: a name, or a mapping; see :class:`Distribution`"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _gather(cls, values: Any) -> Any:
+        base = values.get("distribution")
+        given = DISTRIBUTIONS.get(base, base) if isinstance(base, str) else base
+        rules = given.rules if isinstance(given, Distribution) else {} if given is None else given
+        known = [name for name in Distribution.model_fields if name in cls.model_fields]
+        if not isinstance(rules, Mapping) or not {*rules} <= {*known, "version"}:
+            names = f"one of {', '.join(DISTRIBUTIONS)}, or a mapping of some of {', '.join(known)}"
+            raise ArgumentError(f"distribution must be {names}, got {quote(base)}.")
+        own = {name: values[name] for name in known if isinstance(values.get(name), list | tuple | Mapping)}
+        rules = {**rules, **own}
+        rest = {
+            name: part for name, part in values.items() if name not in own and (part is not None or name not in rules)
+        }
+        return rest | {"distribution": Distribution(**rules) if rules else None}
+
+
+class Draws:
+    """The swarms of an environment: one configuration, or one for each episode.
+
+    Args:
+        arguments: what is fixed, and the distribution of the rest; an argument that is given is not drawn.
+        make: makes a configuration, in which the given values replace arguments, and whose arrays have a place for so
+            many UAVs (``None``: for those that there are).
+
+    Attributes:
+        widest: a configuration whose bounds hold for all.
+        names: what is drawn.
+    """
+
+    def __init__(self, arguments: DrawnArguments, make: Callable[[dict[str, Any], int | None], SwarmConfig]) -> None:
+        self._make, self._kept = make, dict[Any, SwarmConfig]()
+        self.distribution = arguments.distribution or Distribution()
+        extremes = {name: list_extremes(rule) for name, rule in self.distribution.rules.items()}
+        self.names = tuple(name for name in extremes if name not in arguments.model_fields_set)
+        widest = {name: max(extremes[name], key=_find_width(name)) for name in self.names}
+        self.widest = make(widest, None)
+        for name in self.names:
+            for value in extremes[name]:
+                make({**widest, name: value}, self.widest.uavs)
+
+    def draw(self, rng: np.random.Generator) -> SwarmConfig:
+        """The swarm of the next episode. All is drawn, so a fixed argument doesn't change the others."""
+        if not self.distribution.rules:
+            return self.widest
+        drawn = self.distribution.draw(rng)
+        own = {name: drawn[name] for name in self.names}
+        key = tuple(own.values())
+        if key not in self._kept:
+            if len(self._kept) == _MOST_KEPT:
+                self._kept.clear()
+            self._kept[key] = self._make(own, self.widest.uavs)
+        return self._kept[key]
+
+    def reveal(self, config: SwarmConfig) -> dict[str, Any]:
+        """What was drawn for a swarm, by name."""
+        found = {name: getattr(config, name) for name in self.names}
+        return found | ({"uavs": config.uavs - config.absent} if "uavs" in found else {})
+
+
+def _find_width(name: str) -> Callable[[Any], Any]:
+    """How wide the bounds of a value are."""
+    if name == "kinematics":
+        return lambda value: KINEMATICS.find(value).top_speed
+    return lambda value: 0 if isinstance(value, str) else value
