@@ -77,11 +77,6 @@ def explain_pairs(
     return np.clip(shares, 0.0, 1.0), freedom
 
 
-def subtract_projection(white: NDArray[RealT], target: NDArray[RealT]) -> NDArray[RealT]:
-    """Residuals ``(n, R, d)`` of each UAV's ``target`` ``(n, R, d)`` on its own ``white`` ``(n, R, p)`` features."""
-    return target - white @ (white.transpose(0, 2, 1) @ target)
-
-
 def explain_beyond_own_past(target: Floats, own: Floats, theirs: Floats) -> Floats:
     """The share ``(n, n)`` of what a regression on i's own past leaves of i that j's past explains.
 
@@ -91,7 +86,7 @@ def explain_beyond_own_past(target: Floats, own: Floats, theirs: Floats) -> Floa
     r' Q_j (I - C C')^-1 Q_j' r with C = Q_j' Q_i. The ``target`` is ``(n, R, d)``.
     """
     uavs, _, width = theirs.shape
-    residual = subtract_projection(own, target)
+    residual = target - own @ (own.transpose(0, 2, 1) @ target)
     total = (residual**2).sum(axis=(1, 2))
     scale = np.where(total > LEAST_MOTION, total, np.inf)
     share = np.empty((uavs, uavs))
