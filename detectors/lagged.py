@@ -104,7 +104,7 @@ class LaggedRegression(EvidenceDetector):
         ridge: the penalty, in units of the features' mean squared singular value, at least 0.
     """
 
-    tags = Tags(most_uavs=10_000, uses_positions=False, takes_clusters=True, needs_unit_speed=True)
+    tags = Tags(most_uavs=10_000, uses_positions=False, takes_clusters=True, needs_unit_speed=True, false_leaders=True)
 
     lags: Lags = 4
     squares: bool = True

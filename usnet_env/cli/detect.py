@@ -14,7 +14,7 @@ import numpy as np
 
 from usnet_env.cli.options import PositiveNumber, WholeNumber, complete_names
 from usnet_env.cli.output import print_message, show
-from usnet_env.config import MissingExtraError, printable
+from usnet_env.config import ArgumentError, MissingExtraError, printable, quote
 from usnet_env.files import as_path, reserve_folder, write_text
 from usnet_env.progress import progress_bar
 
@@ -118,6 +118,7 @@ def detect(
     TRACKS is a CSV file with the columns id, t (or frame), x, y and optionally z, or lon and lat in degrees; or a file
     of another format, such as Parquet, GPX, SLEAP, DeepLabCut or ULog. Several files are read as one.
     """
+    from usnet_env.detection import read_tags
     from usnet_env.plugins import make_detector
     from usnet_env.tracks import find_leaders, read_tracks
     from usnet_env.tracks.confirm import LEAST_STEPS
@@ -129,6 +130,9 @@ def detect(
     read = read_tracks(list(tracks), **reading)
     report = read.report()
     player = make_detector(detector)
+    if read_tags(player).false_leaders and not unconfirmed:
+        what = f"got {quote(detector)}, which names some in more than 5 % of the windows of tracks without one"
+        raise ArgumentError(f"detector must confirm few false leaders, {what} (--unconfirmed takes it).")
     for sentence in report.warnings:
         print_message(f"warning: {sentence}")
     even = read.resample(step, max_gap=max_gap, keep_spikes=keep_spikes, length=window or 0)
