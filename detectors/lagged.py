@@ -137,6 +137,8 @@ class Granger(EvidenceDetector):
         own_lags: the number of past velocities of i, at least 0.
     """
 
+    tags = Tags(most_uavs=10_000, uses_positions=False, takes_clusters=True, false_leaders=True)
+
     lags: Lags = 3
     own_lags: Annotated[int, Field(ge=0, le=1000)] = 2
 
