@@ -89,6 +89,7 @@ def _parse_place(context: click.Context, option: click.Parameter, words: str | N
 @click.option("--missing", "missing_place", callback=_parse_place, metavar="X,Y", help="A place that means none.")
 @click.option("--min-confidence", type=float, help="Skip rows with a smaller confidence, likelihood or score.")
 @click.option("--split-gap", type=PositiveNumber(), help="Seconds; after a longer gap, an id is another one.")
+@click.option("--pool", is_flag=True, help="Files are recordings of the same ids, each with its own time.")
 @click.option("--encoding", default="utf-8", show_default=True, metavar="NAME", help="Encoding of a CSV file.")
 @click.option("--decimal", type=click.Choice([".", ","]), default=".", help="Decimal sign of a CSV file.  [default: .]")
 @click.option("--seed", type=WholeNumber(0, 2**63 - 1), default=0, show_default=True, help="Seed of the detector.")
