@@ -155,12 +155,14 @@ def test_out_and_record_write_all_files(run, folder, tmp_path):
 def test_missing_extras_leave_out_a_file_and_say_so(run, folder, tmp_path, monkeypatch):
     for name in ("matplotlib.figure", "matplotlib.backends.backend_agg", "rerun", "pyarrow"):
         monkeypatch.setitem(sys.modules, name, None)
-    status, _, err = run("detect", folder / "flock.csv", *QUICK, "--out", tmp_path, "--record")
+    sure = ("--detector", "track_files:Sure(head=0)")
+    status, _, err = run("detect", folder / "flock.csv", *sure, "--out", tmp_path, "--record")
     assert status == 0
     assert "[render]" in err
     assert "[replay]" in err
     written = {path.name for path in tmp_path.iterdir()}
     assert written == {"episode.npz", "leaders.csv", "leaders.json", "links.csv", "page.html", "windows.csv"}
+    assert EpisodeRecord.load(tmp_path / "episode.npz").probability[:, 0].tolist() == [1.0] * 5
 
 
 def test_links_have_the_direct_leader_and_the_delay_in_seconds():

@@ -263,6 +263,8 @@ def _make_record(even: Tracks, kept: Sequence[Kept], title: str, detector: str, 
         "over_budget": np.ones(rounds, bool),
         **dict.fromkeys(("objective", "seconds"), np.zeros(rounds)),
     }
+    if all("probability" in answer.extras for _, answer, _ in kept):
+        arrays["probability"] = np.zeros((rounds, ids))
     reasons = []
     for r, (cut, answer, detected) in enumerate(kept):
         rows, window, behind = cut.rows, cut.window, detected.roots(cut.ids)
@@ -270,6 +272,8 @@ def _make_record(even: Tracks, kept: Sequence[Kept], title: str, detector: str, 
         for name, values in (("position", place), ("velocity", window.velocity), ("seen", window.seen)):
             arrays[name][r][:, rows] = values
         arrays["scores"][r, rows] = answer.scores
+        if "probability" in arrays:
+            arrays["probability"][r, rows] = answer.extras["probability"]
         arrays["root"][r, rows] = np.where(behind >= 0, rows[behind], -1)
         reasons.append({str(rows[cut.ids.index(leader.id)]): leader.reason for leader in detected.leaders})
     candidates = arrays["root"] == np.arange(ids)  # confirmed ones only
