@@ -104,7 +104,7 @@ class LaggedRegression(EvidenceDetector):
         ridge: the penalty, in units of the features' mean squared singular value, at least 0.
     """
 
-    tags = Tags(most_uavs=10_000, uses_positions=False, takes_clusters=True, needs_unit_speed=True)
+    tags = Tags(most_uavs=10_000, uses_positions=False, takes_clusters=True, needs_unit_speed=True, false_leaders=True)
 
     lags: Lags = 4
     squares: bool = True
@@ -136,6 +136,8 @@ class Granger(EvidenceDetector):
         lags: the number of past velocities of j, at least 1; fewer in short windows.
         own_lags: the number of past velocities of i, at least 0.
     """
+
+    tags = Tags(most_uavs=10_000, uses_positions=False, takes_clusters=True, false_leaders=True)
 
     lags: Lags = 3
     own_lags: Annotated[int, Field(ge=0, le=1000)] = 2

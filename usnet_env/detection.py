@@ -28,6 +28,8 @@ class Tags:
         takes_clusters: whether an argument gives the number of clusters M.
         needs_unit_speed: whether answers depend on the unit of length, because the detector was made for UAVs that fly
             about 1 m per step. Windows of recorded tracks are scaled for such detectors.
+        false_leaders: whether more than 5 % of the windows of tracks without a leader have a confirmed one;
+            ``usnet detect`` takes such a detector only with ``--unconfirmed``.
     """
 
     needs: tuple[str, ...] = ()
@@ -36,6 +38,7 @@ class Tags:
     uses_positions: bool = True
     takes_clusters: bool = False
     needs_unit_speed: bool = False
+    false_leaders: bool = False
 
 
 @dataclass(frozen=True, eq=False)

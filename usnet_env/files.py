@@ -14,9 +14,10 @@ from uuid import uuid4
 from usnet_env.config import ArgumentError, quote
 
 _STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 0 auto; padding: 1rem; overflow-wrap: anywhere; }
+body { font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 0 auto; padding: 1rem; }
 img { max-width: 100%; } summary { cursor: pointer; }
-table { border-collapse: collapse; } td, th { padding: 0.2rem 0.6rem; border: 1px solid #ccc; text-align: left; }
+table { border-collapse: collapse; display: block; overflow-x: auto; }
+td, th { padding: 0.2rem 0.6rem; border: 1px solid #ccc; text-align: left; }
 """
 
 

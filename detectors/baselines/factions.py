@@ -33,7 +33,7 @@ class Factions(Detector):
         threshold: the smallest correlation that counts as following, from 0 to 1.
     """
 
-    tags = Tags(most_uavs=10_000, uses_positions=False)
+    tags = Tags(most_uavs=10_000, uses_positions=False, false_leaders=True)
 
     max_lag: Lags = 4
     threshold: Annotated[float, Field(ge=0, le=1)] = 0.4

@@ -12,7 +12,7 @@ from usnet_env import ArgumentError
 from usnet_env.replay import EpisodeRecord
 from usnet_env.tracks import Tracks, find_leaders, read_tracks
 
-QUICK = ["--detector", "lagged-regression"]
+QUICK = ["--detector", "lagged-correlation"]
 CHAIN = Answers(
     lambda uavs, _: answer_of(uavs, 0, np.maximum(np.arange(uavs) - 1, 0))
 )  # each follows the one before it
@@ -134,7 +134,8 @@ def test_out_and_record_write_all_files(run, folder, tmp_path):
     assert "bird-2" in next(row for row in rows if row["id"] == "bird-0")["followers"].split(";")
     assert json.loads((out / "leaders.json").read_text())["leaders"][0]["id"] == "bird-0"
     page = (out / "page.html").read_text(encoding="utf-8")
-    assert "bird-1 and its 6 followers follow bird-0." in page
+    assert "<li>bird-0 leads " in page
+    assert "<li>From 0.0: bird-0 leads bird-2, " in page
     assert page.count('src="data:image/png;base64,') == 4
     assert "<link" not in page
     record = EpisodeRecord.load(out / "episode.npz")
@@ -154,12 +155,14 @@ def test_out_and_record_write_all_files(run, folder, tmp_path):
 def test_missing_extras_leave_out_a_file_and_say_so(run, folder, tmp_path, monkeypatch):
     for name in ("matplotlib.figure", "matplotlib.backends.backend_agg", "rerun", "pyarrow"):
         monkeypatch.setitem(sys.modules, name, None)
-    status, _, err = run("detect", folder / "flock.csv", *QUICK, "--out", tmp_path, "--record")
+    sure = ("--detector", "track_files:Sure(head=0)")
+    status, _, err = run("detect", folder / "flock.csv", *sure, "--out", tmp_path, "--record")
     assert status == 0
     assert "[render]" in err
     assert "[replay]" in err
     written = {path.name for path in tmp_path.iterdir()}
     assert written == {"episode.npz", "leaders.csv", "leaders.json", "links.csv", "page.html", "windows.csv"}
+    assert EpisodeRecord.load(tmp_path / "episode.npz").probability[:, 0].tolist() == [1.0] * 5
 
 
 def test_links_have_the_direct_leader_and_the_delay_in_seconds():
@@ -208,6 +211,7 @@ def test_a_leader_that_chance_may_have_made_is_called_so(folder):
         (["bad.csv"], "in column 'x'"),
         (["flock.csv", "--window", "100000"], "--window"),
         (["flock.csv", "--detector", "unknown"], "detector must be one of"),
+        (["flock.csv", "--detector", "granger"], "--unconfirmed"),
         (["flock.csv", "--column", "id"], "--column"),
         (["flock.csv", "--column", "id=who"], "--column"),
         (["flock.csv", "--column", "animal=id"], "columns must"),

@@ -8,7 +8,7 @@ from track_files import Answers, answer_of, example, write_csv
 
 from usnet_env.tracks import find_leaders, read_tracks
 
-QUICK = ("--detector", "lagged-regression")
+QUICK = ("--detector", "lagged-correlation")
 
 
 def flock(path, rename=str, shift=0.0, move=0.0, scale=1.0):

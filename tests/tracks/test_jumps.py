@@ -7,7 +7,7 @@ from track_files import write_csv
 from usnet_env.tracks import Tracks, read_tracks
 
 HEADER = ["timestamp", "location-long", "location-lat", "individual-local-identifier", "visible"]
-QUICK = ("--detector", "lagged-regression")
+QUICK = ("--detector", "lagged-correlation")
 
 
 def pigeons(steps=300, ids=4):

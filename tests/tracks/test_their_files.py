@@ -112,6 +112,21 @@ def test_an_id_that_is_used_again_is_another_one(tmp_path):
     assert read_tracks(tmp_path / "again.csv", split_gap=60).ids == ("a", "b")
 
 
+def test_no_window_has_parts_of_two_pooled_recordings(tmp_path):
+    paths = [tmp_path / f"{k}.csv" for k in range(2)]
+    for k, path in enumerate(paths):
+        write_csv(path, [[row[0], row[1] + 100 * k, *row[2:]] for row in ROWS])
+    read = read_tracks(paths, pool=True)
+    even = read.resample(60.0)
+    assert (read.ids, read.report().warnings, even.choose_length()) == (("a", "b", "c"), (), 19)
+    assert [(even.file_time(cut.start), even.file_time(cut.end)) for cut in even.windows(10)] == [
+        ("0.csv: 0", "0.csv: 600"),
+        ("0.csv: 540", "0.csv: 1140"),
+        ("1.csv: 100", "1.csv: 700"),
+        ("1.csv: 640", "1.csv: 1240"),
+    ]
+
+
 def test_the_mean_of_two_places_is_taken(tmp_path):
     path = write_csv(
         tmp_path / "two.csv", [["a", 0, 0, 0], ["a", 1, 1, 1], ["a", 1, 3, 5], ["b", 0, 0, 0], ["b", 1, 1, 1]]

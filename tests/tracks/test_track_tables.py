@@ -11,7 +11,7 @@ from track_files import Sure, rows_of, straight, write_csv
 
 from usnet_env.tracks import Tracks, find_leaders, read_tracks
 
-QUICK = ("--detector", "lagged-regression")
+QUICK = ("--detector", "lagged-correlation")
 
 
 @pytest.fixture

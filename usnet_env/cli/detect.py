@@ -14,7 +14,7 @@ import numpy as np
 
 from usnet_env.cli.options import PositiveNumber, WholeNumber, complete_names
 from usnet_env.cli.output import print_message, show
-from usnet_env.config import MissingExtraError, printable
+from usnet_env.config import ArgumentError, MissingExtraError, printable, quote
 from usnet_env.files import as_path, reserve_folder, write_text
 from usnet_env.progress import progress_bar
 
@@ -89,6 +89,7 @@ def _parse_place(context: click.Context, option: click.Parameter, words: str | N
 @click.option("--missing", "missing_place", callback=_parse_place, metavar="X,Y", help="A place that means none.")
 @click.option("--min-confidence", type=float, help="Skip rows with a smaller confidence, likelihood or score.")
 @click.option("--split-gap", type=PositiveNumber(), help="Seconds; after a longer gap, an id is another one.")
+@click.option("--pool", is_flag=True, help="Files are recordings of the same ids, each with its own time.")
 @click.option("--encoding", default="utf-8", show_default=True, metavar="NAME", help="Encoding of a CSV file.")
 @click.option("--decimal", type=click.Choice([".", ","]), default=".", help="Decimal sign of a CSV file.  [default: .]")
 @click.option("--seed", type=WholeNumber(0, 2**63 - 1), default=0, show_default=True, help="Seed of the detector.")
@@ -118,6 +119,7 @@ def detect(
     TRACKS is a CSV file with the columns id, t (or frame), x, y and optionally z, or lon and lat in degrees; or a file
     of another format, such as Parquet, GPX, SLEAP, DeepLabCut or ULog. Several files are read as one.
     """
+    from usnet_env.detection import read_tags
     from usnet_env.plugins import make_detector
     from usnet_env.tracks import find_leaders, read_tracks
     from usnet_env.tracks.confirm import LEAST_STEPS
@@ -129,6 +131,9 @@ def detect(
     read = read_tracks(list(tracks), **reading)
     report = read.report()
     player = make_detector(detector)
+    if read_tags(player).false_leaders and not unconfirmed:
+        what = f"got {quote(detector)}, which names some in more than 5 % of the windows of tracks without one"
+        raise ArgumentError(f"detector must confirm few false leaders, {what} (--unconfirmed takes it).")
     for sentence in report.warnings:
         print_message(f"warning: {sentence}")
     even = read.resample(step, max_gap=max_gap, keep_spikes=keep_spikes, length=window or 0)
@@ -258,6 +263,8 @@ def _make_record(even: Tracks, kept: Sequence[Kept], title: str, detector: str, 
         "over_budget": np.ones(rounds, bool),
         **dict.fromkeys(("objective", "seconds"), np.zeros(rounds)),
     }
+    if all("probability" in answer.extras for _, answer, _ in kept):
+        arrays["probability"] = np.zeros((rounds, ids))
     reasons = []
     for r, (cut, answer, detected) in enumerate(kept):
         rows, window, behind = cut.rows, cut.window, detected.roots(cut.ids)
@@ -265,6 +272,8 @@ def _make_record(even: Tracks, kept: Sequence[Kept], title: str, detector: str, 
         for name, values in (("position", place), ("velocity", window.velocity), ("seen", window.seen)):
             arrays[name][r][:, rows] = values
         arrays["scores"][r, rows] = answer.scores
+        if "probability" in arrays:
+            arrays["probability"][r, rows] = answer.extras["probability"]
         arrays["root"][r, rows] = np.where(behind >= 0, rows[behind], -1)
         reasons.append({str(rows[cut.ids.index(leader.id)]): leader.reason for leader in detected.leaders})
     candidates = arrays["root"] == np.arange(ids)  # confirmed ones only

@@ -92,6 +92,7 @@ def _format_tags(tags: Tags) -> str:
         "made for 1 m per step": tags.needs_unit_speed,
         "velocities only": not tags.uses_positions,
         "takes M": tags.takes_clusters,
+        "in tracks only --unconfirmed": tags.false_leaders,
     }
     shown = "; ".join(text for text, holds in texts.items() if holds)
     return f"({shown})" if shown else ""

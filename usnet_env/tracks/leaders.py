@@ -144,8 +144,10 @@ class FoundLeaders:
         return "\n".join([*(lines or ["No leader was found."]), *self.confounds, *map(str, self.events)])
 
     def _repr_html_(self) -> str:
-        table = pd.DataFrame([vars(leader) for leader in self.leaders], columns=_COLUMNS["leaders"].split())
-        return str(table.to_html(index=False)) if self.leaders else "<p>No leader was found.</p>"
+        rows = [[each.id, each.probability, ", ".join(map(str, each.followers)), each.reason] for each in self.leaders]
+        table = pd.DataFrame(rows, columns=["leader", "p", "followers", "why"]).astype({"p": float})
+        html = table.to_html(index=False, na_rep="", float_format="{:.2f}".format)
+        return str(html) if rows else "<p>No leader was found.</p>"
 
     @property
     def confounds(self) -> list[str]:

@@ -58,6 +58,7 @@ class _Options(Config):
     min_confidence: float | None
     split_gap: Annotated[float, Field(gt=0)] | None
     duplicates: Literal["error", "first", "mean"]
+    pool: bool
     encoding: str
     decimal: Literal[".", ","]
 
@@ -76,6 +77,7 @@ def read_tracks(
     min_confidence: float | None = None,
     split_gap: float | None = None,
     duplicates: Literal["error", "first", "mean"] = "error",
+    pool: bool = False,
     encoding: str = "utf-8",
     decimal: Literal[".", ","] = ".",
 ) -> Tracks:
@@ -105,6 +107,7 @@ def read_tracks(
         min_confidence: leaves out rows with a smaller number, or none, in the column of the role ``confidence``.
         split_gap: seconds; after a longer gap, an id is another one: ``a`` is ``a/2``, and then ``a/3``.
         duplicates: of several places of an id at one time, keep the ``"first"`` or the ``"mean"``, or refuse them.
+        pool: whether the files are recordings of the same ids, each with a time of its own; no window has two of them.
         encoding: of a CSV file.
         decimal: the decimal sign of a CSV file.
 
@@ -303,7 +306,7 @@ def _make_tracks(paths: list[Path], parts: list[_Part], options: _Options, where
         raise ArgumentError(f"path must be files with the same columns and kind of times, got {found} in {where}.")
     count = Counter(label for part in parts for label in part.rows["id"].unique())
     for path, part in zip(paths, parts, strict=True):
-        if part.for_itself:
+        if part.for_itself and not options.pool:
             part.rows["id"] = [f"{name} ({path})" if count[name] > 1 else name for name in part.rows["id"]]
     rows = pd.concat([part.rows for part in parts], ignore_index=True)
     counts = sum((part.counts for part in parts), Counter())
@@ -332,6 +335,8 @@ def _make_tracks(paths: list[Path], parts: list[_Part], options: _Options, where
             raise ArgumentError(f"time_unit must be left out for timestamps, got {options.time_unit:g} (--time-unit).")
         start = float(time.min())  # whole microseconds: their differences are exact
         time, clock = (time - start) / 1e6, replace(clock, origin=start / 1e6)
+    if options.pool:
+        time, clock = _pool(time, clock, [(path.name, len(part.rows)) for path, part in zip(paths, parts, strict=True)])
     axes, origin, frame = _place(_scale(rows, names, options))
     leader = None
     if "leader" in rows:
@@ -341,6 +346,23 @@ def _make_tracks(paths: list[Path], parts: list[_Part], options: _Options, where
     frame = "pixels" if options.length_unit == "px" and frame == "metres" else frame
     tracks = Tracks(**sort_samples(ids, codes, time, axes, **given), frame=frame)
     return tracks if options.split_gap is None else split_gaps(tracks, options.split_gap)
+
+
+def _pool(time: Floats, clock: Clock, files: Sequence[tuple[str, int]]) -> tuple[Floats, Clock]:
+    """Times with each recording after the one before, and their clock; ``files`` are the names and numbers of rows.
+
+    Between two, there is as much time as in the longest, which is no gap that could be interpolated.
+    """
+    parts = np.split(time, np.cumsum([rows for _, rows in files])[:-1])
+    filled = [(name, part) for (name, _), part in zip(files, parts, strict=True) if len(part)]
+    pause, begin, pooled, recordings = max(float(np.ptp(part)) for _, part in filled) or 1.0, 0.0, [], []
+    for name, part in filled:
+        start, length = float(part.min()), float(np.ptp(part))
+        pooled.append(part - start + begin)
+        own = replace(clock, origin=clock.origin + start)
+        recordings.append((name, begin * clock.unit, (begin + length) * clock.unit, own))
+        begin += length + pause
+    return np.concatenate(pooled), replace(clock, origin=0.0, recordings=tuple(recordings))
 
 
 def _guess_time_unit(time: Floats, names: Mapping[str, str]) -> tuple[float, str]:

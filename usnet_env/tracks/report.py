@@ -65,6 +65,8 @@ def _doubt_time_unit(clock: Clock) -> Iterator[str]:
 def _doubt_gaps(tracks: Samples, typical: Floats) -> Iterator[str]:
     interval, inner = np.diff(tracks.time), tracks.inner_steps
     expected = np.repeat(typical, np.diff(tracks.offsets))[:-1]
+    number = np.searchsorted([begin for begin, _ in tracks.recordings], tracks.time, side="right")
+    inner = inner & (np.diff(number) == 0)  # between two recordings is no gap
     gaps = np.flatnonzero(inner & (interval > _GAP * expected))
     if len(gaps):
         longest = int(gaps[interval[gaps].argmax()])

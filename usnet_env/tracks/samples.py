@@ -29,6 +29,7 @@ class Clock:
         timestamps: whether the file's times are dates with a time of day; they are written as ISO 8601 in UTC.
         whole: whether the file's times are whole numbers.
         guessed: what the times were taken for by the size of their numbers, such as "days of a spreadsheet".
+        recordings: of pooled tracks, the name, the first and the last second, and the clock of each, in this order.
     """
 
     origin: float = 0.0
@@ -36,9 +37,13 @@ class Clock:
     timestamps: bool = False
     whole: bool = False
     guessed: str = ""
+    recordings: tuple[tuple[str, float, float, Clock], ...] = ()
 
     def file_time(self, seconds: float) -> float | int | str:
         """Write ``seconds`` after the start as a time of the file."""
+        if self.recordings:
+            name, begin, _, own = min(self.recordings, key=lambda each: max(each[1] - seconds, seconds - each[2]))
+            return f"{name}: {own.file_time(max(0.0, seconds - begin))}"
         if self.timestamps:
             moment = _EPOCH + timedelta(milliseconds=round(1000 * (self.origin + seconds)))
             return moment.isoformat(timespec="milliseconds") + "Z"
@@ -81,6 +86,11 @@ class Samples:
     def duration(self) -> float:
         """Seconds from the earliest to the latest sample."""
         return float(self.time.max(initial=0.0))
+
+    @property
+    def recordings(self) -> list[tuple[float, float]]:
+        """The first and the last second of each recording: of all tracks, if they are not pooled."""
+        return [(begin, end) for _, begin, end, _ in self.clock.recordings] or [(0.0, self.duration)]
 
     @property
     def inner_steps(self) -> Mask:

@@ -188,7 +188,8 @@ class Tracks(Samples):
     def choose_length(self) -> int:
         """Steps of windows that fit resampled tracks: 100 to 199, or fewer if ids typically stay for fewer steps."""
         step = self.step or 1.0
-        steps, stay = round(self.duration / step), round(typical_stay(self) / step)
+        steps = round(min(end - begin for begin, end in self.recordings) / step)
+        stay = round(typical_stay(self) / step)
         least = max(1, min(_USUAL, steps, max(stay, _SHORTEST)))
         return max(1, steps // max(1, steps // least))
 
@@ -198,12 +199,15 @@ class Tracks(Samples):
 
     def _window_starts(self, length: int, stride: int) -> Indices:
         """First steps of the windows. The last one ends at the last step: one more, or the last, moved by a little."""
-        last = round(self.duration / (self.step or 1.0)) - length
-        starts = np.arange(0, last + 1, stride)
-        if len(starts) and last - starts[-1] > length * _LITTLE:
-            return np.append(starts, last)
-        starts[-1:] = last
-        return starts
+        found = []
+        for begin, end in self.recordings:
+            last = round(end / (self.step or 1.0)) - length
+            starts = np.arange(np.ceil(round(begin / (self.step or 1.0), 6)), last + 1, stride).astype(np.int64)
+            if len(starts) and last - starts[-1] > length * _LITTLE:
+                starts = np.append(starts, last)
+            starts[-1:] = last
+            found.append(starts)
+        return np.concatenate(found)
 
 
 def _read_ids(name: str, value: Any, samples: int) -> tuple[Indices, tuple[str | int, ...]]:
