@@ -20,7 +20,7 @@ _FRAMES, _DPI = 3, 75  # frames of a growing window, pixels per inch
 _MOST_ROUNDS = 12  # of the animation; the text has all of them
 _STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 0 auto; padding: 1rem; }
-img { max-width: 100%; } summary { cursor: pointer; }
+:root { color-scheme: light dark; } img { max-width: 100%; } summary { cursor: pointer; }
 """
 #: Characters in place of the icons of matplotlib's page, whose font would be fetched from the network.
 _ICONS = {
