@@ -82,6 +82,14 @@ def test_round_marks():
     }
 
 
+def test_a_large_swarm_is_drawn_without_links():
+    uavs, place = np.arange(301), np.zeros((301, 3), np.float32)
+    for count, links in ((300, 299), (301, 0)):
+        none = np.zeros(count, bool)
+        marks = drawing.round_marks(place[:count], ~none, uavs[:count] == 0, 0 * uavs[:count], none)
+        assert marks[drawing.LINK_MARK].sum() == links
+
+
 def test_the_legend_explains_what_is_there_and_no_more():
     figure = drawing.draw_round(**scene(), candidates=named(0, 1), title="round 7")
     (axes,) = figure.axes

@@ -59,6 +59,7 @@ _STYLES: dict[str, dict[str, Any]] = {  # of the marks, in the order of the lege
     MISSED_MARK: _RING | {"s": 400, "edgecolors": MISSED, "linestyles": [(0, (2, 1.2))], "linewidths": 1.6},
     DESTROYED_MARK: {"marker": "x", "s": 34, "c": NO_CLUSTER_COLOR, "linewidths": 1.5, "zorder": 2.5},
 }
+MOST_LINKED = 300  # UAVs: of more, links are a ball of wool
 _INK = (0.68, 0.68, 0.68, 1.0)  # of a colour in lines, which have no dark edge: a contrast of 3 to 1 on white
 _TRACK_PARTS = 6  # number of segments of a track, from faint to strong
 _TRACK_SAMPLES = 49  # maximum number of points of a track; more would not be visible
@@ -129,7 +130,7 @@ def round_marks(
     return {
         HEAD_MARK: shown & head,
         FOLLOWER_MARK: follower,
-        LINK_MARK: follower & (root >= 0) & shown[root],
+        LINK_MARK: follower & (root >= 0) & shown[root] & (len(place) <= MOST_LINKED),
         DECOY_MARK: shown & decoy,
         HIT_MARK: named & target,
         REDUNDANT_MARK: named & ~target,

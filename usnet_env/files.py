@@ -15,7 +15,7 @@ from usnet_env.config import ArgumentError, quote
 
 _STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 0 auto; padding: 1rem; }
-img { max-width: 100%; } summary { cursor: pointer; }
+:root { color-scheme: light dark; } img { max-width: 100%; } summary { cursor: pointer; }
 table { border-collapse: collapse; display: block; overflow-x: auto; }
 td, th { padding: 0.2rem 0.6rem; border: 1px solid #ccc; text-align: left; }
 """

@@ -216,8 +216,8 @@ def test_links_of_large_swarms_are_off_at_first(tmp_path, monkeypatch):
 
     shown, view = [], rrb.Spatial3DView
     monkeypatch.setattr(rrb, "Spatial3DView", lambda **made: shown.append(made["overrides"]) or view(**made))
-    monkeypatch.setattr(rerun, "_MOST_LINKED", UAVS)
+    monkeypatch.setattr(rerun, "MOST_LINKED", UAVS)
     write_recording(small_episode(), tmp_path / "small.rrd")
-    monkeypatch.setattr(rerun, "_MOST_LINKED", UAVS - 1)
+    monkeypatch.setattr(rerun, "MOST_LINKED", UAVS - 1)
     write_recording(small_episode(), tmp_path / "large.rrd")
     assert [sum(path.endswith("links") for path in each) for each in shown] == [0, 0, 2, 2]

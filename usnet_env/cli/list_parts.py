@@ -76,7 +76,7 @@ def _describe_registry(argument: str) -> dict[str, str]:
             part = registry[name]
             known = (_WORDS.get(name), getattr(part, "breaks", ""), getattr(part, "description", ""))
             text = next(filter(None, (*known, getattr(part, "equation", ""))), inspect.getdoc(part) or "")
-            text = f"not: {text}" if text == getattr(part, "breaks", None) else text
+            text = f"breaks the assumption: {text}" if text == getattr(part, "breaks", None) else text
         except (ArgumentError, MissingExtraError) as error:
             text = f"not available: {error}"
         rows[name] = text.partition("\n")[0]

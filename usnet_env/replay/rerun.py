@@ -14,6 +14,7 @@ from uuid import uuid4
 import numpy as np
 
 from usnet_env.config import ArgumentError, MissingExtraError, how_to_install
+from usnet_env.drawing import MOST_LINKED
 from usnet_env.files import as_path, atomic_write
 from usnet_env.replay.episode import EpisodeRecord
 from usnet_env.replay.figure import find_least_side
@@ -23,7 +24,6 @@ from usnet_env.replay.story import explain_replay, name_round
 if TYPE_CHECKING:
     import rerun.blueprint as rrb
 
-_MOST_LINKED = 300  # UAVs: of more, links are a ball of wool and not shown at first
 _UNKNOWN, _BACKGROUND = [140, 148, 156], [16, 20, 24]
 
 
@@ -33,7 +33,7 @@ def _space(writer: EpisodeWriter, name: str, truth: bool) -> rrb.Spatial3DView:
 
     rr, root = writer.rr, f"/{writer.root}"
     parts, overrides = ["swarm", "verdict", "observers"], {}
-    if writer.record.uavs > _MOST_LINKED:  # a person can turn them on
+    if writer.record.uavs > MOST_LINKED:  # not shown at first; a person can turn them on
         links = ("world/swarm/links", "world/found/links")
         overrides = {f"{root}{path}": rrb.EntityBehavior(visible=False) for path in links}
     if not truth:
