@@ -15,6 +15,7 @@ import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from time import process_time
 from timeit import timeit
 from typing import Any
 
@@ -50,10 +51,12 @@ print(1024 * next(int(line.split()[1]) for line in lines if line.startswith("VmH
 
 
 def take_turns(turns: int, *contestants: Callable[[], object]) -> np.ndarray:
-    """Seconds ``(turns, contestants)`` of contestants that take turns, after one warm-up each."""
+    """CPU seconds ``(turns, contestants)`` of contestants that take turns, after one warm-up each."""
     for contestant in contestants:
         contestant()
-    return np.array([[timeit(contestant, number=1) for contestant in contestants] for _ in range(turns)])
+    return np.array(
+        [[timeit(contestant, timer=process_time, number=1) for contestant in contestants] for _ in range(turns)]
+    )
 
 
 def describe(what: str, ratios: np.ndarray, **values: object) -> dict[str, object]:
