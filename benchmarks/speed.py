@@ -15,6 +15,7 @@ import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from time import process_time
 from timeit import timeit
 from typing import Any
 
@@ -32,6 +33,8 @@ from usnet_env.swarm.formation import Roles
 
 GAME = "USNET/MultiCluster-v0"
 EPISODES, UAVS = 256, 82
+GAMES = 64  # in a batch
+BATCHES = ("SingleCluster-Tiny-v0", "SingleCluster-Small-v0", "MultiCluster-v0", "MultiCluster-Small-v0", "Field-v1")
 SIZES = [100, 300, 1000, 3000, 10_000]
 REFERENCE = "lagged-correlation"
 DETECTORS = ("lagged-regression", "granger", "factions", "net-lag-regression", "reader")
@@ -48,10 +51,12 @@ print(1024 * next(int(line.split()[1]) for line in lines if line.startswith("VmH
 
 
 def take_turns(turns: int, *contestants: Callable[[], object]) -> np.ndarray:
-    """Seconds ``(turns, contestants)`` of contestants that take turns, after one warm-up each."""
+    """CPU seconds ``(turns, contestants)`` of contestants that take turns, after one warm-up each."""
     for contestant in contestants:
         contestant()
-    return np.array([[timeit(contestant, number=1) for contestant in contestants] for _ in range(turns)])
+    return np.array(
+        [[timeit(contestant, timer=process_time, number=1) for contestant in contestants] for _ in range(turns)]
+    )
 
 
 def describe(what: str, ratios: np.ndarray, **values: object) -> dict[str, object]:
@@ -121,6 +126,78 @@ def detectors(turns: int) -> dict[str, object]:
     }
 
 
+def race(what: str, turns: int, fast: tuple[int, Callable[[], object]], slow: tuple[int, Callable[[], object]]) -> dict:
+    """Two ways to play, each with the decisions of a call."""
+    taken = take_turns(turns, fast[1], slow[1])
+    rate = fast[0] / float(np.median(taken[:, 0]))
+    return describe(what, (taken[:, 1] / slow[0]) / (taken[:, 0] / fast[0]), decisions_per_second=rate)
+
+
+def play_one(name: str) -> tuple[int, Callable[[], object]]:
+    """Ten rounds of a single environment, in which nobody is named."""
+    env = gym.make(name, disable_env_checker=True).unwrapped
+    env.reset(seed=0)
+    action = np.zeros(env.action_space.n, np.int8)
+
+    def play() -> None:
+        for _ in range(10):
+            _, _, terminated, truncated, _ = env.step(action)
+            if terminated or truncated:
+                env.reset()
+
+    return 10, play
+
+
+def batch(name: str, turns: int) -> dict[str, object]:
+    """A batch of games against a single environment."""
+    envs = gym.make_vec(name, GAMES, autoreset_mode="SameStep")
+    envs.reset(seed=0)
+    actions = np.zeros(envs.action_space.shape, np.int8)
+    return race(
+        f"a batch of {GAMES} games over a single one", turns, (GAMES, lambda: envs.step(actions)), play_one(name)
+    )
+
+
+def starting(turns: int) -> dict[str, object]:
+    """Starts of games of P1 in a batch against one after another."""
+    config = SwarmConfig(clusters=1, uavs=8, observation_steps=20)
+    rngs = [np.random.default_rng(seed) for seed in range(GAMES)]
+    together, alone = (lambda: start(config, rngs)), (lambda: [start(config, [rng]) for rng in rngs[:10]])
+    return race(f"starts of {GAMES} games together over one after another", turns, (GAMES, together), (10, alone))
+
+
+def sb3(turns: int) -> dict[str, object]:
+    """The batch in Stable-Baselines3 against its vectorisation of single environments."""
+    from stable_baselines3.common.vec_env import DummyVecEnv
+
+    from usnet_env.frameworks.sb3 import SwarmVecEnv
+
+    name = f"USNET/{BATCHES[0]}"
+    contestants: dict[int, Any] = {GAMES: SwarmVecEnv(name, GAMES), 8: DummyVecEnv([lambda: gym.make(name)] * 8)}
+    for envs in contestants.values():
+        envs.reset()
+    plays = [(games, partial(envs.step, np.zeros((games, 8), np.int8))) for games, envs in contestants.items()]
+    return race("SwarmVecEnv of Stable-Baselines3 over its DummyVecEnv, without learning", turns, *plays)
+
+
+def torchrl(turns: int) -> dict[str, object]:
+    """The batch in TorchRL against its vectorisation of single environments."""
+    from torchrl.envs import GymWrapper, SerialEnv
+
+    from usnet_env.envs.wrappers import BoxMasks
+    from usnet_env.frameworks.torchrl import SwarmEnv
+
+    name = f"USNET/{BATCHES[0]}"
+    single = SerialEnv(8, lambda: GymWrapper(BoxMasks(gym.make(name, disable_env_checker=True))))
+    many = SwarmEnv(name, GAMES)
+
+    def roll(envs: Any) -> Callable[[], object]:
+        return lambda: envs.rollout(10, break_when_any_done=False)
+
+    what = "SwarmEnv of TorchRL over its SerialEnv, random actions"
+    return race(what, turns, (10 * GAMES, roll(many)), (80, roll(single)))
+
+
 PARTS: dict[str, Callable[[int], dict[str, object]]] = {
     "stepping": lambda turns: {follow: stepping(turns, follow=follow) for follow in FOLLOW},
     "field": lambda turns: {follow: stepping(turns, follow=follow, memory=12) for follow in FIELD_MODELS},
@@ -128,6 +205,11 @@ PARTS: dict[str, Callable[[int], dict[str, object]]] = {
         name: stepping(turns, kinematics=name) for name in ("varied_speed", "lagged", "limited", "layered")
     },
     "scaling": lambda turns: {follow: scaling(follow, turns) for follow in ("pigeons", "vicsek", "couzin")},
+    "batches": lambda turns: (
+        {"start of P1": starting(turns)}
+        | {name: batch(f"USNET/{name}", turns) for name in BATCHES}
+        | {"Stable-Baselines3": sb3(turns), "TorchRL": torchrl(turns)}
+    ),
     "memory": memory,
     "detectors": detectors,
 }

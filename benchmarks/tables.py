@@ -32,6 +32,7 @@ DETECTOR = {"detector": "detector"}  # lines of a table
 BLOCK = re.compile(r"(<!-- results:begin ?([\w-]*) -->)\n.*?<!-- results:end -->", re.DOTALL)
 PAGES = (
     "README.md",
+    "docs/environments.md",
     "docs/leaderboard.md",
     "docs/reader.md",
     *(f"docs/results/{name}.md" for name in ("suites", "paper", "tracks", "speed")),
@@ -142,6 +143,15 @@ def readme_block() -> str:
     )
 
 
+def ladder_block() -> str:
+    """A line for each game of the ladder: J of some detectors, and the share of exact episodes of the last one."""
+    rows, order = read_suite("ladder"), list(list_suites()["ladder"].cells)
+    rows = rows.sort_values("cell", key=lambda cells: cells.map(order.index), kind="stable")
+    names = ("none", "random", "destroy-all", "reader(policy='map')")
+    columns = across("detector", names, mean("J"), "`{}`: J") | across("detector", names[-1:], rate("exact"), "exact")
+    return pivot(rows, {"game": "cell"}, {"n": lambda part: str(part.episode.nunique()), **columns})
+
+
 def leaderboard_block() -> str:
     """A line for each detector: what it is, and its share of exact episodes in every suite that has rows."""
     names = (*SUITES, *SOLVED, *OLDER)
@@ -193,6 +203,11 @@ def speed_block() -> str:
         for name, row in found[part].items()
     ]
     parts = [markdown(("flight", "turns", "million UAV steps a second", "stepping over drawing normals"), flights)]
+    games = [
+        [name, f"{row['decisions_per_second']:,.0f}", row["what"], _spread(row["ratios"])]
+        for name, row in found.get("batches", {}).items()
+    ]
+    parts += [markdown(("games", "decisions a second", "ratio", "median (range of the turns)"), games)] if games else []
     sizes = next(iter(found["scaling"].values()))["uavs"]
     grown = [
         [name, *(f"{1e9 * each:.0f}" for each in row["seconds_per_uav_step"])] for name, row in found["scaling"].items()
@@ -217,6 +232,7 @@ def _report(name: str, report: Callable[[pd.DataFrame], str]) -> Callable[[], st
 BLOCKS: dict[str, Callable[[], str]] = {
     "": readme_block,
     **{f"suite-{name}": lambda name=name: suite_block(name) for name in (*SUITES, *SOLVED, *OLDER, "scale")},
+    "ladder": ladder_block,
     "scenarios": _report("scenarios", scenarios.report),
     "calibration": _report("calibration", lambda rows: reader.report(rows, "calibration")),
     "peers": _report("peers", peers.report),

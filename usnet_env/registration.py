@@ -6,6 +6,35 @@ from typing import Any
 
 import gymnasium as gym
 
+_LAWS = ["f1", "f2", "f3", "f4", "f5", "f6", "f7"]
+_HARD = {
+    "follow": "random", "mobility": ["gauss_markov", "smooth_turn", "waypoint"], "head_jitter": True, "decoys": [0, 3],
+    "formation": "gathered", "position_noise": 0.1, "observation_steps": 60,
+}  # fmt: skip
+#: The ladder of games to train on: P1 and P2, from the easiest to the hardest.
+LADDER: dict[str, tuple[str, dict[str, Any]]] = {
+    "USNET/SingleCluster-Tiny-v0": ("SingleCluster", {"followers": 7, "observation_steps": 20}),
+    "USNET/SingleCluster-Small-v0": (
+        "SingleCluster",
+        {"followers": [5, 9], "decoys": [0, 1], "follow": _LAWS, "observation_steps": 30},
+    ),
+    "USNET/SingleCluster-Paper-v0": ("SingleCluster", {"follow": _LAWS}),
+    "USNET/SingleCluster-Hard-v0": ("SingleCluster", {"followers": [5, 20], **_HARD}),
+    "USNET/SingleCluster-Field-v0": (
+        "SingleCluster",
+        {"distribution": "cluster-field-v1", "followers": [5, 20], "memory": 12},
+    ),
+    "USNET/MultiCluster-Tiny-v0": (
+        "MultiCluster",
+        {"clusters": 2, "uavs": 12, "observation_steps": 20, "max_rounds": 5},
+    ),
+    "USNET/MultiCluster-Small-v0": (
+        "MultiCluster",
+        {"clusters": [2, 3], "uavs": [16, 24], "follow": _LAWS, "observation_steps": 30, "max_rounds": 5},
+    ),
+    "USNET/MultiCluster-Paper-v0": ("MultiCluster", {"follow": _LAWS}),
+    "USNET/MultiCluster-Hard-v0": ("MultiCluster", {"clusters": [3, 6], "uavs": [40, 60], **_HARD}),
+}
 _FIELD: dict[str, Any] = {"distribution": "field-v0", "memory": 12}
 TRACKS = "USNET/Tracks-v0"  # replays a file, which is a required argument; so it has no presets
 
@@ -17,6 +46,7 @@ ENVIRONMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "USNET/MultiCluster-M8-v0": ("MultiCluster", {"clusters": 8, "uavs": 185}),
     "USNET/MultiCluster-Smooth-v0": ("MultiCluster", {"mobility": "gauss_markov", "head_jitter": True}),
     "USNET/MultiCluster-NoFollowers-v0": ("MultiCluster", {"follow": "none"}),
+    **LADDER,
     "USNET/Field-v0": ("MultiCluster", _FIELD),
     "USNET/Field-v1": ("MultiCluster", _FIELD | {"distribution": "field-v1"}),
     "USNET/Field-Delays-v0": ("MultiCluster", _FIELD | {"follow": "unequal_delays"}),

@@ -123,3 +123,16 @@ def test_speed_keeps_the_parts_that_are_not_measured(tmp_path, monkeypatch, caps
     assert all(row["ratio"] > 0 for row in found["kinematics"].values())
     assert set(found["detectors"]) == set(speed.DETECTORS)
     assert "kinematics" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_batches_race_single_environments(tmp_path, monkeypatch):
+    pytest.importorskip("torchrl")
+    pytest.importorskip("stable_baselines3")
+    monkeypatch.setattr(speed, "GAMES", 2)
+    monkeypatch.setattr(speed, "BATCHES", ("SingleCluster-Tiny-v0",))
+    path = tmp_path / "speed.json"
+    speed.main(["--parts", "batches", "--turns", "1", "--out", str(path)])
+    rows = json.loads(path.read_text(encoding="utf-8"))["batches"]
+    assert list(rows) == ["start of P1", "SingleCluster-Tiny-v0", "Stable-Baselines3", "TorchRL"]
+    assert all(row["ratio"] > 0 and row["decisions_per_second"] > 0 for row in rows.values())

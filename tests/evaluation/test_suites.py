@@ -132,7 +132,7 @@ def test_detectors_are_compared_over_cells_by_groups_of_a_swarm(path):
         ("a: 1", "suite must be a YAML file with a mapping of cells"),
         (SUITE + "  last: {follow: f99}\n", "follow must be one of .*, in the cell 'last' of the suite own."),
         (SUITE + "  last: {env: USNET/Multi}\n", "env must be one of .*, in the cell 'last' of the suite own."),
-        (SUITE + "  last: {follow: {f1: f2}}\n", "follow must be a name, .*, in the cell 'last' of the suite own."),
+        (SUITE + "  last: {follow: {f1: f2}}\n", "follow must be a list, .*, in the cell 'last' of the suite own."),
         (SUITE.replace("seed: 4711", "seed: 4"), "seed must be greater than or equal to 1000, got 4."),
         (SUITE.replace("purpose: A test.", ""), "purpose must be given"),
         (SUITE + "extends: feld\n", "suite must be one of .*, got 'feld'"),

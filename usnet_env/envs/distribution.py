@@ -30,6 +30,7 @@ class Spread(Config):
 
 
 Numbers = tuple[float, float] | Spread | None
+_SPREAD = ("position_noise", "miss_rate", "noise_memory", "miss_burst", "partial_tracks", "swap_rate", "course_noise")
 
 
 class Distribution(Config):
@@ -71,9 +72,9 @@ class Distribution(Config):
     def _make_spreads(cls, values: Any) -> Any:
         made = dict(values)
         for name, rule in values.items():
-            if isinstance(rule, Mapping) and "low" in rule:
+            if isinstance(rule, Mapping) and name in _SPREAD:
                 try:
-                    made[name] = Spread(**rule)
+                    made[name] = Spread(**{str(key): value for key, value in rule.items()})
                 except ArgumentError as error:
                     raise ArgumentError(f"{name} is no range: {error}") from None
         return made
@@ -130,8 +131,8 @@ _FAULTS = {
     "swap_rate": {"low": 0.0002, "high": 0.001, "zero": 0.5},
 }
 _LEADERLESS = dict.fromkeys(("shepherd", "reference"), 0.5)  # swarms that no UAV leads
-_LED = ("unequal_delays", "mixed", "switching", "chain", "pigeons", "cucker_smale", "vicsek")
-_LED += ("couzin", "frontness", "part_time", "partial_turns", "predator", "informed")
+_LED = ["unequal_delays", "mixed", "switching", "chain", "pigeons", "cucker_smale", "vicsek"]
+_LED += ["couzin", "frontness", "part_time", "partial_turns", "predator", "informed"]
 _FIELD: dict[str, Any] = {
     "follow": dict.fromkeys(_LED, 1.0) | _LEADERLESS,
     "mobility": {"gauss_markov": 3.0, "smooth_turn": 2.0, "waypoint": 2.0, "local_waypoint": 2.0, "iid": 1.0},
@@ -144,12 +145,13 @@ _FIELD: dict[str, Any] = {
     **_FAULTS,
 }
 
-_GATHERED = {"formation": {"gathered": 3.0, "uniform": 1.0}}
+_GATHERED: dict[str, Any] = {"formation": {"gathered": 3.0, "uniform": 1.0}}
 
-#: The distributions that have a name.
+#: The distributions that have a name; the last one is for P1.
 DISTRIBUTIONS = {
     "field-v0": Distribution(**_FIELD, formation={"around": 3.0, "uniform": 1.0}),
     "field-v1": Distribution(**_FIELD, **_GATHERED),
+    "cluster-field-v1": Distribution(**_FIELD | _GATHERED | {"clusters": None}),
 }
 
 
@@ -157,7 +159,7 @@ class DrawnArguments(Config):
     """The argument about games that differ. A list or mapping for another argument is a part of it."""
 
     distribution: Distribution | None = Field(
-        None, description="what is drawn for each episode: a name, or a mapping; see :class:`Distribution`"
+        None, description="what is drawn for each episode: a name, or a mapping of arguments to lists and ranges"
     )
 
     @model_validator(mode="before")

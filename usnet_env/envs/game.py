@@ -224,7 +224,7 @@ def observe_windows(
         The games at the end of the window, and the observation with a leading axis B.
     """
     running = np.flatnonzero(~state.terminated)
-    kinds = [(config, running[rows]) for config, rows in _sort_games([configs[b] for b in running])]
+    kinds = [(config, running[rows]) for config, rows in _sort_games([configs[int(b)] for b in running])]
     if len(kinds) == 1 and len(running) == len(rngs):
         swarm, window = advance(configs[0], state.swarm, rngs)
         return replace(state, swarm=swarm), show_window(window, state.rounds[:, None])

@@ -185,13 +185,13 @@ def _fly(
     if config.head_jitter:
         scale = np.float32(strategy.noise if strategy is not None else JITTER)
         craft = craft._replace(jittered=laws[0][1].stop, jitter=scale)
-    follow = strategy.fly if strategy is not None and strategy.has_followers else None
+    led = strategy if strategy is not None and strategy.has_followers else None
 
     def fly_together(flight: TrajectoryBatch) -> None:
-        if follow is None:
+        if led is None:
             kernels.fly_alone(*flight.flown)
         else:
-            follow(flight)
+            led.fly(flight)
 
     # Their velocity is assigned, not multiplied: the sign of a zero would show which of them were free.
     memory, gone = config.memory, motion == kernels.DESTROYED
@@ -201,23 +201,23 @@ def _fly(
         fly_together(flight)
         return
     pushes = draw_normals(rngs, *noise.shape[1:3], kinematics.normals)
-    compiled = all(isinstance(law, CompiledMobility) for law, _ in laws) and (follow is None or strategy.compiled)
+    compiled = all(isinstance(law, CompiledMobility) for law, _ in laws) and (led is None or led.compiled)
     if compiled and isinstance(kinematics, CompiledKinematics):
-        model = {"kinematics": kinematics.code, "numbers": kinematics.numbers}
-        fly_together(replace(flight, craft=craft._replace(**model, pushes=pushes, kept=kinematic_state)))
+        craft = craft._replace(kinematics=kinematics.code, numbers=kinematics.numbers)
+        fly_together(replace(flight, craft=craft._replace(pushes=pushes, kept=kinematic_state)))
         return
     for s in range(flight.steps):
         t, now = memory + s, slice(s, s + 1)
         step = craft._replace(normals=craft.normals[:, now])
         _fly_free(laws, step, noise[:, now], position, velocity[:, : t + 1], t, rngs)
         velocity[:, t][gone] = 0.0
-        if follow is not None:
+        if led is not None:
             cut: dict[str, Any] = {
                 "position": position[:, s : t + 2],
                 "velocity": velocity[:, s : t + 1],
                 "noise": noise[:, now],
             }
-            follow(replace(flight, **cut, clock=flight.clock + s))
+            led.fly(replace(flight, **cut, clock=flight.clock + s))
         kinematics.fly(t, motion, pushes[:, s], kinematic_state, position, velocity)
 
 
@@ -262,12 +262,8 @@ def _fly_free(
     for law, part in laws:
         columns, state, jittered = craft.free[:, part], craft.state[:, part], part.start < craft.jittered
         if isinstance(law, CompiledMobility):
-            own = {
-                "mobility": craft.mobility[part],
-                "constants": craft.constants[part],
-                "jittered": jittered * part.stop,
-            }
-            one = craft._replace(**own, free=columns, state=state, normals=craft.normals[:, :, part])
+            one = craft._replace(mobility=craft.mobility[part], constants=craft.constants[part], free=columns)
+            one = one._replace(state=state, normals=craft.normals[:, :, part], jittered=jittered * part.stop)
             kernels.fly_free(first, one, noise, position, velocity)
             continue
         for b, rng in enumerate(rngs):
