@@ -1,6 +1,8 @@
 """Formats of trackers, and those of strangers: each is read as the plain CSV of the same tracks."""
 
+import itertools
 import json
+import struct
 
 import numpy as np
 import pytest
@@ -109,6 +111,19 @@ def test_a_file_for_each_animal(tmp_path):
         read = read_tracks([tmp_path / files.format(name) for name in "ab"], **options)
         assert tuple(map(str, read.ids)) == ids
         np.testing.assert_allclose((read.position + read.origin)[:20, :2], PLACES[:, 0])
+
+
+def test_mavlink_logs_have_an_id_for_each_system(tmp_path):
+    dialect = pytest.importorskip("pymavlink.dialects.v20.common")
+    with open(tmp_path / "log.tlog", "wb") as file:
+        for k, system in itertools.product(range(4), (1, 2)):
+            link = dialect.MAVLink(None, srcSystem=system)
+            place = (500_000_000 + 1000 * k, 100_000_000 + 1000 * system, 120_000, 20_000, 0, 0, 0, 0)
+            message = link.global_position_int_encode(1000 * k, *place).pack(link)
+            file.write(struct.pack(">Q", 1_700_000_000_000_000 + 500_000 * k) + message)
+    read = read_tracks(tmp_path / "log.tlog")
+    assert (read.ids, read.samples, read.duration, read.origin[2]) == ((1, 2), 8, 1.5, 120.0)
+    np.testing.assert_allclose(np.diff(read.position[:4, 1]), 11.1, atol=0.1)
 
 
 @pytest.fixture
