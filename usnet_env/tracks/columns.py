@@ -80,7 +80,7 @@ def choose_columns(
     found = {role: name for role, name in found.items() if role in (*needed, "z", "leader")}
     must, chosen = "", list(found.values())
     if missing := [role for role in needed if role not in found and not (one_id and role == "id")]:
-        must = f"name those of {where} for {', '.join(missing)}"
+        must = f"name those of {where} for {', '.join(missing)}" + " (min_confidence)" * ("confidence" in missing)
         if any(_is_number(name) for name in header):
             first = quote(" ".join(header)[:80])
             hint = "header=['frame', 'id', 'x', 'y'], or --columns frame,id,x,y,"
