@@ -98,10 +98,10 @@ def list_leaders(attention: np.ndarray) -> np.ndarray:
 
 
 def draw_links(axes: Any, place: np.ndarray, attention: np.ndarray, least: float, width: float, color: str) -> None:
-    """Draw a line for every attention weight above the ``least``; one of weight 1 is ``width`` points wide."""
+    """Draw a line for every attention weight above the ``least``; that of the largest is ``width`` points wide."""
     rows, columns = np.nonzero((attention > least) & ~np.eye(len(attention), dtype=bool))
     ends = np.stack([place[rows], place[columns]], axis=1)
-    widths = width * attention[rows, columns]
+    widths = width * attention[rows, columns] / attention[rows, columns].max(initial=1e-12)
     axes.add_collection(LineCollection(list(ends), linewidths=widths, colors=color, alpha=0.5, zorder=1))
 
 
