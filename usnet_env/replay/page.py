@@ -29,7 +29,7 @@ _ICONS = {
 }  # fmt: skip
 #: Says below the animation which UAV is under the pointer: the nearest one in either map of the frame that is shown.
 _POINTER = """
-<p id="pointed" role="status">Point at a UAV to read its name.</p>
+<p id="pointed" role="status">Point at a dot to read its name.</p>
 <script>
 const names = NAMES, frames = FRAMES;
 document.querySelector(".animation img").onmousemove = (event) => {
