@@ -11,17 +11,13 @@ from tempfile import TemporaryDirectory
 
 from usnet_env import drawing
 from usnet_env.config import format_count
-from usnet_env.files import atomic_write
+from usnet_env.files import write_html
 from usnet_env.replay.animate import BESIDE, list_scenes, write_frames
 from usnet_env.replay.episode import EpisodeRecord
 from usnet_env.replay.story import describe_outcome, describe_round, list_marked, name_game, name_round, name_uav
 
 _FRAMES, _DPI = 3, 75  # frames of a growing window, pixels per inch
 _MOST_ROUNDS = 12  # of the animation; the text has all of them
-_STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 0 auto; padding: 1rem; }
-:root { color-scheme: light dark; } img { max-width: 100%; } summary { cursor: pointer; }
-"""
 #: Characters in place of the icons of matplotlib's page, whose font would be fetched from the network.
 _ICONS = {
     "minus": "−", "plus": "+", "fast-backward": "|◀", "fast-forward": "▶|", "step-backward": "◁", "step-forward": "▷",
@@ -85,13 +81,6 @@ def write_page(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path:
         lines = "".join(f"<li><b>{escape(uav)}</b> {word}, {escape(why)}</li>" for uav, word, why in marked)
         title = escape(f"{name_round(record)} {number}: {describe_round(record, number)}") + shows.get(number, "")
         rounds.append(f"<details{' open' * (number == 1)}><summary>{title}</summary><ul>{lines}</ul></details>")
-    page = f"""<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{escape(name_game(record))}</title><style>{_STYLE}</style></head><body>
-<h1>{escape(name_game(record))}</h1><p>{escape(describe_outcome(record))}{more * (record.rounds > _MOST_ROUNDS)}</p>
-{animation}{"".join(rounds)}
-</body></html>
-"""
-    with atomic_write(path) as aside:
-        aside.write_text(page, encoding="utf-8")
+    outcome = f"<p>{escape(describe_outcome(record))}{more * (record.rounds > _MOST_ROUNDS)}</p>"
+    write_html(path, name_game(record), f"{outcome}\n{animation}{''.join(rounds)}\n")
     return Path(path)
