@@ -5,7 +5,7 @@ from collections.abc import Collection
 import numpy as np
 
 from detectors.reader.examples import Examples
-from detectors.reader.prior.families import FAULTS, MODELS, PRIOR_VERSION, SHARES, WORLDS, draw_log, draw_name
+from detectors.reader.prior.families import FAULTS, MODELS, OBSERVED, PRIOR_VERSION, SHARES, WORLDS, draw_log, draw_name
 from detectors.reader.prior.observing import make_examples, observe, resample
 from detectors.reader.prior.swarms import draw_field_swarm, draw_model_swarm, fly_swarms
 from detectors.reader.prior.worlds import fly_world
@@ -44,7 +44,7 @@ def draw_examples(
             drawn = observe(drawn, rng, without, family)
     else:
         drawn = _draw_sampled(rng, family, windows, steps, most_uavs, without)
-        if family in WORLDS and rng.random() < 0.25:
+        if family in WORLDS and rng.random() < OBSERVED.get(family, 0.25):
             drawn = observe(drawn, rng, without)
     return drawn._replace(family=family)
 

@@ -47,7 +47,7 @@ def _fly_flock(rng: np.random.Generator, stage: Stage, weight: Floats, drive: Fl
     radius = near * np.sort(draw_log(rng, 1.0, 20.0, windows, 3), axis=1)
     push, align, pull = (draw_log(rng, low, high, windows, 1, 1) for low, high in ((1, 3), (0.2, 1.5), (0.05, 0.6)))
     ways, fixed = draw_ways(rng, stage, stage.steps + 30, uavs), rng.random() < 0.5
-    late = max(0, int(rng.integers(-16, 9)))  # steps, in a third of the draws
+    late = max(0, int(rng.integers(-7, 9)))  # steps, in half of the draws
 
     def wish(t: int, position: Floats, velocity: Floats) -> Floats:
         acts = _sum_neighbours(position[:, t], velocity[:, max(t - late, 0)], weight, radius)
