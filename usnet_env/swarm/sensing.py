@@ -97,8 +97,9 @@ def sense(
             row[:, false] &= _appear(rng, row.shape[0], len(false))
     if config.swap_rate > 0:
         holder = np.stack([_swap(*episode) for episode in zip(position, present, swaps, alive, strict=True)])
-        position = np.take_along_axis(position, holder[..., None], axis=2)
-        present = np.take_along_axis(present, holder, axis=2)
+        if (holder != np.arange(holder.shape[2])).any():
+            position = np.take_along_axis(position, holder[..., None], axis=2)
+            present = np.take_along_axis(present, holder, axis=2)
     seen &= present
     if config.position_noise > 0:
         if config.noise_memory > 0:

@@ -19,6 +19,8 @@ LASTING = ("head", "decoy", "root", "bystander", "source")  # the roles that :cl
 
 def _pack(rows: Sequence[NDArray[Any]]) -> NDArray[Any]:
     """Arrays of several swarms as one with a leading axis; as an array of arrays, if swarms of several kinds differ."""
+    if len(rows) == 1:
+        return rows[0][None]
     if len({row.shape for row in rows}) == 1:
         return np.stack(rows)
     packed = np.empty(len(rows), object)
