@@ -7,6 +7,8 @@ from typing import Any
 import gymnasium as gym
 
 TRACKS = "USNET/Tracks-v0"  # replays a file, which is a required argument; so it has no presets
+PROBING = "USNET/Probing-v0"  # its agent also steers intruders
+OTHERS = {TRACKS: "usnet_env.tracks.env:TracksEnv", PROBING: "usnet_env.envs.probing:ProbingEnv"}
 
 # id -> (class, arguments). The arguments are plain names and numbers, so that `env.spec.to_json()` is complete.
 ENVIRONMENTS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -36,5 +38,6 @@ def register_environments() -> None:
                 vector_entry_point=f"usnet_env.envs:{problem}VectorEnv",
                 kwargs=dict(arguments),
             )
-    if TRACKS not in gym.registry:
-        gym.register(id=TRACKS, entry_point="usnet_env.tracks.env:TracksEnv")
+    for name, entry_point in OTHERS.items():
+        if name not in gym.registry:
+            gym.register(id=name, entry_point=entry_point)

@@ -17,7 +17,7 @@ from usnet_env.drawing import last_seen_position
 from usnet_env.files import as_path, atomic_write
 from usnet_env.objectives import hits_and_redundant
 
-FORMAT_VERSION = 5  #: Older files are read as well: in version 5 ``leader`` became ``root``, the others added arrays.
+FORMAT_VERSION = 6  #: Older files are read as well: in version 5 ``leader`` became ``root``, the others added arrays.
 _FORMAT = "usnet-episode"
 _LINKS = "communication_links"  # derived from ``root`` when a file is written, for readers without this class
 _UNUSED = (_LINKS, "attention_heads", "features")  # arrays of files that are not read
@@ -32,6 +32,7 @@ _AXES = {
     "seen": "RSN",
     "attention": "RNN",
     "observers": "K4",
+    "intruders": "RSK3",
 }
 
 
@@ -70,6 +71,7 @@ class EpisodeRecord:
         reasons: for each round a sentence by UAV (``"17"``): why the detector takes it for a head.
         choices: for each round a text by agent: what the agents of a game of several agents chose.
         observers: ``(K, 4)`` float64, position and sensing range of each observer in metres.
+        intruders: ``(R, T_ob + 1, K, 3)`` float32, metres, the tracks of the intruders that an observer steered.
         problem: ``"P1"`` or ``"P2"``.
         env_id: the environment's registered id.
         seed: the environment's seed; ``None``: not seeded.
@@ -100,6 +102,7 @@ class EpisodeRecord:
     reasons: Sequence[Mapping[str, str]] | None = None
     choices: Sequence[Mapping[str, str]] | None = None
     observers: Floats | None = None
+    intruders: Singles | None = None
     problem: str = "P2"
     env_id: str = ""
     seed: int | None = None
