@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import peers
+import probing
 import reader
 import scenarios
 from paper.shared import RESULTS, ROOT, parse, read_rows
@@ -35,6 +36,7 @@ PAGES = (
     "docs/environments.md",
     "docs/leaderboard.md",
     "docs/reader.md",
+    "docs/probing.md",
     *(f"docs/results/{name}.md" for name in ("suites", "paper", "tracks", "speed")),
 )
 SUITES = {  # those of README.md; `reader` solves the others
@@ -236,6 +238,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "scenarios": _report("scenarios", scenarios.report),
     "calibration": _report("calibration", lambda rows: reader.report(rows, "calibration")),
     "peers": _report("peers", peers.report),
+    "probing": lambda: probing.report(read_rows(probing.ROWS)),
     "leaks": leaks_block,
     "leaderboard": leaderboard_block,
     "table2": table2_block,

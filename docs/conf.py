@@ -26,8 +26,9 @@ extensions = [
     "sphinx.ext.mathjax",
     "sphinx-mathjax-offline",  # equations are drawn without a network
 ]
-# Tables of the field's models are included by docs/field.md; they are no pages.
-exclude_patterns = ["_build", "generated/field_models.md", "generated/controls.md", "generated/kinematics.md"]
+# Parts that docs/field.md and docs/probing.md include; they are no pages.
+PARTS = ("field_models", "controls", "kinematics", "probing")
+exclude_patterns = ["_build", *(f"generated/{part}.md" for part in PARTS)]
 
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 3

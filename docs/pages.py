@@ -11,6 +11,7 @@ from typing import Any
 
 import usnet_env.envs
 from usnet_env.envs import ENVIRONMENTS
+from usnet_env.envs.probing import ProbingEnv
 from usnet_env.multiagent import GAMES
 from usnet_env.swarm.follow import CONTROLS, FIELD_MODELS
 from usnet_env.swarm.kinematics import KINEMATICS
@@ -39,6 +40,7 @@ def generate_pages() -> dict[str, str]:
         use = f"After `from usnet_env.multiagent import {game}`, `{game}.parallel_env()` creates it."
         pages[game] = _page(game, module.parallel_env, use)
     return pages | {
+        "probing": f"## Description{(inspect.getdoc(ProbingEnv) or '').partition('## Description')[2]}\n",
         "field_models": _models_page(FIELD_MODELS),
         "controls": _models_page(CONTROLS),
         "kinematics": _models_page({name: part for name, part in KINEMATICS.items() if dataclasses.is_dataclass(part)}),

@@ -44,6 +44,7 @@ HEAD_MARK, FOLLOWER_MARK, LINK_MARK = "head", "follower (colour = cluster)", "li
 DECOY_MARK, DESTROYED_MARK = "decoy: has no followers", "destroyed earlier"
 HIT_MARK, REDUNDANT_MARK, MISSED_MARK = "candidate: hit", "candidate: redundant", "head, not a candidate"
 CANDIDATE_MARK = "candidate"
+INTRUDER_MARK = "intruder, with its track"
 UNLED_MARK = "other (no leader found)"  # of recorded tracks
 #: The words for these marks in recorded tracks.
 TRACK_WORDS = {HEAD_MARK: "leader", FOLLOWER_MARK: "other (colour = leader)", LINK_MARK: "link from follower to leader"}
@@ -57,6 +58,7 @@ _STYLES: dict[str, dict[str, Any]] = {  # of the marks, in the order of the lege
     HIT_MARK: _RING | {"s": 400, "edgecolors": HIT},
     REDUNDANT_MARK: _RING | {"s": 130, "edgecolors": REDUNDANT, "marker": "s"},
     MISSED_MARK: _RING | {"s": 400, "edgecolors": MISSED, "linestyles": [(0, (2, 1.2))], "linewidths": 1.6},
+    INTRUDER_MARK: {"marker": "^", "s": 90, "c": REDUNDANT, "edgecolors": "black", "linewidths": 0.8, "zorder": 7},
     DESTROYED_MARK: {"marker": "x", "s": 34, "c": NO_CLUSTER_COLOR, "linewidths": 1.5, "zorder": 2.5},
 }
 MOST_LINKED = 300  # UAVs: of more, links are a ball of wool
@@ -198,6 +200,7 @@ def draw_round(
     *,
     number: Indices | None = None,
     destroyed_at: Singles | None = None,
+    intruders: Singles | None = None,
     axes: Axes | None = None,
     title: str = "",
     legend: bool = True,
@@ -216,6 +219,7 @@ def draw_round(
         candidates: ``(N,)`` bool, or ``None`` before the first answer.
         number: ``(N,)`` int64, the number of each head's cluster, which gives its colour; ``None``: heads are counted.
         destroyed_at: ``(N, 3)`` metres, last positions of destroyed UAVs (NaN: unknown); ``None``: not drawn.
+        intruders: ``(T_ob + 1, K, 3)`` metres, the tracks of intruders; ``None``: there are none.
         axes: the axes to draw on; ``None``: a new figure.
         title: the title above the picture.
         legend: whether to draw a legend on the right.
@@ -253,8 +257,12 @@ def draw_round(
         if mark != LINK_MARK and who.any():
             look = {"zorder": 6} | _STYLES[mark] | ({"c": colors[who]} if mark in (HEAD_MARK, FOLLOWER_MARK) else {})
             axes.scatter(everywhere[who, 0], everywhere[who, 1], **look)
+    if intruders is not None:
+        axes.plot(*np.moveaxis(intruders[..., :2], 2, 0), color=REDUNDANT, linewidth=1.4, zorder=6)
+        axes.scatter(*intruders[-1, :, :2].T, **_STYLES[INTRUDER_MARK])
     if legend:
         counts = {mark: int(who.sum()) for mark, who in marks.items()}
+        counts[INTRUDER_MARK] = 0 if intruders is None else intruders.shape[1]
         draw_legend(axes, {mark: f"{mark} ({count})" for mark, count in counts.items() if count})
     figure: Any = axes.get_figure(root=True)
     return figure

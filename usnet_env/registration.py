@@ -37,6 +37,8 @@ LADDER: dict[str, tuple[str, dict[str, Any]]] = {
 }
 _FIELD: dict[str, Any] = {"distribution": "field-v0", "memory": 12}
 TRACKS = "USNET/Tracks-v0"  # replays a file, which is a required argument; so it has no presets
+PROBING = "USNET/Probing-v0"  # its agent also steers intruders
+OTHERS = {TRACKS: "usnet_env.tracks.env:TracksEnv", PROBING: "usnet_env.envs.probing:ProbingEnv"}
 
 # id -> (class, arguments). The arguments are what JSON can hold, so that `env.spec.to_json()` is complete.
 ENVIRONMENTS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -67,5 +69,6 @@ def register_environments() -> None:
                 vector_entry_point=f"usnet_env.envs:{problem}VectorEnv",
                 kwargs=dict(arguments),
             )
-    if TRACKS not in gym.registry:
-        gym.register(id=TRACKS, entry_point="usnet_env.tracks.env:TracksEnv")
+    for name, entry_point in OTHERS.items():
+        if name not in gym.registry:
+            gym.register(id=name, entry_point=entry_point)

@@ -9,6 +9,7 @@ from typing import Any, Generic, TypeVar
 import gymnasium as gym
 import numpy as np
 
+from usnet_env.detection import Detection
 from usnet_env.swarm import SwarmState
 
 AnswerT = TypeVar("AnswerT")  # it has ``candidates``, ``(N,)`` bool
@@ -42,3 +43,16 @@ def play_rounds(
         over = bool(terminated or truncated)
         yield PlayedRound(observation, truth, answered, info, game.swarm)
         observation = following
+
+
+def play_probe(env: gym.Env[Any, Any], prober: Any, seed: int) -> tuple[PlayedRound[Detection], float]:
+    """Play an episode of probing: the round in which the prober names its candidate, and the sum of the rewards."""
+    game: Any = env.unwrapped
+    observation, _ = env.reset(seed=seed)
+    prober.reset(game.arguments, seed + 1)
+    total, over = 0.0, False
+    while not over:
+        truth, action, seen = game.swarm, prober.act(observation), observation
+        observation, reward, over, _, info = env.step(action)
+        total += float(reward)
+    return PlayedRound(seen, truth, Detection(action["candidates"], prober.belief), info, game.swarm), total

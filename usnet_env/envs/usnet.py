@@ -258,7 +258,8 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         state = game.require_game(self._game)
         window, swarm, candidates, title = self._last_round or (self._window, state.swarm, None, game.UNANSWERED)
         roles, seen = swarm.episode().roles(), window["seen"].astype(bool)
-        return self._frames.render(position=window["position"], seen=seen, candidates=candidates, title=title, **roles)
+        scene = {"position": window["position"], "intruders": window.get("intruders"), **roles}
+        return self._frames.render(seen=seen, candidates=candidates, title=title, **scene)
 
 
 @list_arguments(observation=OBSERVATION, info=INFO)

@@ -17,7 +17,7 @@ from usnet_env.drawing import last_seen_position
 from usnet_env.files import as_path, atomic_write
 from usnet_env.objectives import hits_and_redundant
 
-FORMAT_VERSION = 5
+FORMAT_VERSION = 6
 _FORMAT = "usnet-episode"
 _LINKS = "communication_links"  # derived from ``root`` when a file is written, for readers without this class
 _KINDS = {"Singles": np.float32, "Floats": np.float64, "Indices": np.int64, "Mask": np.bool_}
@@ -31,6 +31,7 @@ _AXES = {
     "seen": "RSN",
     "attention": "RNN",
     "observers": "K4",
+    "intruders": "RSK3",
 }
 
 
@@ -69,6 +70,7 @@ class EpisodeRecord:
         reasons: for each round a sentence by UAV (``"17"``): why the detector takes it for a head.
         choices: for each round a text by agent: what the agents of a game of several agents chose.
         observers: ``(K, 4)`` float64, position and sensing range of each observer in metres.
+        intruders: ``(R, T_ob + 1, K, 3)`` float32, metres, the tracks of the intruders that an observer steered.
         problem: ``"P1"`` or ``"P2"``.
         env_id: the environment's registered id.
         seed: the environment's seed; ``None``: not seeded.
@@ -99,6 +101,7 @@ class EpisodeRecord:
     reasons: Sequence[Mapping[str, str]] | None = None
     choices: Sequence[Mapping[str, str]] | None = None
     observers: Floats | None = None
+    intruders: Singles | None = None
     problem: str = "P2"
     env_id: str = ""
     seed: int | None = None

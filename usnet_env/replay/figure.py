@@ -31,6 +31,7 @@ def describe_scene(record: EpisodeRecord, number: int) -> dict[str, Any]:
         "root": record.root[r],
         "decoy": record.decoys[r] if record.labelled else record.decoy,
         "destroyed_at": record.last_position(number),
+        "intruders": None if record.intruders is None else record.intruders[r],
     }
 
 
@@ -73,6 +74,7 @@ def draw_episode(record: EpisodeRecord) -> Figure:
         limits = x, y, max(half for *_, half in squares)
         drawing.draw_round(**scene, axes=axes, title=title, legend=False, limits=limits)
         place = drawing.last_seen_position(scene.pop("position"), scene.pop("seen"))
+        marks |= {drawing.INTRUDER_MARK: drawing.INTRUDER_MARK} if scene.pop("intruders") is not None else {}
         marks |= {mark: mark for mark, who in drawing.round_marks(place, **scene).items() if who.any()}
     for axes in grid[len(numbers) :]:
         axes.remove()

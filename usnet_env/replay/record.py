@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike
 from usnet_env.arrays import Indices
 from usnet_env.config import ArgumentError, describe_arguments, optional_seed, quote
 from usnet_env.detection import Detection, ask
-from usnet_env.envs.play import PlayedRound, play_rounds
+from usnet_env.envs.play import PlayedRound, play_probe, play_rounds
+from usnet_env.envs.probers import Prober
 from usnet_env.files import as_path
 from usnet_env.objectives import list_followers
 from usnet_env.plugins import DetectorLike, detector_label
@@ -61,6 +62,18 @@ def record_episode(
 
     rounds = list(play_rounds(env, answer, seed))
     return _make_record(env, rounds, seconds, seed, detector_seed, label or detector_label(detector))
+
+
+def record_probe(env: gym.Env[Any, Any], prober: Prober, seed: int) -> EpisodeRecord:
+    """Play an episode of ``USNET/Probing-v0`` with a scripted prober, and record its window when it names the head.
+
+    Raises:
+        ArgumentError: ``env`` is no such environment.
+    """
+    _check_environment(env)
+    played, _ = play_probe(env, prober, seed)
+    label = f"{detector_label(prober.detector)}, target {prober.target}"
+    return _make_record(env, [played], [0.0], seed, None, label)
 
 
 def _check_environment(env: Any) -> None:
@@ -121,6 +134,7 @@ def _make_record(
         objective=np.array([float(played.info["J"]) if labelled else 0.0 for played in rounds]),
         head=truths[0].head if labelled else np.asarray(candidates.any(axis=0)),
         decoy=truths[0].decoy if labelled else np.zeros(candidates.shape[1], bool),
+        intruders=_stack([played.observation.get("intruders") for played in rounds]),
         over_budget=np.array([bool(played.info["over_budget"]) or not labelled for played in rounds]),
         seconds=np.array(seconds),
         clusters=_stack([answer.clusters for answer in answers], absent=-1),

@@ -81,6 +81,10 @@ class Unit(Kinematics):
     source = "paper, §II-A"
     breaks = "–"
 
+    def steer(self, wanted: Singles, before: Singles, position: Singles, state: Singles, normals: Singles) -> Singles:
+        """What is wanted; the simulator calls it only beneath another model, such as an avoidance."""
+        return wanted
+
 
 class CompiledKinematics(Kinematics):
     """A model with a compiled step; ``code`` is its number and ``_constants`` the names of its constants."""

@@ -109,6 +109,24 @@ class MobilityFunction(Mobility):
         return np.asarray(directions, np.float32).reshape(steps, len(position), 3)
 
 
+@dataclass(frozen=True)
+class Alike(Mobility):
+    """All UAVs fly alike by a mobility: as its first UAV, from places of their own."""
+
+    law: Mobility
+    description: str = ""
+
+    def start(self, rng: np.random.Generator, uavs: int) -> Floats:
+        """Draw one state for all."""
+        return np.tile(self.law.start(rng, 1), (uavs, 1))
+
+    def fly(self, state: Floats, position: Singles, steps: int, rng: np.random.Generator) -> Singles:
+        """Draw the directions of the first UAV for all."""
+        directions = self.law.fly(state[:1], position[:1], steps, rng)
+        state[:] = state[0]
+        return directions.repeat(len(state), axis=1)
+
+
 def _accept_mobility(model: Any, subject: str = "model") -> Mobility:
     """Return a mobility, made of a function if it is one."""
     if isinstance(model, Mobility):
@@ -140,6 +158,7 @@ _OWN: dict[str, Mobility] = {
     ),
     "straight": CompiledMobility(kernels.STRAIGHT, 1, description="a straight line in a random direction"),
 }
+_OWN["alike"] = Alike(_OWN["iid"], "all heads and decoys fly alike: one new random direction for all at each step")
 
 #: All mobilities by name.
 MOBILITIES = Registry("mobility", "mobility", "usnet.mobilities", __name__, _accept_mobility, _OWN)

@@ -132,8 +132,20 @@ def advance(config: SwarmConfig, state: SwarmState, rngs: Generators) -> tuple[S
     Each swarm has at least one living head unless no UAV leads it. It returns the state at the end of the window, and
     the windows.
     """
+    after, position, velocity = fly_steps(config, state, rngs, config.steps)
+    flown = position[:, config.memory :], velocity[:, config.memory :]
+    if config.follow_strategy is not None and config.follow_strategy.shifts_tracks:
+        flown = shift_tracks(*flown, state.source, rngs)
+    observed = sense(config, *flown, state.alive, rngs, state.free[:, state.free.shape[1] - config.clutter :])
+    return after, observed
+
+
+def fly_steps(
+    config: SwarmConfig, state: SwarmState, rngs: Generators, steps: int
+) -> tuple[SwarmState, Singles, Singles]:
+    """Fly S steps, unobserved: the state after them, positions ``(B, S + 1, N, 3)``, velocities ``(B, S, N, 3)``."""
     episodes, uavs = state.alive.shape
-    memory, steps = config.memory, config.steps
+    memory = config.memory
     all_uavs = uavs + state.reference_position.shape[2]
     position = np.zeros((episodes, memory + steps + 1, all_uavs, 3), np.float32)
     velocity = np.zeros((episodes, memory + steps, all_uavs, 3), np.float32)
@@ -151,11 +163,6 @@ def advance(config: SwarmConfig, state: SwarmState, rngs: Generators) -> tuple[S
     swarm = state.root, state.parameters, state.source, state.bystander, state.clock
     flight = TrajectoryBatch(position, velocity, noise, motion, *swarm)
     _fly(config, flight, state.free, mobility_state, kinematic_state, rngs)
-    window = 2 * memory  # the window starts after the past and the unobserved steps
-    flown = position[:, window:, :uavs], velocity[:, window:, :uavs]
-    if config.follow_strategy is not None and config.follow_strategy.shifts_tracks:
-        flown = shift_tracks(*flown, state.source, rngs)
-    observed = sense(config, *flown, state.alive, rngs, state.free[:, state.free.shape[1] - config.clutter :])
     after = replace(
         state,
         past_position=position[:, steps:, :uavs].copy(),
@@ -166,7 +173,7 @@ def advance(config: SwarmConfig, state: SwarmState, rngs: Generators) -> tuple[S
         reference_position=position[:, steps:, uavs:].copy(),
         reference_velocity=velocity[:, steps:, uavs:].copy(),
     )
-    return after, observed
+    return after, position[:, memory:, :uavs], velocity[:, memory:, :uavs]
 
 
 def _fly(
