@@ -140,7 +140,7 @@ def test_without_a_detector_three_are_played(run):
         ("usnet eval", {"evaluate"}),
         ("usnet demo --detector lagged-", {"lagged-correlation", "lagged-network", "lagged-regression"}),
         ("usnet evaluate --suite paper-", {"paper-hard"}),
-        ("usnet evaluate --env USNET/Single", {"USNET/SingleCluster-v0", "USNET/SingleCluster-Decoy-v0"}),
+        ("usnet evaluate --env USNET/MultiCluster-N", {"USNET/MultiCluster-NoFollowers-v0"}),
         ("usnet demo --follow pig", {"pigeons"}),
     ],
 )
