@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from usnet_env.arrays import Floats
+from usnet_env.arrays import Floats, Singles
 from usnet_env.config import unknown_name
 from usnet_env.detection import ask
 from usnet_env.drawing import last_seen_position
@@ -45,14 +45,14 @@ class Prober:
     def act(self, observation: Mapping[str, Any]) -> dict[str, Any]:
         """The action for an observation, with the belief as ``self.belief``."""
         elapsed, uavs = int(observation["elapsed"][0]), len(observation["alive"])
-        candidates, velocity = np.zeros(uavs, np.int8), np.zeros((self.arguments.intruders, 3), np.float32)
+        candidates, velocity = np.zeros(uavs, np.int8), np.zeros((self.arguments.intruders, 3))
         self.belief = self._believe(observation, elapsed) if elapsed else np.full(uavs, 1 / uavs)
         if self.belief.max() >= self.confidence or elapsed == self.arguments.observation_steps:
             candidates[self.belief.argmax()] = 1
         elif self.target != "none":
             place = last_seen_position(observation["position"], observation["seen"].astype(bool))
             velocity = self._steer(observation["intruders"][elapsed], place.astype(float))
-        return {"velocity": velocity, "candidates": candidates}
+        return {"velocity": velocity.astype(np.float32), "candidates": candidates}
 
     def _believe(self, observation: Mapping[str, Any], elapsed: int) -> Floats:
         cut = {name: observation[name][: elapsed + 1] for name in ("position", "seen")}
@@ -76,10 +76,10 @@ class Prober:
             goal = place[chosen] + self.arguments.reach / 3 * outward / max(float(np.linalg.norm(outward)), 1e-6)
             velocity[k] = (goal - intruder) / (speed * self.arguments.look_every)
         length = np.linalg.norm(velocity, axis=1, keepdims=True)
-        return np.asarray(velocity / np.maximum(length, 1 + 1e-6), np.float32)
+        return np.asarray(velocity / np.maximum(length, 1 + 1e-6))
 
 
-def weigh_reactions(window: Window, intruders: Floats, arguments: ProbingArguments) -> Floats:
+def weigh_reactions(window: Window, intruders: Singles, arguments: ProbingArguments) -> Floats:
     """For each UAV the log-likelihood ratio that the others turned with it when it was pushed, ``(N,)``.
 
     The mean velocity of the UAVs that no intruder pushes is an autoregressive process of order 1. If UAV i is the head,

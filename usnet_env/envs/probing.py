@@ -14,6 +14,7 @@ from pydantic import Field
 from usnet_env.arrays import Mask, Observation, Singles
 from usnet_env.config import ArgumentError, list_arguments, quote, takes_arguments
 from usnet_env.envs import game
+from usnet_env.envs.distribution import DrawnArguments, Draws
 from usnet_env.envs.usnet import INFO, OBSERVATION, OutputArguments, UsnetEnv
 from usnet_env.swarm import SwarmConfig
 from usnet_env.swarm.avoidance import Avoidance
@@ -99,10 +100,11 @@ class ProbingEnv(UsnetEnv):
     def __init__(self, arguments: ProbingArguments) -> None:
         self.arguments = arguments
         config = arguments.part(SwarmConfig, clusters=1, uavs=arguments.followers + 1 + arguments.decoys)
-        super().__init__(config, arguments.part(game.Rules, problem="P1", max_rounds=1), arguments)
+        draws = Draws(DrawnArguments(), lambda drawn, most: config)  # all episodes have the same arguments
+        super().__init__(draws, arguments.part(game.Rules, problem="P1", max_rounds=1), arguments)
         steps, track = config.observation_steps, (config.observation_steps + 1, arguments.intruders, 3)
         far = 3 * config.position_bound(1) + arguments.reach + arguments.top_speed * steps * config.sample_every
-        self.observe = (*self.observe, "intruders", "elapsed")  # type: ignore[assignment]  # they are no parts of a window
+        self.observe = (*self.observe, "intruders", "elapsed")
         window: Any = self.observation_space
         more = {"intruders": (-far, far, track), "elapsed": (0, steps, (1,))}
         boxes = {name: spaces.Box(*bounds, np.float32) for name, bounds in more.items()}
