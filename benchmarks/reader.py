@@ -149,6 +149,21 @@ def measure_doubt(windows: pd.DataFrame) -> str:
     return "–" if errors.nunique() < 2 else f"{roc_auc_score(errors, 1 - windows.confidence):.3f}"
 
 
+def report_families(windows: pd.DataFrame) -> str:
+    """What a reader knows of a family that its training lacked, beside one that was trained alike with all families."""
+    left = windows[windows.reader != "all"]
+    pairs = left[["reader", "source"]].drop_duplicates()
+    known = windows[windows.reader == "all"].drop(columns="reader").merge(pairs, on="source")
+    both = pd.concat([left.assign(training="without"), known.assign(training="with")])
+    both = both.assign(family=both.reader.str.removeprefix("without "))
+    says = {"windows": lambda part: size(part[part.training == "with"])}
+    says |= across("training", ("with", "without"), rate("exact"), "exact, {}")
+    sure = lambda part: f"{part.confidence.mean():.3f}"  # noqa: E731
+    says |= across("training", ("with", "without"), sure, "mean confidence, {}")
+    says |= across("training", ("without",), measure_doubt, "errors by 1 - confidence, {}")
+    return pivot(both, {"left out": "family", "source": "source"}, says)
+
+
 def report(rows: pd.DataFrame, study: str) -> str:
     """The tables of a study."""
     rows = rows.assign(set=rows.source.str.partition("/")[0], sure=pd.cut(rows.confidence, CONFIDENCES).astype(str))
@@ -157,8 +172,9 @@ def report(rows: pd.DataFrame, study: str) -> str:
     says["errors by 1 - confidence"] = measure_doubt
     if study in ("scaling", "ablation"):
         return pivot(windows, {"reader": "reader", "dropped": "dropped"}, across("set", SUITES, rate("exact")))
+    if study == "families":
+        return report_families(windows)
     lines: list[dict[str, str]] = [{"set": "set", "leads": "leads"}, {"leads": "leads"}, {"confidence": "sure"}]
-    lines = [{"source": "source", "reader": "reader"}] if study == "families" else lines
     errors = {"calibration error": measure_calibration}
     return "\n\n".join(pivot(part, line, say) for line in lines for part, say in ((windows, says), (rows, errors)))
 

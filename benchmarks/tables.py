@@ -227,6 +227,9 @@ def _spread(ratios: list[float]) -> str:
     return f"{np.median(ratios):.3g} ({min(ratios):.3g}–{max(ratios):.3g})"
 
 
+READER_STUDIES = ("calibration", "families", "ablation")
+
+
 def _report(name: str, report: Callable[[pd.DataFrame], str]) -> Callable[[], str]:
     return lambda: report(read_rows(RESULTS / "reader" / f"{name}.csv.gz"))
 
@@ -236,7 +239,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     **{f"suite-{name}": lambda name=name: suite_block(name) for name in (*SUITES, *SOLVED, *OLDER, "scale")},
     "ladder": ladder_block,
     "scenarios": _report("scenarios", scenarios.report),
-    "calibration": _report("calibration", lambda rows: reader.report(rows, "calibration")),
+    **{name: _report(name, lambda rows, name=name: reader.report(rows, name)) for name in READER_STUDIES},
     "peers": _report("peers", peers.report),
     "probing": lambda: probing.report(read_rows(probing.ROWS)),
     "leaks": leaks_block,
