@@ -87,6 +87,14 @@ def test_a_part_at_another_place_is_left_out_or_goes_on(begin, end, moved):
     assert moved or np.abs(np.diff(even.position[:200], axis=0)).max() < 150
 
 
+def test_many_single_jumps_of_both_ids_are_left_out():
+    walks = np.cumsum(np.random.default_rng(6).normal(0, 1, (300, 2, 2)) + 1, axis=0)
+    walks[[40, 90, 130, 210]] += 1e4
+    even = pair(walks).resample(1.0)
+    assert even.samples == 600 - 8
+    assert np.linalg.norm(np.diff(even.position[:296, :2], axis=0), axis=1).max() < 20
+
+
 def test_a_jump_that_stays_is_closed_and_repeated_fixes_are_left_out():
     walks = np.cumsum(np.random.default_rng(4).normal(0, 1, (300, 2, 2)) + 1, axis=0)
     expected = np.diff(walks[:, 0], axis=0)

@@ -67,9 +67,8 @@ def find_jumps(tracks: Samples) -> Jumps:
     low, high = np.append(steps[:-1], equal[steps]), np.append(steps[1:], steps) + 1  # what is between may be left out
     way = np.linalg.norm(tracks.position[high] - tracks.position[low], axis=1)
     good = way <= JUMP * usual * (tracks.time[high] - tracks.time[low])
-    good &= (low >= np.append(begin[1:], begin)) & (
-        high - low <= 1 + np.append(end - begin, 2 * tracks.samples)[: len(low)] / 2
-    )
+    most = np.append((end - begin)[1:] / 2, np.full(len(steps), tracks.samples))  # between two jumps, and repeated
+    good &= (low >= np.append(begin[1:], begin)) & (high - low <= 1 + most)
     off = np.zeros(tracks.samples, bool)
     for k in np.argsort(high - low, kind="stable"):  # a short excursion is not the way between two others
         if good[k] and not off[[low[k], high[k]]].any():
