@@ -69,9 +69,7 @@ def main(argv: list[str] | None = None) -> None:
         for cell in CELLS
         for target in TARGETS
     ]
-    if not given.draw:
-        shared.measure(given.rows, games, play, given.workers)
-    print(report(shared.read_rows(given.rows)))
+    print(report(shared.measure(given, games, play)))
 
 
 if __name__ == "__main__":

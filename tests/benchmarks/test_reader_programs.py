@@ -1,8 +1,9 @@
-"""The programs that draw scenarios, others' suites and ceilings, each at a tiny size."""
+"""The programs that draw scenarios, probes, others' suites and ceilings, each at a tiny size."""
 
 import ceilings
 import numpy as np
 import peers
+import probing
 import pytest
 import scenarios
 from paper.shared import read_rows
@@ -67,3 +68,12 @@ def test_the_oracle_predicts_what_followers_do_next_but_for_the_noise():
     rest = (window.velocity[-len(guess) :] - guess)[:, ~state.head] / scale[:, ~state.head, None]
     assert np.square(rest).sum(axis=2).mean() == pytest.approx(2, rel=0.15)  # two axes across the course
     assert (ceilings.name_leaders(env.config, state, window) == state.head).all()
+
+
+def test_probers_are_played_and_told_in_their_order(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(probing, "CELLS", {"short": {"observation_steps": 10}})
+    probing.main(["--rows", str(tmp_path / "rows.csv"), "--episodes", "1", "--detector", "lagged-regression"])
+    rows = read_rows(tmp_path / "rows.csv")
+    assert set(rows.target) == {"none", "random", "nearest", "information"}
+    assert (rows.elapsed <= 10).all()
+    assert capsys.readouterr().out.count("| short |") == 4
