@@ -1,4 +1,4 @@
-"""Systems of other papers, in which a detector must find who influences whom. This program draws them by itself.
+"""This program draws systems of other papers. A detector must find who influences whom in them.
 
     OMP_NUM_THREADS=1 python benchmarks/peers.py --runs 50 --rows out/peers.csv
     python -m venv out/tigramite && out/tigramite/bin/pip install tigramite numba
@@ -7,7 +7,7 @@
 
 A run is one draw of a system, observed once. Rows have AUROC and AUPRC of its directed edges, without the diagonal and
 from ``Detection.attention``, and whether the highest score is that of an influencer. The rows
-`straightest` and `farthest` know nothing of pairs. If they do well in a suite, it doesn't test who influences whom.
+`straightest` and `farthest` know nothing of pairs. A suite in which they do well doesn't test influence.
 `forces` knows that accelerations are linear in places, as springs are; `var` depends much on its ridge.
 
 * springs: particles in a box; half of the ordered pairs have a spring that pulls one of them (Kipf et al. 2018), and an

@@ -149,6 +149,11 @@ def measure_doubt(windows: pd.DataFrame) -> str:
     return "–" if errors.nunique() < 2 else f"{roc_auc_score(errors, 1 - windows.confidence):.3f}"
 
 
+def say_confidence(windows: pd.DataFrame) -> str:
+    """The mean confidence."""
+    return f"{windows.confidence.mean():.3f}"
+
+
 def report_families(windows: pd.DataFrame) -> str:
     """What a reader knows of a family that its training lacked, beside one that was trained alike with all families."""
     left = windows[windows.reader != "all"]
@@ -158,8 +163,7 @@ def report_families(windows: pd.DataFrame) -> str:
     both = both.assign(family=both.reader.str.removeprefix("without "))
     says = {"windows": lambda part: size(part[part.training == "with"])}
     says |= across("training", ("with", "without"), rate("exact"), "exact, {}")
-    sure = lambda part: f"{part.confidence.mean():.3f}"  # noqa: E731
-    says |= across("training", ("with", "without"), sure, "mean confidence, {}")
+    says |= across("training", ("with", "without"), say_confidence, "mean confidence, {}")
     says |= across("training", ("without",), measure_doubt, "errors by 1 - confidence, {}")
     return pivot(both, {"left out": "family", "source": "source"}, says)
 
@@ -168,7 +172,7 @@ def report(rows: pd.DataFrame, study: str) -> str:
     """The tables of a study."""
     rows = rows.assign(set=rows.source.str.partition("/")[0], sure=pd.cut(rows.confidence, CONFIDENCES).astype(str))
     windows = rows.drop_duplicates(KEYS)
-    says = {"windows": size, "exact": rate("exact"), "mean confidence": lambda part: f"{part.confidence.mean():.3f}"}
+    says = {"windows": size, "exact": rate("exact"), "mean confidence": say_confidence}
     says["errors by 1 - confidence"] = measure_doubt
     if study in ("scaling", "ablation"):
         return pivot(windows, {"reader": "reader", "dropped": "dropped"}, across("set", SUITES, rate("exact")))

@@ -76,9 +76,12 @@ def draw_fission(rng: np.random.Generator, stage: Stage) -> Flight:
 
 def _go_after(
     rng: np.random.Generator, stage: Stage, track: Floats, leader: Indices, delay: Indices, wide: float = 10.0,
-    most: float = 1.0,
+    swayed: float = 1.0,
 ) -> Floats:  # fmt: skip
-    """Positions ``(B, T + 1, n, 3)`` of m leaders with the ``track (B, S + T + 1, m, 3)`` and of those who go there."""
+    """Positions ``(B, T + 1, n, 3)`` of m leaders with the ``track (B, S + T + 1, m, 3)`` and of those who go there.
+
+    ``swayed`` is 0 if they don't leave their ways, else 1.
+    """
     led, last = leader[track.shape[2] :], track.shape[1] - 1
     window, one = np.arange(stage.windows)[:, None, None], (stage.windows, 1, 1, 1)
     late = np.maximum(np.arange(last - stage.steps, last + 1)[:, None] - delay[:, None, track.shape[2] :], 0)
@@ -87,7 +90,7 @@ def _go_after(
     side = course[..., [1, 0, 2]] * [-1.0, 1.0, 0.0] / (np.linalg.norm(course, axis=-1, keepdims=True) + way)
     aside = draw_log(rng, 0.002 * wide, wide, *one) * rng.standard_normal((stage.windows, 1, len(led), 1))
     sway = keep_noise(stage.draw_normals(rng, *late.shape[1:]), rng.uniform(0.3, 0.98, stage.windows))
-    sway *= most * draw_log(rng, 0.02, 1.0, *one)
+    sway *= swayed * draw_log(rng, 0.02, 1.0, *one)
     place = track[window, late, led] + way * (aside * side + sway)
     return np.concatenate([track[:, -stage.steps - 1 :], place], axis=2)
 
