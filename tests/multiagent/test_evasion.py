@@ -15,7 +15,7 @@ from usnet_env.multiagent.evasion import (
     Manoeuvres,
     Plan,
     compute_prices,
-    fly_window,
+    fly_windows,
     select_decoys,
 )
 from usnet_env.swarm import FollowInputs, SwarmConfig, start
@@ -26,7 +26,7 @@ TRUTHFUL = [0, 0, 0, 0]
 
 
 def plan_of(heads, **choices):
-    values = {name: np.zeros(heads, np.int64) for name in ("mobility", "jitter", "decoys", "delay")}
+    values = {name: np.zeros((1, heads), np.int64) for name in ("mobility", "jitter", "decoys", "delay")}
     for name, value in choices.items():
         values[name][:] = value
     return Plan(**values)
@@ -39,8 +39,8 @@ def a_swarm(seed=0, **arguments):
 
 
 def flown(config, state, rngs, plan, manoeuvres=None, before=None):
-    before = np.zeros(config.clusters, np.int64) if before is None else before
-    return fly_window(config, manoeuvres or Manoeuvres(), state, before, plan, rngs)
+    before = np.zeros((1, config.clusters), np.int64) if before is None else before
+    return fly_windows(config, manoeuvres or Manoeuvres(), state, before, plan, rngs)
 
 
 def act(env, named=(), **choices):
@@ -106,7 +106,8 @@ def test_delayed_followers_see_the_past_of_their_head(strategy):
 
 def test_decoys_fly_by_themselves_and_leave_their_head_a_follower():
     config, state, rngs = a_swarm(cluster_sizes=(2, 16), follow=Lags(1, noise=0.0))
-    who, rows = select_decoys(state, plan_of(2, decoys=[5, 5]))
+    uavs, taken = select_decoys(state, plan_of(2, decoys=[5, 5]))
+    who, rows = uavs[taken], np.nonzero(taken)[1]
     assert sorted(np.bincount(rows)) == [1, 5]  # the head with 2 followers keeps one
     _, sighting, _ = flown(config, state, rngs, plan_of(2, decoys=[5, 5]))
     v = sighting.velocity[0]
@@ -127,7 +128,7 @@ def test_each_head_flies_the_mobility_it_chose():
     offer = Manoeuvres(mobilities=("iid", "straight"))
     _, sighting, now = flown(config, state, rngs, plan_of(2, mobility=[1, 0]), offer)
     v = sighting.velocity[0]
-    np.testing.assert_array_equal(now, [1, 0])
+    np.testing.assert_array_equal(now, [[1, 0]])
     np.testing.assert_allclose(v[:, heads[0]], v[[0], heads[0]].repeat(200, axis=0), atol=1e-6)
     turns = (v[1:, heads[1]] * v[:-1, heads[1]]).sum(axis=1)
     assert abs(turns.mean()) < 0.2
@@ -144,8 +145,8 @@ def test_the_price_by_its_formula():
     offer = Manoeuvres(mobility_price=0.3, jitter_price=0.2, decoy_price=2.0, delay_price=0.1)
     got = compute_prices(offer, state, plan_of(2, mobility=[2, 0], jitter=[1, 0], decoys=[2, 1], delay=[0, 4]))
     expected = [(led[0] + 1) * 0.5 + 2.0 * 2, 2.0 * 1 + 0.1 * 4 * (led[1] - 1)]
-    np.testing.assert_allclose(got, np.array(expected) / 20)
-    assert compute_prices(offer, state, plan_of(2)).tolist() == [0.0, 0.0]
+    np.testing.assert_allclose(got[0], np.array(expected) / 20)
+    assert compute_prices(offer, state, plan_of(2)).tolist() == [[0.0, 0.0]]
 
 
 @settings(max_examples=40, deadline=None)

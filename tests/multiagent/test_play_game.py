@@ -157,9 +157,9 @@ def test_decoys_of_a_window_have_no_head_in_the_record():
     alone = (record.root == np.arange(20)) & ~record.head
     assert (alone.sum(axis=1) >= 3).all()
     assert not record.decoy.any()
-    table = env.state()[:-1].reshape(20, 10)  # the last window's
-    np.testing.assert_array_equal(table[:, 8] == 1, (table[:, 9] == np.arange(20)) & (table[:, 7] == 0))
-    assert table[:, 8].sum() >= 3
+    truth = env.games.reveal().episode()  # the last window's
+    np.testing.assert_array_equal(truth.decoy, (truth.root == np.arange(20)) & ~truth.head)
+    assert truth.decoy.sum() >= 3
     plain = EpisodeRecord(**play_game(env, {**policies, "head": TruthfulHead()}, 1).record)
     assert not ((plain.root == np.arange(20)) & ~plain.head).any()
 

@@ -29,6 +29,27 @@ def check_batch(num_envs: Any, autoreset_mode: Any) -> tuple[int, AutoresetMode]
     return whole_number("num_envs", num_envs, 1, 1_000_000), mode
 
 
+def parse_seeds(seed: Any, num_envs: int) -> list[int | None]:
+    """One seed for each game, of one number, of one for each, or of ``None``."""
+    if np.ndim(seed) == 0:
+        first = optional_seed("seed", seed)
+        return [None if first is None else first + b for b in range(num_envs)]
+    if len(seed) != num_envs:
+        raise ArgumentError(f"seed must hold one seed for each of {num_envs} envs, got {len(seed)}.")
+    return [optional_seed("seed", one) for one in seed]
+
+
+def renew_generators(
+    rngs: list[np.random.Generator], used: list[int], seeds: Sequence[int | None], chosen: Indices
+) -> None:
+    """Make new generators of the chosen games that have a seed, and of all games if there are none yet."""
+    fresh = not rngs
+    for b in range(len(seeds)) if fresh else chosen:
+        if fresh or seeds[b] is not None:
+            rng, number = seeding.np_random(seeds[b])
+            rngs[b : b + 1], used[b : b + 1] = [rng], [number]
+
+
 class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
     """``num_envs`` games in one batch, with the arguments of the single environment.
 
@@ -67,13 +88,13 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
     @property  # type: ignore[misc]  # Gymnasium's can be set
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]  # as in SyncVectorEnv
         """The generator of each game."""
-        self._seed([None] * self.num_envs, np.arange(0))
+        renew_generators(self._rngs, self._seeds, [None] * self.num_envs, np.arange(0))
         return tuple(self._rngs)
 
     @property
     def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]  # as in SyncVectorEnv
         """The seed of the generator of each game."""
-        self._seed([None] * self.num_envs, np.arange(0))
+        renew_generators(self._rngs, self._seeds, [None] * self.num_envs, np.arange(0))
         return tuple(self._seeds)
 
     def reset(
@@ -95,7 +116,7 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
         if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
             raise ArgumentError(f"reset_mask must be {self.num_envs} booleans, at least one true, got {quote(mask)}.")
         chosen = np.flatnonzero(mask)
-        self._seed(self._parse_seeds(seed), chosen)
+        renew_generators(self._rngs, self._seeds, parse_seeds(seed, self.num_envs), chosen)
         rngs = [self._rngs[b] for b in chosen]
         begun = self._start(chosen)
         metrics = game.initial_info(self.rules, begun)
@@ -111,23 +132,6 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
             infos = self._infos(metrics, begun.swarm)
         self._game = begun
         return self._show(window, chosen), infos
-
-    def _parse_seeds(self, seed: Any) -> list[int | None]:
-        """One seed for each game."""
-        if np.ndim(seed) == 0:
-            first = optional_seed("seed", seed)
-            return [None if first is None else first + b for b in range(self.num_envs)]
-        if len(seed) != self.num_envs:
-            raise ArgumentError(f"seed must hold one seed for each of {self.num_envs} envs, got {len(seed)}.")
-        return [optional_seed("seed", one) for one in seed]
-
-    def _seed(self, seeds: list[int | None], chosen: Indices) -> None:
-        """Make new generators of the chosen games that have a seed, and of all games if there are none yet."""
-        fresh = not self._rngs
-        for b in range(self.num_envs) if fresh else chosen:
-            if fresh or seeds[b] is not None:
-                rng, used = seeding.np_random(seeds[b])
-                self._rngs[b : b + 1], self._seeds[b : b + 1] = [rng], [used]
 
     def _start(self, chosen: Indices) -> game.GameState:
         """Draw and start some games."""

@@ -57,7 +57,7 @@ class Manoeuvres(Config):
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """The choices of all heads for the next window, in the order of the heads' indices; each ``(M,)`` int64."""
+    """The choices of all heads for the next window, in the order of the heads' indices; each ``(B, M)`` int64."""
 
     mobility: Indices
     jitter: Indices
@@ -67,42 +67,48 @@ class Plan:
 
 @dataclass(frozen=True, eq=False)
 class MixedMobility(Mobility):
-    """A mobility that differs between UAVs: free UAV i flies by ``laws[which[i]]``, with noise if ``jitter[i]``."""
+    """Free UAV i of swarm b flies by ``laws[which[b, i]]``, with noise if ``jitter[b, i]``; -1: as the first one does.
+
+    A swarm with fewer free UAVs than another of its batch names its first one again, as often as it lacks.
+    """
 
     laws: tuple[Mobility, ...]
     which: Indices
     jitter: Mask
     noise: float
 
-    def start(self, rng: np.random.Generator, uavs: int) -> Floats:
-        """Not defined: the states are those of the laws."""
-        raise NotImplementedError("a mix of mobilities flies one window, and starts none")
+    start = fly = None  # type: ignore[assignment]  # the states are those of the laws, and it flies batches only
 
-    def fly(self, state: Floats, position: Singles, steps: int, rng: np.random.Generator) -> Singles:
+    def fly_batch(
+        self, state: Floats, position: Singles, chosen: Mask, steps: int, rngs: Sequence[np.random.Generator]
+    ) -> Singles:
         """Draw the directions of all UAVs, one law after another."""
-        directions = np.empty((steps, len(position), 3), np.float32)
-        for number in np.unique(self.which):
-            rows = np.flatnonzero(self.which == number)
-            part = state[rows]
-            directions[:, rows] = self.laws[number].fly(part, position[rows], steps, rng)
-            state[rows] = part
-        if self.jitter.any():
-            noise = rng.standard_normal(directions.shape, dtype=np.float32) * np.float32(self.noise)
+        directions = np.zeros((len(rngs), steps, *position.shape[1:]), np.float32)
+        for number, law in enumerate(self.laws):
+            if (flown := self.which == number).any():
+                part = law.fly_batch(state, position, flown, steps, rngs)
+                np.copyto(directions, part, where=flown[:, None, :, None])
+        for b in np.flatnonzero(self.jitter.any(axis=1)).tolist():
+            own = self.which[b] >= 0
+            noise = rngs[b].standard_normal((steps, own.sum(), 3), dtype=np.float32)[:, self.jitter[b][own]]
             # A registered law may return directions of any length, but the noise is relative to length 1.
-            length = np.sqrt((directions * directions).sum(axis=-1, keepdims=True) + np.float32(1e-12))
-            directions = np.where(self.jitter[:, None], directions / length + noise, directions)
-        return directions
+            wanted = directions[b][:, self.jitter[b]]
+            length = np.sqrt((wanted * wanted).sum(axis=-1, keepdims=True) + np.float32(1e-12))
+            directions[b][:, self.jitter[b]] = wanted / length + noise * np.float32(self.noise)
+        return np.where((self.which < 0)[:, None, :, None], directions[:, :, :1], directions)
 
 
 @dataclass(frozen=True, eq=False)
 class DelayedFollow(FollowStrategy):
     """A follow strategy whose followers use their head's motion of some steps before.
 
-    During the flight every head with a ``delay`` ``(N,)`` gets a ghost: an extra UAV that repeats the head's track that
-    many steps later. The followers follow the ghost, so that every strategy, compiled or not, runs its own code.
+    During the flight every one of the ``heads`` ``(B, M)`` gets a ghost: an extra UAV that repeats the head's track
+    ``delay`` ``(B, M)`` steps later. The followers follow the ghost, so that every strategy, compiled or not, runs its
+    own code. If the delay is 0, nobody follows the ghost.
     """
 
     strategy: FollowStrategy
+    heads: Indices
     delay: Indices
 
     def __post_init__(self) -> None:
@@ -115,24 +121,24 @@ class DelayedFollow(FollowStrategy):
 
     def fly(self, flight: TrajectoryBatch) -> None:
         """Fly with the ghosts appended to the UAVs, and remove them afterwards."""
-        heads = np.flatnonzero(self.delay)
-        if not len(heads):
-            self.strategy.fly(flight)
-            return
-        uavs = flight.motion.shape[1]
+        (episodes, uavs), clusters = flight.motion.shape, self.heads.shape[1]
+        ghosts = np.tile(np.arange(uavs, uavs + clusters), (episodes, 1))
+        copied = np.tile(np.arange(uavs), (episodes, 1))
+        np.put_along_axis(copied, self.heads, np.where(self.delay > 0, ghosts, self.heads), axis=1)
+        root, source = (
+            np.concatenate([np.where(whom < 0, whom, np.take_along_axis(copied, whom, axis=1)), ghosts], axis=1)
+            for whom in (flight.root, flight.source)
+        )
+
+        def add_late(track: Singles) -> Singles:
+            when = np.arange(track.shape[1])[:, None] - self.delay[:, None]
+            late = track[np.arange(episodes)[:, None, None], np.maximum(when, 0), self.heads[:, None]]
+            return np.concatenate([track, np.where(when[..., None] < 0, np.float32(0.0), late)], axis=2)
 
         def widen(array: NDArray[Any], axis: int, value: int = 0) -> NDArray[Any]:
-            return np.insert(array, [uavs] * len(heads), value, axis=axis)
+            return np.insert(array, [uavs] * clusters, value, axis=axis)
 
-        position, velocity = widen(flight.position, 2), widen(flight.velocity, 2)
-        root, source = widen(flight.root, 1), widen(flight.source, 1)
-        for ghost, head in enumerate(heads, start=uavs):
-            late = int(self.delay[head])
-            position[:, late : flight.start + 1, ghost] = flight.position[:, : flight.start + 1 - late, head]
-            velocity[:, late:, ghost] = flight.velocity[:, :-late, head]
-            for copied in (root, source):
-                copied[copied == head] = ghost
-                copied[:, ghost] = ghost
+        position, velocity = add_late(flight.position), add_late(flight.velocity)
         noise, motion = widen(flight.noise, 2), widen(flight.motion, 1, kernels.FREE)
         swarm = root, flight.parameters, source, widen(flight.bystander, 1), flight.clock
         self.strategy.fly(TrajectoryBatch(position, velocity, noise, motion, *swarm))
@@ -140,40 +146,45 @@ class DelayedFollow(FollowStrategy):
         flight.velocity[...] = velocity[:, :, :uavs]
 
 
-def _sort_followers(state: SwarmState, head: int) -> NDArray[np.intp]:
-    """The living followers of a head, the nearest first; ``state`` is a batch of one."""
-    followers = np.flatnonzero((state.root[0] == head) & state.alive[0] & ~state.head[0] & ~state.decoy[0])
-    gap = state.position[0, followers] - state.position[0, head]
-    return followers[np.argsort((gap * gap).sum(axis=1), kind="stable")]
+def find_heads(state: SwarmState) -> Indices:
+    """The indices of the heads of each swarm, ``(B, M)``, destroyed or not."""
+    return np.asarray(np.nonzero(state.head)[1].reshape(len(state.head), -1))
 
 
-def select_decoys(state: SwarmState, plan: Plan) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def find_followers(state: SwarmState) -> Mask:
+    """The living followers of each head, ``(B, M, N)``."""
+    led = state.root[:, None] == find_heads(state)[..., None]
+    return np.asarray(led & (state.alive & ~state.head & ~state.decoy)[:, None])
+
+
+def select_decoys(state: SwarmState, plan: Plan) -> tuple[Indices, Mask]:
     """Select the followers that become decoys, the nearest of each head first; each head keeps at least one follower.
 
-    Returns their indices, and for each the row of its head in the plan; both ``(d,)``.
+    Returns followers of each head and which of them become decoys, both ``(B, M, d)``.
     """
-    heads = np.flatnonzero(state.head[0])
-    decoys = [_sort_followers(state, int(head))[:-1][:wanted] for head, wanted in zip(heads, plan.decoys, strict=True)]
-    return np.concatenate(decoys), np.repeat(np.arange(len(heads)), [len(taken) for taken in decoys])
+    followers = find_followers(state)
+    place = np.take_along_axis(state.position, find_heads(state)[..., None], axis=1)
+    gap = state.position[:, None] - place[:, :, None]
+    nearest = np.argsort(np.where(followers, (gap * gap).sum(axis=-1), np.inf), axis=-1, kind="stable")
+    nearest = nearest[..., : plan.decoys.max(initial=0)]
+    most = np.minimum(plan.decoys, np.maximum(followers.sum(axis=-1) - 1, 0))
+    return nearest, np.arange(nearest.shape[2]) < most[..., None]
 
 
 def compute_prices(manoeuvres: Manoeuvres, state: SwarmState, plan: Plan) -> Floats:
-    """The price ``(M,)`` of the plan for each head, in rounds (the unit of J_m); 0 for a destroyed head.
+    """The price ``(B, M)`` of the plan for each head, in rounds (the unit of J_m); 0 for a destroyed head.
 
     A head pays for each choice its price times the share of the swarm that flies differently because of it.
     """
-    uavs = state.alive.shape[1]
-    heads = np.flatnonzero(state.head[0])
-    followers = np.array([len(_sort_followers(state, int(head))) for head in heads])
-    _, rows = select_decoys(state, plan)
-    decoys = np.bincount(rows, minlength=len(heads))
+    followers, decoys = find_followers(state).sum(axis=-1), select_decoys(state, plan)[1].sum(axis=-1)
     cluster = np.where(plan.mobility > 0, manoeuvres.mobility_price, 0.0) + manoeuvres.jitter_price * plan.jitter
     cost = (followers + 1) * cluster + manoeuvres.decoy_price * decoys
     cost = cost + manoeuvres.delay_price * plan.delay * (followers - decoys)
-    return np.asarray(np.where(state.alive[0, heads], cost / uavs, 0.0))
+    living = np.take_along_axis(state.alive, find_heads(state), axis=1)
+    return np.where(living, cost / state.alive.shape[1], 0.0)
 
 
-def fly_window(
+def fly_windows(
     config: SwarmConfig,
     manoeuvres: Manoeuvres,
     state: SwarmState,
@@ -181,38 +192,50 @@ def fly_window(
     plan: Plan,
     rngs: Sequence[np.random.Generator],
 ) -> tuple[SwarmState, ObservationBatch, Indices]:
-    """Fly the next window as the heads planned it; otherwise the same as :func:`usnet_env.swarm.advance`.
+    """Fly the next windows as the heads planned it; otherwise the same as :func:`usnet_env.swarm.advance`.
 
-    ``state`` is a batch of one. ``flown`` ``(M,)`` has the mobility of each head before; a head that changes
-    it gets a new state. It returns the state at the end, the window, and the mobility of each head in it.
+    ``flown`` ``(B, M)`` has the mobility of each head before; a head that changes it gets a new state. It returns the
+    state at the end, the windows, and the mobility of each head in them.
     """
     laws = tuple(MOBILITIES.find(name) for name in manoeuvres.mobilities)
-    heads = np.flatnonzero(state.head[0])
-    free = state.free[0]
-    row_of = {int(head): row for row, head in enumerate(heads)}
-    decoys, decoy_rows = select_decoys(state, plan)
-    rows = np.array([*(row_of.get(int(uav), -1) for uav in free), *decoy_rows], np.int64)  # -1: a decoy of the episode
-    planned = rows >= 0
-    now = np.where(state.alive[0, heads], plan.mobility, flown)
-    which = np.where(planned, now[rows], 0)
-    jitter = planned & (plan.jitter[rows] > 0)
-    restarted = planned & (now[rows] != flown[rows])
-    restarted[len(free) :] = True
+    heads, (uavs, taken) = find_heads(state), select_decoys(state, plan)
+    now = np.where(np.take_along_axis(state.alive, heads, axis=1), plan.mobility, flown)
+    obeys = state.free[..., None] == heads[:, None]
+    row = np.tile(np.repeat(np.arange(heads.shape[1]), taken.shape[2]), (len(heads), 1))
+    row = np.concatenate([obeys.argmax(axis=2), row], axis=1)  # the head whose plan a free UAV obeys
+    taken = taken.reshape(len(heads), -1)
+    own = np.ones_like(state.free, bool)
+    present, planned = np.hstack([own, taken]), np.hstack([obeys.any(axis=2), taken])  # a decoy of the episode: neither
 
-    added = np.zeros((len(decoys), state.mobility_state.shape[2]))
-    mobility_state = np.concatenate([state.mobility_state[0], added])
-    for row in np.flatnonzero(restarted):
-        mobility_state[row] = laws[which[row]].start(rngs[0], 1)[0]
-    changes: dict[str, Mobility | FollowStrategy | str] = {}
-    if jitter.any() or which.any():
-        strategy = config.follow_strategy
-        changes["mobility"] = MixedMobility(laws, which, jitter, JITTER if strategy is None else strategy.noise)
-    delay = np.zeros(state.alive.shape[1], np.int64)
-    delay[heads] = np.where(state.alive[0, heads], plan.delay, 0)
-    if delay.any() and config.follow_strategy is not None:
-        changes["follow"] = DelayedFollow(config.follow_strategy, delay)
-    changed = config.model_copy(update=changes) if changes else config
-    before = replace(state, free=np.concatenate([free, decoys])[None], mobility_state=mobility_state[None])
-    after, sighting = advance(changed, before, rngs)
-    kept = replace(after, free=state.free, mobility_state=after.mobility_state[:, : len(free)])
-    return kept, sighting, now
+    def plan_of(choice: Indices) -> Indices:
+        return np.where(planned, np.take_along_axis(choice, row, axis=1), 0)
+
+    which, jitter = plan_of(now), plan_of(plan.jitter) > 0
+    free = np.hstack([state.free, np.where(taken, uavs.reshape(len(heads), -1), state.free[:, :1])])
+    mobility_state = np.concatenate([state.mobility_state, np.zeros((*taken.shape, state.mobility_state.shape[2]))], 1)
+    for b, i in np.argwhere(np.hstack([~own, taken]) | (which != plan_of(flown))).tolist():
+        mobility_state[b, i] = laws[which[b, i]].start(rngs[b], 1)[0]
+    before = replace(state, free=free, mobility_state=mobility_state)
+    mixed = jitter.any(axis=1) | which.any(axis=1)
+    kinds = np.where(mixed, -1, taken.sum(axis=1))  # swarms whose UAVs all fly by the swarm's mobility stay as they are
+    noise = JITTER if config.follow_strategy is None else config.follow_strategy.noise
+    flights, order = [], []
+    for kind in np.unique(kinds):
+        rows = np.flatnonzero(kinds == kind)
+        changes: dict[str, Mobility | FollowStrategy] = {}
+        part = before.rows(rows)
+        if kind < 0:
+            changes["mobility"] = MixedMobility(laws, np.where(present, which, -1)[rows], jitter[rows], noise)
+        else:
+            kept = {name: getattr(part, name)[present[rows]] for name in ("free", "mobility_state")}
+            part = replace(part, **{name: kept[name].reshape(len(rows), -1, *kept[name].shape[1:]) for name in kept})
+        delay = np.where(part.alive[np.arange(len(rows))[:, None], heads[rows]], plan.delay[rows], 0)
+        if delay.any() and config.follow_strategy is not None:
+            changes["follow"] = DelayedFollow(config.follow_strategy, heads[rows], delay)
+        after, window = advance(config.model_copy(update=changes), part, [rngs[b] for b in rows.tolist()])
+        own_state = after.mobility_state[:, : state.free.shape[1]]
+        flights.append((replace(after, free=state.free[rows], mobility_state=own_state), window))
+        order.append(rows)
+    back = np.argsort(np.concatenate(order))
+    windows = {name: np.concatenate([getattr(one, name) for _, one in flights])[back] for name in vars(flights[0][1])}
+    return SwarmState.join([one for one, _ in flights]).rows(back), ObservationBatch(**windows), now

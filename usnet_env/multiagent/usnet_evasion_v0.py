@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -10,22 +10,146 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pydantic import Field
 
-from usnet_env.arrays import Floats, Indices, Observation
+from usnet_env.arrays import Floats, Indices, Mask, Observation
 from usnet_env.config import ArgumentError, format_count, list_arguments, quote, takes_arguments
 from usnet_env.envs import game
 from usnet_env.multiagent import base
-from usnet_env.multiagent.evasion import Manoeuvres, Plan, compute_prices, fly_window, select_decoys
-from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState
+from usnet_env.multiagent.batch import OBSERVER, WINDOW, ByRole, GameBatch, Observations
+from usnet_env.multiagent.evasion import (
+    Manoeuvres,
+    Plan,
+    compute_prices,
+    find_followers,
+    find_heads,
+    fly_windows,
+    select_decoys,
+)
+from usnet_env.swarm import SwarmConfig, SwarmState
 from usnet_env.swarm.config import SensorArguments, Steps
 from usnet_env.swarm.flock_follow import Flock
 
-OBSERVER = "observer_0"
+HEAD = "head"
 
 
 class EvasionArguments(base.GameArguments, SensorArguments, Manoeuvres):
     """The arguments of :class:`parallel_env`."""
 
     memory: Steps = Field(8, description="T_0; at least the lags of the follow strategy + ``most_delay``")
+
+
+class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
+    """``num_envs`` games of :class:`parallel_env` in one batch; the roles are ``observer`` and ``head``."""
+
+    def __init__(self, num_envs: int, **arguments: Any) -> None:
+        given = EvasionArguments(**arguments)
+        self.manoeuvres, rules = given.part(Manoeuvres), given.make_rules(opening=1)
+        config = given.part(SwarmConfig, mobility=given.mobilities[0])
+        uavs, most_delay, strategy = config.uavs, given.most_delay, config.follow_strategy
+        if strategy is None or strategy.has_references or not strategy.has_followers or strategy.shifts_tracks:
+            raise ArgumentError(
+                f"follow must be a follow strategy whose heads choose how to fly, got {quote(config.follow)}."
+            )
+        if most_delay and (isinstance(strategy, Flock) or strategy.lags + most_delay > config.memory):
+            raise ArgumentError(
+                f"most_delay must be at most memory - {strategy.lags} for follow={quote(config.follow)}, and 0 for a "
+                f"flock, which doesn't fly by the past of its head; got {most_delay} with memory={config.memory}."
+            )
+        window_spaces = game.observation_space(config, rules).spaces
+        far = window_spaces["position"].high.flat[0]  # type: ignore[attr-defined]  # a Box
+        mask, choices = spaces.MultiBinary(uavs), self.manoeuvres.choices
+        head_spaces = {
+            "position": spaces.Box(-far, far, (uavs, 3), np.float32),
+            "velocity": spaces.Box(-config.speed_bound, config.speed_bound, (uavs, 3), np.float32),
+            **dict.fromkeys(("alive", "self", "heads", "followers", "named"), mask),
+            "round": spaces.Box(0, rules.max_rounds, (1,), np.float32),
+            "legal": spaces.MultiBinary(int(choices.sum())),
+        }
+        roles: dict[str, tuple[int, spaces.Dict, spaces.Space[Any]]] = {
+            OBSERVER: (1, spaces.Dict({**window_spaces, "legal": mask}), mask),
+            HEAD: (config.clusters, spaces.Dict(head_spaces), spaces.MultiDiscrete(choices)),
+        }
+        super().__init__(num_envs, config, rules, roles)
+        self._opening = np.ones(num_envs, bool)  # whether no window has been flown yet
+        self._flown = np.zeros((num_envs, config.clusters), np.int64)  # the mobility of each head in the window
+        self._decoys = np.zeros((num_envs, uavs), bool)  # the followers that are decoys in the window
+        self._prices = {role: np.zeros((num_envs, count)) for role, count in self.roles.items()}
+
+    def _begin(self, rngs: Mapping[int, np.random.Generator]) -> None:
+        begun = np.isin(np.arange(self.num_envs), list(rngs))
+        self._opening = self._opening | begun
+        self._flown, self._decoys = self._flown * ~begun[:, None], self._decoys & ~begun[:, None]
+
+    def _has_window(self) -> Mask:
+        return ~self._opening
+
+    def _combine(self, actions: ByRole) -> tuple[Mask, Floats]:
+        named = actions[OBSERVER][:, 0]
+        return named, named.astype(np.float64)
+
+    def _respond(self, actions: ByRole) -> ByRole:
+        """Plan the flight, and return the prices: the observer is told what all heads pay."""
+        self._plan = actions[HEAD]
+        prices = compute_prices(self.manoeuvres, self.game.swarm, Plan(*np.moveaxis(self._plan, 2, 0)))
+        return {OBSERVER: prices.sum(axis=1, keepdims=True), HEAD: prices}
+
+    def _fly_rows(self, swarm: SwarmState, rows: Indices) -> tuple[SwarmState, Observation]:
+        plan, rngs = Plan(*np.moveaxis(self._plan[rows], 2, 0)), [self._rngs[b] for b in rows]
+        uavs, taken = select_decoys(swarm, plan)
+        self._decoys = self._decoys.copy()
+        self._decoys[rows] = False
+        game_of, *which = np.nonzero(taken)
+        self._decoys[rows[game_of], uavs[game_of, *which]] = True
+        after, window, self._flown[rows] = fly_windows(
+            self.config, self.manoeuvres, swarm, self._flown[rows], plan, rngs
+        )
+        self._opening[rows] = False
+        return after, {name: getattr(window, name)[:, None] for name in WINDOW}
+
+    def _find_leaving(self) -> ByRole:
+        swarm = self.game.swarm
+        return {HEAD: ~np.take_along_axis(swarm.alive, find_heads(swarm), axis=1)}
+
+    def _observe(self) -> Observations:
+        state, uavs, clusters = self.game, self.config.uavs, self.config.clusters
+        swarm, heads, followers = state.swarm, find_heads(state.swarm), find_followers(state.swarm)
+        legal = np.ones((self.num_envs, clusters, int(self.manoeuvres.choices.sum())), np.int8)
+        most = np.maximum(followers.sum(axis=2) - 1, 0)  # one follower must remain
+        first, decoys = self.manoeuvres.choices[:2].sum(), np.arange(self.manoeuvres.choices[2])
+        legal[..., first : first + len(decoys)] = decoys <= most[..., None]
+        alike: Observation = {
+            "position": swarm.position,
+            "velocity": swarm.past_velocity[:, -1],
+            "alive": swarm.alive.astype(np.int8),
+            "heads": (swarm.head & swarm.alive).astype(np.int8),
+            "named": self.candidates.astype(np.int8),
+            "round": state.rounds[:, None].astype(np.float32),
+        }
+        seen = {name: np.repeat(part[:, None], clusters, axis=1) for name, part in alike.items()}
+        seen |= {"self": (np.arange(uavs) == heads[..., None]).astype(np.int8), "followers": followers.astype(np.int8)}
+        flown = ~self._opening & ~state.terminated
+        return {OBSERVER: self._show((swarm.alive & flown[:, None])[:, None]), HEAD: {**seen, "legal": legal}}
+
+    def _more_state(self) -> list[NDArray[Any]]:
+        return [self._flown, self._opening]
+
+    def reveal(self) -> SwarmState:
+        """A copy of the true swarms; followers that are decoys in the present windows are decoys without a head."""
+        truth = super().reveal()
+        truth.decoy[self._decoys] = True
+        truth.root[self._decoys] = np.nonzero(self._decoys)[1]
+        return truth
+
+    def parse(self, role: str, action: Any, lead: tuple[int, ...], name: str) -> NDArray[Any]:
+        """Convert candidates to booleans, and choices to whole numbers."""
+        if role == OBSERVER:
+            return game.parse_candidates(action, (*lead, self.config.uavs), name)
+        values, sizes = np.asarray(action), self.manoeuvres.choices
+        whole = values.dtype.kind in "biuf" and values.shape == (*lead, 4) and (values % 1 == 0).all()
+        if not whole or not ((values >= 0) & (values < sizes)).all():
+            raise ArgumentError(
+                f"{name} must hold whole numbers from 0, each below {sizes.tolist()}, got {quote(action)}."
+            )
+        return values.astype(np.int64)
 
 
 @list_arguments()
@@ -101,139 +225,23 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
 
     metadata: ClassVar[dict[str, Any]] = {**base.UsnetParallelEnv.metadata, "name": "usnet_evasion_v0"}
 
+    games: batch_env
+
     @takes_arguments(EvasionArguments)
     def __init__(self, arguments: EvasionArguments) -> None:
-        self.manoeuvres = arguments.part(Manoeuvres)
-        rules = arguments.make_rules(opening=1)
-        config = arguments.part(SwarmConfig, mobility=arguments.mobilities[0])
-        clusters, uavs, most_delay = config.clusters, config.uavs, arguments.most_delay
-        strategy = config.follow_strategy
-        if strategy is None or strategy.has_references or not strategy.has_followers or strategy.shifts_tracks:
-            raise ArgumentError(
-                f"follow must be a follow strategy whose heads choose how to fly, got {quote(config.follow)}."
-            )
-        if most_delay and (isinstance(strategy, Flock) or strategy.lags + most_delay > config.memory):
-            raise ArgumentError(
-                f"most_delay must be at most memory - {strategy.lags} for follow={quote(config.follow)}, and 0 for a "
-                f"flock, which doesn't fly by the past of its head; got {most_delay} with memory={config.memory}."
-            )
-        self.heads = [f"head_{j}" for j in range(clusters)]
-        window_spaces = game.observation_space(config, rules).spaces
-        far = window_spaces["position"].high.flat[0]  # type: ignore[attr-defined]  # a Box
-        mask = spaces.MultiBinary(uavs)
-        choices = self.manoeuvres.choices
-        head_spaces = {
-            "position": spaces.Box(-far, far, (uavs, 3), np.float32),
-            "velocity": spaces.Box(-config.speed_bound, config.speed_bound, (uavs, 3), np.float32),
-            **dict.fromkeys(("alive", "self", "heads", "followers", "named"), mask),
-            "round": spaces.Box(0, rules.max_rounds, (1,), np.float32),
-            "legal": spaces.MultiBinary(int(choices.sum())),
-        }
-        observations = {OBSERVER: spaces.Dict({**window_spaces, "legal": mask})}
-        observations |= {name: spaces.Dict(head_spaces) for name in self.heads}
-        actions: dict[str, spaces.Space[Any]] = {OBSERVER: spaces.MultiBinary(uavs)}
-        actions |= {name: spaces.MultiDiscrete(choices) for name in self.heads}
-        super().__init__(config, rules, arguments.render_mode, observations, actions)
-
-    def _start(self, rng: np.random.Generator) -> base.Start:
-        self._game = game.start_games([self.config], [rng])
-        self._flown = np.zeros(self.config.clusters, np.int64)  # the mobility of each head in the window before
-        self._decoys = np.empty(0, np.intp)  # the followers that are decoys in the current window
-        self._sighting = None
-        metrics = game.initial_info(self.rules, self._game)
-        infos = {agent: {**base.to_scalars(metrics), "price": 0.0} for agent in self.agents}
-        return {agent: self._observation(agent) for agent in self.agents}, infos
-
-    def step(self, actions: Any) -> base.Step:
-        """Destroy the observer's candidates, apply the choices of the surviving heads, and fly the next window."""
-        checked = self._check_actions(actions)
-        named = game.parse_candidates(checked[OBSERVER], (self.config.uavs,), f"action of {OBSERVER}")
-        plan = Plan(*np.stack([self._check_choice(name, checked.get(name)) for name in self.heads], axis=1))
-        if self._sighting is None:  # the opening
-            state, reward = game.require_game(self._game), 0.0
-            metrics = game.initial_info(self.rules, state)
-        else:
-            state, reward, metrics = self._play_round(named, named.astype(np.float64))
-        self._game = state
-        prices = compute_prices(self.manoeuvres, state.swarm, plan)
-        if state.terminated[0]:
-            self._sighting = ObservationBatch.unseen(self.config, state.swarm.alive[0])
-        else:
-            self._decoys = select_decoys(state.swarm, plan)[0]
-            swarm, flown, self._flown = fly_window(
-                self.config, self.manoeuvres, state.swarm, self._flown, plan, [self._rng]
-            )
-            self._game = replace(state, swarm=swarm)
-            self._sighting = ObservationBatch(flown.position[0], flown.velocity[0], flown.seen[0], flown.alive[0])
-        return self._make_step(reward, metrics, prices)
-
-    def _make_step(self, reward: float, metrics: dict[str, NDArray[Any]], prices: Floats) -> base.Step:
-        state = game.require_game(self._game)
-        alive = state.swarm.alive[0, np.flatnonzero(state.swarm.head[0])]
-        terminated, truncated = bool(state.terminated[0]), bool(state.truncated[0])
-        paid = {OBSERVER: float(prices.sum()), **dict(zip(self.heads, prices.tolist(), strict=True))}
-        over = {OBSERVER: terminated, **dict(zip(self.heads, (~alive).tolist(), strict=True))}
-        rewards = {agent: reward if agent == OBSERVER else -reward - paid[agent] for agent in self.agents}
-        terminations = {agent: over[agent] for agent in self.agents}
-        infos = {agent: {**base.to_scalars(metrics), "price": paid[agent]} for agent in self.agents}
-        truncations = {agent: truncated and not terminations[agent] for agent in self.agents}
-        observations = {agent: self._observation(agent) for agent in self.agents}
-        self.agents = [agent for agent in self.agents if not (terminations[agent] or truncations[agent])]
-        return observations, rewards, terminations, truncations, infos
-
-    def _reveal_swarm(self, state: game.GameState) -> SwarmState:
-        """The true swarm in the window; followers that were decoys in it count as decoys without a head."""
-        truth = super()._reveal_swarm(state)
-        truth.decoy[self._decoys] = True
-        truth.root[self._decoys] = self._decoys
-        return truth
-
-    def _check_choice(self, agent: str, action: Any) -> Indices:
-        """The four choices of a head; zeros for a head that has left the game."""
-        sizes = self.manoeuvres.choices
-        if agent not in self.agents:
-            return np.zeros(len(sizes), np.int64)
-        values = np.asarray(action)
-        whole = values.dtype.kind in "biuf" and values.shape == sizes.shape and (values % 1 == 0).all()
-        if not whole or not ((values >= 0) & (values < sizes)).all():
-            raise ArgumentError(
-                f"action of {agent} must hold whole numbers from 0, each below {sizes.tolist()}, got {quote(action)}."
-            )
-        return values.astype(np.int64)
+        super().__init__(batch_env(1, **dict(arguments)), arguments.render_mode)
 
     def describe_action(self, agent: str, action: Any) -> str:
         """Describe the choice of a head in words; empty for the observer."""
-        if agent == OBSERVER:
+        role, j = self._places[agent]
+        if role == OBSERVER:
             return ""
         mobility, jitter, decoys, delay = np.asarray(action).tolist()
-        head = np.flatnonzero(game.require_game(self._game).swarm.head[0])[self.heads.index(agent)]
-        words = [self.manoeuvres.mobilities[mobility]]
+        head = find_heads(self.games.game.swarm)[0, j]
+        words = [self.games.manoeuvres.mobilities[mobility]]
         words += ["jitter"] * (jitter > 0) + [format_count(decoys, "decoy")] * (decoys > 0)
         words += [f"followers delayed by {format_count(delay, 'step')}"] * (delay > 0)
         return f"UAV {head}: {', '.join(words)}"
-
-    def _observation(self, agent: str) -> Observation:
-        state = game.require_game(self._game)
-        swarm = state.swarm
-        if agent == OBSERVER:
-            flown = self._sighting is not None and not state.terminated[0]
-            return self._make_observation(self._current_window(), swarm.alive[0] & flown)
-        head = int(np.flatnonzero(swarm.head[0])[self.heads.index(agent)])
-        followers = (swarm.root[0] == head) & swarm.alive[0] & ~swarm.head[0]
-        named = np.zeros(self.config.uavs, bool) if self.last_round is None else self.last_round.candidates
-        legal = [np.ones(size, np.int8) for size in self.manoeuvres.choices]
-        legal[2][1 + max(int(followers.sum()) - 1, 0) :] = 0  # one follower must remain
-        return {
-            "position": swarm.position[0].copy(),
-            "velocity": swarm.past_velocity[0, -1].copy(),
-            "alive": swarm.alive[0].astype(np.int8),
-            "self": (np.arange(self.config.uavs) == head).astype(np.int8),
-            "heads": (swarm.head[0] & swarm.alive[0]).astype(np.int8),
-            "followers": followers.astype(np.int8),
-            "named": named.astype(np.int8),
-            "round": state.rounds.astype(np.float32),
-            "legal": np.concatenate(legal),
-        }
 
 
 raw_env, env = base.make_aec_forms(parallel_env)

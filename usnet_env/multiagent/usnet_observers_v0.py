@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-import copy
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
 from gymnasium import spaces
+from numpy.typing import NDArray
 from pydantic import Field
 
-from usnet_env.arrays import Floats, Observation
+from usnet_env.arrays import Floats, Indices, Mask, Observation
 from usnet_env.config import ArgumentError, list_arguments, quote, takes_arguments
 from usnet_env.envs import game
 from usnet_env.envs.usnet import OBSERVATION
 from usnet_env.multiagent import base
-from usnet_env.multiagent.sensors import FUSIONS, Observer, SensorConfig, merge_sightings, sense_window
-from usnet_env.swarm import ObservationBatch, SwarmConfig
+from usnet_env.multiagent.batch import OBSERVER, WINDOW, ByRole, GameBatch, Observations
+from usnet_env.multiagent.sensors import FUSIONS, SensorConfig, sense_windows
+from usnet_env.swarm import SwarmConfig, SwarmState, advance
 from usnet_env.swarm.config import MobilityArguments
 
 
@@ -23,6 +25,89 @@ class ObserversArguments(base.GameArguments, MobilityArguments, SensorConfig):
     """The arguments of :class:`parallel_env`."""
 
     fusion: str = Field("union", description="``union``, ``majority``, ``scores``, or a registered rule")
+
+
+class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
+    """``num_envs`` games of :class:`parallel_env` in one batch, with its arguments; the role is ``observer``."""
+
+    def __init__(self, num_envs: int, **arguments: Any) -> None:
+        given = ObserversArguments(**arguments)
+        self.fusion, self.sensor_config = FUSIONS.find(given.fusion), given.part(SensorConfig)
+        rules = given.make_rules()
+        config = given.part(SwarmConfig, position_noise=0.0, miss_rate=0.0)  # the observers have their own
+        count, uavs, self._size = given.observers, given.uavs, given.message_size
+        self._sensors = self.sensor_config.sensor_configs(config)
+        self._ranges = self.sensor_config.expand("sensing_range")
+        # The swarm flies once, with every step and without noise; then each observer samples this flight.
+        every_step = {"sample_every": 1, "observation_steps": config.observation_steps * config.sample_every}
+        self._flight = config.model_copy(update=every_step)
+        noisiest = max(self._sensors, key=lambda sensor: sensor.position_noise)
+        shape = dict(game.observation_space(noisiest, rules).spaces)
+        far = noisiest.position_bound(rules.max_rounds + 1)
+        shape |= {"legal": spaces.MultiBinary(uavs), "place": spaces.Box(-far, far, (3,), np.float32)}
+        if self._size:
+            shape["messages"] = spaces.Box(0, 1, (count, self._size), np.float32)
+        vote: spaces.Space[Any] = spaces.Box(0, 1, (uavs + self._size,), np.float32)
+        if self.fusion.vote == "candidates":
+            vote = spaces.MultiBinary(uavs + self._size)
+        super().__init__(num_envs, config, rules, {OBSERVER: (count, spaces.Dict(shape), vote)})
+        self._noise: list[list[np.random.Generator]] = [[] for _ in range(num_envs)]  # of each observer of each game
+        self.places = np.zeros((num_envs, count, 3))  #: of the observers in metres
+        self._messages = np.zeros((num_envs, count, self._size), np.float32)
+
+    def _begin(self, rngs: Mapping[int, np.random.Generator]) -> None:
+        self.places, self._messages = self.places.copy(), self._messages.copy()
+        for b, rng in rngs.items():
+            # The observers' noise comes from branches of its own: the flight doesn't depend on the observers.
+            placement_rng, *self._noise[b] = rng.spawn(1 + self.sensor_config.observers)
+            self.places[b] = self.sensor_config.draw_positions(placement_rng)
+            self._messages[b] = 0.0
+        self._fly(np.array(list(rngs)))
+
+    def _find_seen(self) -> Mask:
+        """Which UAVs each observer sees, ``(B, K, N)``; none that is destroyed."""
+        return np.asarray(self._window["seen"].any(axis=2))
+
+    def _combine(self, actions: ByRole) -> tuple[Mask, Floats]:
+        """Combine the votes for UAVs that the observers see."""
+        seen, uavs = self._find_seen(), self.config.uavs
+        votes = actions[OBSERVER][..., :uavs] * seen
+        pairs = zip(votes, seen, strict=True)
+        named = np.stack([np.asarray(self.fusion.rule(*pair), bool).reshape(uavs) for pair in pairs])
+        return named, votes.sum(axis=1)
+
+    def _respond(self, actions: ByRole) -> ByRole:
+        self._messages = actions[OBSERVER][..., self.config.uavs :].astype(np.float32)
+        return {}
+
+    def _fly_rows(self, swarm: SwarmState, rows: Indices) -> tuple[SwarmState, Observation]:
+        after, truth = advance(self._flight, swarm, [self._rngs[b] for b in rows])
+        flown = truth.position, truth.velocity, truth.alive
+        sightings = [
+            sense_windows(sensor, self.places[rows, k], reach, *flown, [self._noise[b][k] for b in rows])
+            for k, (sensor, reach) in enumerate(zip(self._sensors, self._ranges, strict=True))
+        ]
+        return after, {name: np.stack([getattr(one, name) for one in sightings], axis=1) for name in WINDOW}
+
+    def _observe(self) -> Observations:
+        shown = self._show(self._find_seen())
+        shown["place"] = self.places.astype(np.float32)
+        if self._size:
+            shown["messages"] = np.repeat(self._messages[:, None], self.roles[OBSERVER], axis=1)
+        return {OBSERVER: shown}
+
+    def _more_state(self) -> list[NDArray[Any]]:
+        return [self.places, self._messages]
+
+    def parse(self, role: str, action: Any, lead: tuple[int, ...], name: str) -> Floats:
+        """Convert votes to numbers from 0 to 1: one for each UAV, then the message."""
+        shape = (*lead, self.config.uavs + self._size)
+        if self.fusion.vote == "candidates":
+            return game.parse_candidates(action, shape, name).astype(np.float64)
+        values = np.asarray(action)
+        if values.shape != shape or values.dtype.kind not in "biuf" or not ((values >= 0) & (values <= 1)).all():
+            raise ArgumentError(f"{name} must have shape {shape} and hold numbers from 0 to 1, got {quote(action)}.")
+        return values.astype(np.float64)
 
 
 @list_arguments(observation=OBSERVATION)
@@ -74,104 +159,15 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
 
     metadata: ClassVar[dict[str, Any]] = {**base.UsnetParallelEnv.metadata, "name": "usnet_observers_v0"}
 
+    games: batch_env
+
     @takes_arguments(ObserversArguments)
     def __init__(self, arguments: ObserversArguments) -> None:
-        self.fusion = FUSIONS.find(arguments.fusion)
-        self.sensor_config = arguments.part(SensorConfig)
-        rules = arguments.make_rules()
-        config = arguments.part(SwarmConfig, position_noise=0.0, miss_rate=0.0)  # the observers have their own
-        observers, uavs = arguments.observers, arguments.uavs
-        self._sensors = self.sensor_config.sensor_configs(config)
-        # The swarm flies once, with every step and without noise; then each observer samples this flight.
-        every_step = {"sample_every": 1, "observation_steps": config.observation_steps * config.sample_every}
-        self._flight = config.model_copy(update=every_step)
-        noisiest = max(self._sensors, key=lambda sensor: sensor.position_noise)
-        shape = dict(game.observation_space(noisiest, rules).spaces)
-        far = noisiest.position_bound(rules.max_rounds + 1)
-        shape |= {"legal": spaces.MultiBinary(uavs), "place": spaces.Box(-far, far, (3,), np.float32)}
-        size = self.sensor_config.message_size
-        if size:
-            shape["messages"] = spaces.Box(0, 1, (observers, size), np.float32)
-        names = [f"observer_{k}" for k in range(observers)]
-        vote: spaces.Space[Any] = spaces.Box(0, 1, (uavs + size,), np.float32)
-        if self.fusion.vote == "candidates":
-            vote = spaces.MultiBinary(uavs + size)
-        actions = {name: copy.deepcopy(vote) for name in names}
-        super().__init__(config, rules, arguments.render_mode, {name: spaces.Dict(shape) for name in names}, actions)
-        self._observers: list[Observer] = []
-        self._sightings: list[ObservationBatch] = []
-        self._messages = np.zeros((observers, size), np.float32)
-
-    def _start(self, rng: np.random.Generator) -> base.Start:
-        # The observers' noise comes from branches of its own: the flight of the swarm does not depend on the observers.
-        placement_rng, *noise_rngs = rng.spawn(1 + self.sensor_config.observers)
-        positions = self.sensor_config.draw_positions(placement_rng)
-        ranges = self.sensor_config.expand("sensing_range")
-        self._observers = [Observer(*parts) for parts in zip(positions, ranges, self._sensors, noise_rngs, strict=True)]
-        self._messages = np.zeros_like(self._messages)
-        state = game.start_games([self.config], [rng])
-        metrics = game.initial_info(self.rules, state)
-        self._sense_next_window(state)
-        return self._observations(), {agent: base.to_scalars(metrics) for agent in self.agents}
-
-    def step(self, actions: Any) -> base.Step:
-        """Combine the votes, destroy the candidates, score the round, and observe the next window."""
-        checked = self._check_actions(actions)
-        whole = np.stack([self._check_vote(agent, checked[agent]) for agent in self.possible_agents])
-        uavs = self.config.uavs
-        seen = np.stack([sighting.seen.any(axis=0) for sighting in self._sightings])  # false for destroyed UAVs
-        votes = whole[:, :uavs] * seen
-        candidates = np.asarray(self.fusion.rule(votes, seen), bool).reshape(uavs)
-        state, reward, metrics = self._play_round(candidates, votes.sum(axis=0))
-        self._messages = whole[:, uavs:].astype(np.float32)
-        self._sense_next_window(state)
-        agents = self.agents
-        terminated, truncated = bool(state.terminated[0]), bool(state.truncated[0])
-        result = (
-            self._observations(),
-            dict.fromkeys(agents, reward),
-            dict.fromkeys(agents, terminated),
-            dict.fromkeys(agents, truncated),
-            {agent: base.to_scalars(metrics) for agent in agents},
-        )
-        if terminated or truncated:
-            self.agents = []
-        return result
-
-    def _sense_next_window(self, state: game.GameState) -> None:
-        """Fly and observe the next window; after the end of the game all windows are empty."""
-        self._game, truth = game.observe_windows([self._flight], state, [self._rng])
-        if state.terminated[0]:
-            self._sightings = [ObservationBatch.unseen(self.config, state.swarm.alive[0])] * len(self._observers)
-        else:
-            position, velocity = truth["position"][0], truth["velocity"][0]
-            alive = truth["alive"][0].astype(bool)
-            self._sightings = [sense_window(observer, position, velocity, alive) for observer in self._observers]
-        self._sighting = merge_sightings(self._sightings, self.config.sample_every)
-
-    def _observations(self) -> dict[str, Observation]:
-        observations = {}
-        for agent, observer, sighting in zip(self.possible_agents, self._observers, self._sightings, strict=True):
-            observation = self._make_observation(sighting, np.asarray(sighting.seen.any(axis=0)))
-            observation["place"] = observer.position.astype(np.float32)
-            if self.sensor_config.message_size:
-                observation["messages"] = self._messages.copy()
-            observations[agent] = observation
-        return observations
-
-    def _check_vote(self, agent: str, action: Any) -> Floats:
-        """Convert an action to numbers from 0 to 1: one for each UAV, then the message."""
-        length = self.config.uavs + self.sensor_config.message_size
-        if self.fusion.vote == "candidates":
-            return game.parse_candidates(action, (length,), f"action of {agent}").astype(np.float64)
-        values = np.asarray(action)
-        if values.shape != (length,) or values.dtype.kind not in "biuf" or not ((values >= 0) & (values <= 1)).all():
-            raise ArgumentError(f"action of {agent} must hold {length} numbers from 0 to 1, got {quote(action)}.")
-        return values.astype(np.float64)
+        super().__init__(batch_env(1, **dict(arguments)), arguments.render_mode)
 
     def list_observers(self) -> Floats:
         """``(K, 4)``, position and sensing range of each observer in metres."""
-        return np.array([[*observer.position, observer.sensing_range] for observer in self._observers])
+        return np.column_stack([self.games.places[0], self.games.sensor_config.expand("sensing_range")])
 
 
 raw_env, env = base.make_aec_forms(parallel_env)

@@ -6,13 +6,13 @@ All UAVs move 1 m per step, followers included, so speed carries no information 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from usnet_env.arrays import Floats, Singles
+from usnet_env.arrays import Floats, Mask, Singles
 from usnet_env.config import ArgumentError, quote
 from usnet_env.parts import Registry
 from usnet_env.swarm import kernels
@@ -44,6 +44,18 @@ class Mobility(ABC):
             steps: number of steps to simulate.
             rng: the episode's generator.
         """
+
+    def fly_batch(
+        self, state: Floats, position: Singles, chosen: Mask, steps: int, rngs: Sequence[np.random.Generator]
+    ) -> Singles:
+        """Directions ``(B, steps, n, 3)`` of the chosen UAVs ``(B, n)`` of B swarms, and zeros of the others."""
+        directions = np.zeros((len(rngs), steps, *position.shape[1:]), np.float32)
+        for b, rng in enumerate(rngs):
+            if chosen[b].any():
+                part = state[b, chosen[b]]
+                directions[b][:, chosen[b]] = self.fly(part, position[b, chosen[b]], steps, rng)
+                state[b, chosen[b]] = part
+        return directions
 
 
 @dataclass(frozen=True)
@@ -79,17 +91,33 @@ class CompiledMobility(Mobility):
         return state
 
     def fly(self, state: Floats, position: Singles, steps: int, rng: np.random.Generator) -> Singles:
-        """Directions for one swarm; for a batch the simulator calls the kernel directly."""
-        uavs = len(state)
-        velocity, none = np.zeros((1, steps, uavs, 3), np.float32), np.empty((1, 0, uavs, 3), np.float32)
-        normals = rng.standard_normal((1, steps, uavs, self.normals), dtype=np.float32)
-        every, constants = np.full(uavs, self.code), np.tile(self.constants(), (uavs, 1))
+        """Directions for one swarm."""
+        return self.fly_batch(state[None], position[None], np.ones((1, len(state)), bool), steps, [rng])[0]
+
+    def fly_batch(
+        self, state: Floats, position: Singles, chosen: Mask, steps: int, rngs: Sequence[np.random.Generator]
+    ) -> Singles:
+        """One flight of the compiled loop, in which each chosen UAV is a swarm of its own."""
+        swarms = state[chosen][:, None]
+        normals = np.empty((len(swarms), steps, 1, self.normals), np.float32)
+        first = 0
+        for count, rng in zip(chosen.sum(axis=1).tolist(), rngs, strict=True):
+            drawn = rng.standard_normal((steps, count, self.normals), dtype=np.float32)
+            normals[first : first + count, :, 0] = drawn.swapaxes(0, 1)
+            first += count
         craft = kernels.FLOWN._replace(
-            mobility=every, constants=constants, free=np.arange(uavs)[None], normals=normals, state=state[None].copy()
+            mobility=np.full(1, self.code),
+            constants=self.constants()[None],
+            free=np.zeros((len(swarms), 1), np.int64),
+            normals=normals,
+            state=swarms,
         )
-        kernels.fly_free(0, craft, none, position[None, None].copy(), velocity)
-        state[...] = craft.state[0]
-        return velocity[0]
+        velocity, none = np.zeros((len(swarms), steps, 1, 3), np.float32), np.empty((len(swarms), 0, 1, 3), np.float32)
+        kernels.fly_free(0, craft, none, position[chosen][:, None, None], velocity)
+        state[chosen] = swarms[:, 0]
+        directions = np.zeros((*chosen.shape, steps, 3), np.float32)
+        directions[chosen] = velocity[:, :, 0]
+        return directions.swapaxes(1, 2)
 
 
 @dataclass(frozen=True)

@@ -273,11 +273,11 @@ def _fly_free(
             one = one._replace(state=state, normals=craft.normals[:, :, part], jittered=jittered * part.stop)
             kernels.fly_free(first, one, noise, position, velocity)
             continue
-        for b, rng in enumerate(rngs):
-            wanted = _normalise(law.fly(state[b], position[b, first, columns[b]], count, rng).astype(np.float32))
-            if jittered:
-                wanted = _normalise(wanted + craft.jitter * noise[b][:, columns[b]])
-            velocity[b, first : first + count, columns[b]] = wanted.swapaxes(0, 1)
+        place, where = np.take_along_axis(position[:, first], columns[..., None], axis=1), columns[:, None, :, None]
+        wanted = _normalise(law.fly_batch(state, place, np.ones(columns.shape, bool), count, rngs).astype(np.float32))
+        if jittered:
+            wanted = _normalise(wanted + craft.jitter * np.take_along_axis(noise, where, axis=2))
+        np.put_along_axis(velocity[:, first : first + count], where, wanted, axis=2)
 
 
 def _normalise(vectors: Singles) -> Singles:

@@ -1,0 +1,115 @@
+"""Batches of games: they equal the games in Parallel form, and their arrays have rows for all agents."""
+
+import numpy as np
+import pytest
+from gymnasium import spaces
+from gymnasium.utils.env_checker import data_equivalence
+from small_games import GAMES, SMALL_OF, drawn, small
+
+from usnet_env import ArgumentError
+
+MORE = [
+    ("observers", {"fusion": "scores", "placement": "uniform", "miss_rate": 0.1, "max_rounds": 3}),
+    ("evasion", {"max_rounds": 3}),
+    ("evasion", {"follow": "f6", "decoys": 1, "mobilities": ("gauss_markov", "straight", "alike"), "max_rounds": 3}),
+]
+
+
+def batch_of(game, count, **more):
+    return GAMES[game].batch_env(count, **{**SMALL_OF[game], **more})
+
+
+def stack(games, actions):
+    """Actions of single games as those of a batch, zeros for agents that have left."""
+    return {
+        role: np.stack(
+            [
+                [each.get(f"{role}_{j}", np.zeros(games.action_spaces[role].shape)) for j in range(count)]
+                for each in actions
+            ]
+        )
+        for role, count in games.roles.items()
+    }
+
+
+def assert_equal(batched, single, b):
+    """What a batch says of game b, by role, is what the game says, by agent."""
+    for agent, expected in single.items():
+        role, _, j = agent.rpartition("_")
+        for name, value in expected.items() if isinstance(expected, dict) else [(None, expected)]:
+            got = (batched[role] if name is None else batched[role][name])[b, int(j)]
+            assert data_equivalence(got if isinstance(value, np.ndarray) else got.item(), value, exact=True)
+
+
+@pytest.mark.parametrize(("game", "more"), MORE)
+def test_a_batch_plays_the_games_of_the_parallel_form(game, more):
+    games, singles = batch_of(game, 3, **more), [small(game, **more) for _ in range(3)]
+    answers = [env.reset(seed=7 + b) for b, env in enumerate(singles)]
+    seen, infos = games.reset(seed=7)
+    rng, ends = np.random.default_rng(0), 0
+    for _ in range(8):
+        for b, env in enumerate(singles):
+            assert_equal(seen, answers[b][0], b)
+            assert_equal(infos, answers[b][-1], b)
+            np.testing.assert_array_equal(games.state()[b], env.state())
+        actions = [drawn(env, rng, None, share=0.1) for env in singles]
+        step = games.step(stack(games, actions))
+        seen, infos = step[0], step[-1]
+        answers = [env.step(action) for env, action in zip(singles, actions, strict=True)]
+        for b, answer in enumerate(answers):
+            for part, expected in zip(step, answer, strict=True):
+                assert_equal(part, expected, b)
+        over = ~games.active["observer"].any(axis=1)
+        assert over.tolist() == [not env.agents for env in singles]
+        if over.any():
+            kept = {role: {name: part.copy() for name, part in parts.items()} for role, parts in seen.items()}
+            before, (seen, infos) = seen, games.reset(games=over)
+            assert data_equivalence(kept, before, exact=True)  # earlier observations stay as they were
+            for b in np.flatnonzero(over):
+                answers[b] = singles[b].reset()
+            for b in np.flatnonzero(~over):
+                answers[b] = (answers[b][0], {})
+        ends += over.sum()
+    assert ends > 2
+
+
+def test_heads_keep_their_rows_and_what_they_do_has_no_effect():
+    games = batch_of("evasion", 2)
+    games.reset(seed=0)
+    still = {role: np.zeros((2, count, *games.action_spaces[role].shape), int) for role, count in games.roles.items()}
+    games.step(still)
+    first = np.nonzero(games.game.swarm.head)[1].reshape(2, 3)[:, 0]
+    shot = {**still, "observer": (np.arange(20) == first[:, None]).astype(int)[:, None]}
+    _, rewards, terminations, *_ = games.step(shot)
+    assert terminations["head"].tolist() == [[True, False, False]] * 2
+    assert games.active["head"].tolist() == [[False, True, True]] * 2
+    assert (rewards["head"] == 1.0).all()
+    wild = {**still, "head": np.array([[[2, 1, 2, 4], [0] * 4, [0] * 4]] * 2)}
+    _, rewards, terminations, _, infos = games.step(wild)
+    assert not terminations["head"].any()
+    assert rewards["head"].tolist() == [[0.0, 1.0, 1.0]] * 2
+    assert not infos["head"]["price"].any()
+
+
+@pytest.mark.parametrize("game", list(GAMES))
+def test_flat_observations_are_those_of_gymnasium(game):
+    games = batch_of(game, 2)
+    seen, _ = games.reset(seed=0)
+    for role, flat in games.flatten(seen).items():
+        one = {name: part[1, -1] for name, part in seen[role].items()}
+        np.testing.assert_array_equal(flat[1, -1], spaces.flatten(games.observation_spaces[role], one))
+
+
+def test_bad_arguments_of_a_batch_are_named():
+    games = batch_of("evasion", 2)
+    with pytest.raises(ArgumentError, match="num_envs must"):
+        batch_of("evasion", 0)
+    with pytest.raises(ArgumentError, match="games must"):
+        games.reset(games=[True, False])
+    games.reset(seed=[1, 2])
+    with pytest.raises(ArgumentError, match="games must"):
+        games.reset(games=np.zeros(2, bool))
+    with pytest.raises(ArgumentError, match="actions must map each of observer, head"):
+        games.step({"observer": np.zeros((2, 1, 20))})
+    with pytest.raises(ArgumentError, match="actions of head must"):
+        games.step({"observer": np.zeros((2, 1, 20)), "head": np.full((2, 3, 4), 9)})
