@@ -43,7 +43,14 @@ class PairNetwork(nn.Module):
         followers = (choice * living[:, :, None, None]).sum(dim=1)  # (B, N, 2)
         share = followers / living.sum(dim=1).clamp(min=2)[:, None, None]
         judged = self.judge(4.0 * share)
-        # At the start about one UAV is named: naming nobody, or all, teaches little.
-        logits = 4.0 * judged[..., 0] - torch.log(living.sum(dim=1).clamp(min=2) - 1.0)[:, None]
-        value = (judged[..., 1] * living).sum(dim=1) / living.sum(dim=1).clamp(min=1)
-        return logits.masked_fill(~living, -1e3), value
+        return answer(4.0 * judged[..., 0], judged[..., 1], living)
+
+
+def answer(scores: Tensor, values: Tensor, living: Tensor) -> tuple[Tensor, Tensor]:
+    """The logits ``(B, N)`` and the values ``(B,)`` that a network returns, from what it finds about each UAV.
+
+    At the start about one UAV is named: naming nobody, or all, teaches little.
+    """
+    count = living.sum(dim=1)
+    logits = scores - torch.log(count.clamp(min=2) - 1.0)[:, None]
+    return logits.masked_fill(~living, -1e3), (values * living).sum(dim=1) / count.clamp(min=1)

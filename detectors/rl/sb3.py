@@ -1,8 +1,8 @@
-"""The pair network as a policy of Stable-Baselines3 (extra ``rl``)."""
+"""The networks as policies of Stable-Baselines3 (extra ``rl``)."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from gymnasium import spaces
@@ -10,16 +10,17 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import Tensor, nn
 
+from detectors.rl.attention import AttentionNetwork
 from detectors.rl.pair import PairNetwork
 
 
-class _PairFeatures(BaseFeaturesExtractor):
+class _Answers(BaseFeaturesExtractor):
     """``(B, N + 1)``: the logits of the UAVs and the value."""
 
-    def __init__(self, observation_space: spaces.Dict, **sizes: int) -> None:
+    def __init__(self, observation_space: spaces.Dict, kind: type[nn.Module], **sizes: int) -> None:
         uavs = spaces.utils.flatdim(observation_space["alive"])
         super().__init__(observation_space, features_dim=uavs + 1)
-        self.network = PairNetwork(**sizes)
+        self.network = kind(**sizes)
 
     def forward(self, observations: dict[str, Tensor]) -> Tensor:
         logits, value = self.network(observations["velocity"], observations["alive"])
@@ -46,8 +47,11 @@ class PairPolicy(ActorCriticPolicy):
         network: the arguments of the network, in ``policy_kwargs={"network": {...}}``.
     """
 
+    kind: ClassVar[type[nn.Module]] = PairNetwork
+
     def __init__(self, *args: Any, network: dict[str, int] | None = None, **kwargs: Any) -> None:
-        kwargs |= {"features_extractor_class": _PairFeatures, "features_extractor_kwargs": network or {}}
+        sizes = {"kind": self.kind, **(network or {})}
+        kwargs |= {"features_extractor_class": _Answers, "features_extractor_kwargs": sizes}
         super().__init__(*args, **kwargs)
 
     def _build(self, lr_schedule: Any) -> None:
@@ -56,3 +60,15 @@ class PairPolicy(ActorCriticPolicy):
             setattr(self, name, part)
         make_optimizer: Any = self.optimizer_class
         self.optimizer = make_optimizer(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
+
+
+class AttentionPolicy(PairPolicy):
+    """:class:`AttentionNetwork` in the place of :class:`PairNetwork`."""
+
+    kind = AttentionNetwork
+
+    def __init__(
+        self, observation_space: spaces.Dict, *args: Any, network: dict[str, int] | None = None, **kwargs: Any
+    ) -> None:
+        steps = observation_space["velocity"].shape[0]  # type: ignore[index]  # it has a shape
+        super().__init__(observation_space, *args, network={"steps": steps, **(network or {})}, **kwargs)

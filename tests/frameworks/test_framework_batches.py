@@ -56,16 +56,19 @@ def test_the_pair_policy_learns_raw_windows_in_stable_baselines():
     assert result.summary[0]["metrics"]["J"]["mean"] > -0.5  # a guess has -0.8
 
 
-def test_the_pair_network_sees_no_order_no_direction_and_no_destroyed_uav():
+@pytest.mark.parametrize("name", ["PairNetwork", "AttentionNetwork"])
+def test_a_network_sees_no_order_and_no_destroyed_uav_and_the_pair_network_no_direction(name):
     torch = pytest.importorskip("torch")
-    from detectors.rl import PairNetwork
+    from detectors.rl import AttentionNetwork, PairNetwork
 
     torch.manual_seed(0)
-    network, velocity, alive = PairNetwork(), torch.randn(2, 12, 7, 3), torch.ones(2, 7)
+    network = PairNetwork() if name == "PairNetwork" else AttentionNetwork(steps=12)
+    velocity, alive = torch.randn(2, 12, 7, 3), torch.ones(2, 7)
     alive[1, 3] = 0
     with torch.no_grad():
         logits, value = network(velocity, alive)
-        order, turn = torch.randperm(7), torch.linalg.qr(torch.randn(3, 3))[0]
+        order = torch.randperm(7)
+        turn = torch.linalg.qr(torch.randn(3, 3))[0] if name == "PairNetwork" else torch.eye(3)
         permuted, same = network(velocity[:, :, order] @ turn, alive[:, order])
         velocity[1, :, 3] = 9.0
         unseen, _ = network(velocity, alive)
@@ -73,6 +76,24 @@ def test_the_pair_network_sees_no_order_no_direction_and_no_destroyed_uav():
     torch.testing.assert_close(same, value, atol=1e-4, rtol=1e-4)
     torch.testing.assert_close(unseen, logits, atol=1e-4, rtol=1e-4)
     assert logits[1, 3] == -1e3
+    assert network(velocity, torch.zeros(2, 7))[1].isfinite().all()  # as when all UAVs were destroyed
+
+
+def test_the_attention_policy_trains_and_is_loaded_again(tmp_path):
+    pytest.importorskip("stable_baselines3")
+    from stable_baselines3 import PPO
+
+    from detectors.rl.sb3 import AttentionPolicy
+    from usnet_env.frameworks.sb3 import SwarmVecEnv
+
+    envs = SwarmVecEnv("USNET/SingleCluster-v0", 4, followers=4, observation_steps=16, **SEEN)
+    settings = {"n_steps": 4, "batch_size": 8, "n_epochs": 1, "policy_kwargs": {"network": {"width": 16}}}
+    model = PPO(AttentionPolicy, envs, seed=0, device="cpu", **settings).learn(16)
+    model.save(tmp_path / "model")
+    seen = envs.reset()
+    action, _ = model.predict(seen, deterministic=True)
+    assert action.shape == (4, 5)
+    np.testing.assert_array_equal(PPO.load(tmp_path / "model").predict(seen, deterministic=True)[0], action)
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "frameworks.md").read_text(encoding="utf-8")
 NEEDED = {
     "Stable-Baselines3": ["sb3_contrib"],
+    "Networks for raw windows": ["stable_baselines3"],
     "TorchRL": ["torchrl", "pettingzoo"],
     "Tianshou": ["tianshou"],
     "Minari": ["minari", "torch"],
