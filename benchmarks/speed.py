@@ -9,6 +9,7 @@ result is benchmarks/results/speed.json.
 
 from __future__ import annotations
 
+import importlib
 import json
 import subprocess
 import sys
@@ -35,6 +36,8 @@ GAME = "USNET/MultiCluster-v0"
 EPISODES, UAVS = 256, 82
 GAMES = 64  # in a batch
 BATCHES = ("SingleCluster-Tiny-v0", "SingleCluster-Small-v0", "MultiCluster-v0", "MultiCluster-Small-v0", "Field-v1")
+SEVERAL = ("usnet_observers_v0", "usnet_evasion_v0")
+FEW: dict[str, Any] = {"clusters": 3, "uavs": 12, "observation_steps": 20}
 SIZES = [100, 300, 1000, 3000, 10_000]
 REFERENCE = "lagged-correlation"
 DETECTORS = ("lagged-regression", "granger", "factions", "net-lag-regression", "reader")
@@ -158,6 +161,31 @@ def batch(name: str, turns: int) -> dict[str, object]:
     )
 
 
+def several_agents(name: str, turns: int) -> dict[str, object]:
+    """A batch of games of several agents against a single one, in which all do nothing."""
+    module = importlib.import_module(f"usnet_env.multiagent.{name}")
+    games, env = module.batch_env(GAMES, **FEW), module.parallel_env(**FEW)
+    for each in (games, env):
+        each.reset(seed=0)
+    still = {
+        role: np.zeros((GAMES, count, *games.action_spaces[role].shape), np.int8) for role, count in games.roles.items()
+    }
+
+    def play_all() -> None:
+        games.step(still)
+        if (over := ~games.active["observer"].any(axis=1)).any():
+            games.reset(games=over)
+
+    def play_alone() -> None:
+        for _ in range(10):
+            env.step({agent: np.zeros(env.action_space(agent).shape, np.int8) for agent in env.agents})
+            if not env.agents:
+                env.reset()
+
+    agents, turn = len(env.possible_agents), f"a batch of {GAMES} games over a single one, N = {FEW['uavs']}"
+    return race(turn, turns, (agents * GAMES, play_all), (agents * 10, play_alone))
+
+
 def starting(turns: int) -> dict[str, object]:
     """Starts of games of P1 in a batch against one after another."""
     config = SwarmConfig(clusters=1, uavs=8, observation_steps=20)
@@ -208,6 +236,7 @@ PARTS: dict[str, Callable[[int], dict[str, object]]] = {
     "batches": lambda turns: (
         {"start of P1": starting(turns)}
         | {name: batch(f"USNET/{name}", turns) for name in BATCHES}
+        | {name: several_agents(name, turns) for name in SEVERAL}
         | {"Stable-Baselines3": sb3(turns), "TorchRL": torchrl(turns)}
     ),
     "memory": memory,
