@@ -173,7 +173,7 @@ def _set_up_axes(axes: Axes, limits: Limits, title: str) -> None:
     axes.grid(color="#E8E8E8", linewidth=0.6)
     axes.set_axisbelow(True)
     axes.spines[:].set_color("#CCCCCC")
-    axes.set_title(title, fontsize=11, loc="left")
+    axes.set_title(title, fontsize=11, loc="left", y=1)  # without y, its place is looked for at every drawing
 
 
 def plot_detection(detection: Detection, window: Window) -> Figure:

@@ -96,7 +96,8 @@ class Painter:
         left = window | {"candidates": named, "truth": False, "title": "What the detector sees"}
         right["title"] = "The truth" if record.labelled else "What it found"
         for axes, picture in ((self.observed, left), (self.truth, right)):
-            axes.clear()
+            for artist in (*axes.collections, *axes.lines):  # the ticks stay: to make them takes longest
+                artist.remove()
             drawing.draw_round(**picture, axes=axes, **look)
             axes.set(xlabel="", ylabel="")
         words = f"{name_round(record)} {scene.round} of {record.rounds}: {scene.text}"

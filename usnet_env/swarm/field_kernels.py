@@ -33,7 +33,7 @@ def hash_draw(salt, block):
     return np.float32(x >> np.uint64(8)) * np.float32(2.0**-24)
 
 
-@compiled(error_model="numpy")
+@compiled(inner=True, error_model="numpy")
 def find_top(i, motion, source):
     """The free UAV or reference at the end of the chain of sources of UAV i, or the last UAV of the chain."""
     while motion[i] == FOLLOWS and source[i] >= 0:

@@ -20,13 +20,13 @@ _X, _Y, _Z, _UX, _UY, _UZ = range(0, 6 * _SMALL, _SMALL)  # rows of `members` in
 _OX, _OY, _OZ, _AX, _AY, _AZ, _REPELLED, _ALIGNED, _ATTRACTED = range(0, 9 * _SMALL, _SMALL)  # and of `sums`
 
 
-@compiled(error_model="numpy")
+@compiled(inner=True, error_model="numpy")
 def _hash_cell(x, y, z, size):
     """The bucket of a cell; ``size`` is a power of two. Cells above each other have buckets side by side."""
     return ((x * 73856093 ^ y * 19349663) + z) & (size - 1)
 
 
-@compiled(error_model="numpy")
+@compiled(inner=True, error_model="numpy")
 def _build_cells(first, last, p, v, width, place, begin, cell, near_p, near_v):
     """Sort the UAVs first..last-1 by the bucket of their cell, so that UAVs of a cell lie side by side in memory.
 
@@ -47,7 +47,7 @@ def _build_cells(first, last, p, v, width, place, begin, cell, near_p, near_v):
             near_p[axis, k], near_v[axis, k] = p[axis, c], v[axis, c]
 
 
-@compiled(error_model="numpy")
+@compiled(inner=True, error_model="numpy")
 def _sum_cells(x, y, z, width, repel, align, attract, begin, cell, p, v):
     """Sum over the UAVs in the 27 cells around a place: repulsion, alignment, attraction, and their three counts."""
     outer, size = max(repel, align, attract), len(begin) - 1
@@ -76,7 +76,7 @@ def _sum_cells(x, y, z, width, repel, align, attract, begin, cell, p, v):
     return rx, ry, rz, ox, oy, oz, ax, ay, az, repelled, aligned, attracted
 
 
-@compiled(error_model="numpy")
+@compiled(inner=True, error_model="numpy")
 def _sum_all(size, repel, align, attract, members, sums):
     """Fill ``sums`` for all UAVs of a small flock: alignment, attraction, and the three counts.
 
@@ -104,7 +104,7 @@ def _sum_all(size, repel, align, attract, members, sums):
             sums[_AZ + c] += q * dz
 
 
-@compiled(error_model="numpy")
+@compiled(inner=True, error_model="numpy")
 def _sum_repulsion(c, size, repel, members):
     """Sum the directions away from the UAVs of a small flock within the range of repulsion of UAV c."""
     rx, ry, rz = _ZERO, _ZERO, _ZERO
@@ -118,7 +118,7 @@ def _sum_repulsion(c, size, repel, members):
     return rx, ry, rz
 
 
-@compiled(error_model="numpy")
+@compiled(inner=True, error_model="numpy")
 def _sort_members(motion, source, bystander, uavs, label, order, first):
     """Sort the living UAVs by flock: ``order[first[f]:first[f + 1]]`` are those of flock f. Return their number."""
     first[:] = 0
@@ -137,7 +137,7 @@ def _sort_members(motion, source, bystander, uavs, label, order, first):
     return first[-1]
 
 
-@compiled(error_model="numpy")
+@compiled(inner=True, error_model="numpy")
 def _steer_chaser(chaser, standoff, i, first, last, top, t, p, middle, position, velocity):
     """The direction of a predator, to the nearest UAV of its flock, or of a driver, to its place behind the flock."""
     if chaser == PREDATOR:
