@@ -34,7 +34,7 @@ from zlib import crc32
 import numpy as np
 import pandas as pd
 from paper.shared import Game, measure, parse
-from pivot import mean, pivot
+from pivot import across, mean, pivot
 from scipy.integrate import solve_ivp
 from sklearn.metrics import average_precision_score, roc_auc_score
 
@@ -270,10 +270,19 @@ def play(game: Game, seed: int, python: Path | None) -> list[dict[str, Any]]:
 
 
 def report(rows: pd.DataFrame) -> str:
-    """A line for each detector in each suite, and what others published."""
-    columns = {name: mean(name, group="run") for name in ("auroc", "auprc", "top", "chance", "named")}
+    """A line for each suite: the pairs that every detector finds, and the influencers; and what others published."""
+    names, suite = list(dict.fromkeys(rows.detector)), {"suite": "suite"}
+
+    def find_pairs(part: pd.DataFrame) -> str:
+        return f"{part.auroc.mean():.2f}/{part.auprc.mean():.2f}".replace("nan/nan", "–")
+
+    pairs = across("detector", names, find_pairs, "`{}`")
+    top = across("detector", names, mean("top", group="run"), "`{}`") | {"chance": mean("chance", group="run")}
     published = (f"Published, AUROC/AUPRC, {suite}: {text}." for suite, text in PUBLISHED.items())
-    return "\n\n".join([pivot(rows, {"suite": "suite", "detector": "detector"}, columns), *published])
+    found, named = rows[rows.auroc.notna()], rows[rows.top.notna()]
+    return "\n\n".join(
+        ["AUROC/AUPRC of the pairs:", pivot(found, suite, pairs), "`top`:", pivot(named, suite, top), *published]
+    )
 
 
 def main(argv: list[str] | None = None) -> None:
