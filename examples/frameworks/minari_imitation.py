@@ -15,7 +15,6 @@ import minari
 import numpy as np
 import torch
 from comparison import compare_with_regression
-from copied_network import CopiedNetwork
 from minari.data_collector import EpisodeBuffer
 from torch import Tensor, nn
 
@@ -79,15 +78,20 @@ def load_rounds(games: Iterable[minari.EpisodeData]) -> tuple[Tensor, Tensor, Te
 
 
 class Student(nn.Module):
-    """The network in the form that :class:`PolicyDetector` expects: the input is the whole observation."""
+    """Judges each UAV by the share of the swarm that copies it; the input is that of :class:`PolicyDetector`."""
 
-    def __init__(self) -> None:
+    def __init__(self, hidden: int = 16) -> None:
         super().__init__()
-        self.network = CopiedNetwork()
+        self.judge = nn.Sequential(nn.Linear(1, hidden), nn.Tanh(), nn.Linear(hidden, 1))
 
     def forward(self, observation: dict[str, Tensor]) -> Tensor:
-        """``(B, N)`` logits."""
-        return self.network(observation["velocity"], observation["alive"])
+        """``(B, N)`` logits; below -100 for a destroyed UAV."""
+        velocity, alive = observation["velocity"], observation["alive"]
+        agreement = torch.einsum("btic,btjc->bij", velocity[:, 1:], velocity[:, :-1])
+        agreement -= 1e6 * (torch.eye(alive.shape[1]) + (alive == 0)[:, None])
+        copied = nn.functional.one_hot(agreement.argmax(dim=2), alive.shape[1])  # row i: the UAV that i copies
+        share = (copied * alive[..., None]).sum(dim=1) / alive.sum(dim=1, keepdim=True).clamp(min=1)
+        return self.judge(share[..., None])[..., 0] - 1e3 * (alive == 0)
 
 
 def imitate(dataset: minari.MinariDataset, updates: int, seed: int = 0) -> tuple[Student, list[float]]:
@@ -98,7 +102,7 @@ def imitate(dataset: minari.MinariDataset, updates: int, seed: int = 0) -> tuple
     velocity, alive, named = load_rounds(dataset)
     losses = []
     for _ in range(updates):
-        logits = student.network(velocity, alive)
+        logits = student({"velocity": velocity, "alive": alive})
         loss = nn.functional.binary_cross_entropy_with_logits(logits, named.float(), weight=alive.float())
         optimizer.zero_grad()
         loss.backward()

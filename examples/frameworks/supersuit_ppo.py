@@ -12,8 +12,6 @@ import gymnasium as gym
 import numpy as np
 import supersuit
 import torch
-from how_copied import how_copied
-from observers_game import ARGUMENTS, PRICE, UAVS, compare_detectors
 from stable_baselines3 import PPO
 from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import VecEnv
@@ -22,8 +20,25 @@ from wrappers import MultiDiscreteVotes
 from detectors.policy_detector import PolicyDetector
 from usnet_env import Window, make_detector
 from usnet_env.multiagent import usnet_observers_v0
+from usnet_env.multiagent.play import play_game
+from usnet_env.multiagent.policies import DetectorObserver
 
+UAVS = 12
+ARGUMENTS = {"observers": 3, "sensing_range": 700.0, "clusters": 2, "uavs": UAVS}
+ARGUMENTS |= {"observation_steps": 20, "max_rounds": 5}
+PRICE = 3.0  # of a redundant candidate; at the paper's 1, naming all UAVs is too good to learn anything better
 SETTINGS = {"learning_rate": 1e-2, "n_steps": 64, "batch_size": 128, "policy_kwargs": {"net_arch": [32]}}
+
+
+def how_copied(window: Window) -> np.ndarray:
+    """``(N,)`` float32: the share of the observed UAVs that copy this UAV best, one step later."""
+    here = window.alive & window.seen.any(axis=0)
+    velocity = np.where(window.velocity_seen[..., None], window.velocity, 0.0)
+    agreement = np.einsum("tic,tjc->ij", velocity[1:], velocity[:-1])  # row i: how well i copies each j
+    np.fill_diagonal(agreement, -np.inf)
+    agreement[:, ~here] = -np.inf
+    votes = np.bincount(agreement[here].argmax(axis=1), minlength=window.uavs)
+    return (votes / max(1, here.sum())).astype(np.float32)
 
 
 def observe_copied(observation: dict[str, Any], *_: Any) -> np.ndarray:
@@ -61,9 +76,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=0)
     asked = parser.parse_args(arguments)
     model = train(asked.steps, seed=asked.seed)
-    trained = PolicyDetector(model.policy, observe=how_copied)
-    others = {"lagged-regression": make_detector("lagged-regression"), "random": make_detector("random(count=2)")}
-    compare_detectors({"PPO": trained, **others}, asked.games)
+    game = usnet_observers_v0.parallel_env(**ARGUMENTS)
+    detectors = {"PPO": PolicyDetector(model.policy, observe=how_copied)}
+    detectors |= {"lagged-regression": make_detector("lagged-regression"), "random": make_detector("random(count=2)")}
+    for name, detector in detectors.items():
+        agents = {"observer": DetectorObserver(detector)}
+        played = [play_game(game, agents, seed=2022 + number) for number in range(asked.games)]
+        hit = sum(one.success for one in played)
+        print(f"{name:20} J_m: {np.mean([one.J for one in played]):.2f}   games in which all heads were hit: {hit}")
 
 
 if __name__ == "__main__":

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 
 import torch
 from comparison import compare_detectors
-from copied_network import Bits
 from tensordict.nn import TensorDictModule
+from torch.distributions import Bernoulli, Independent
 from torchrl.collectors import Collector
 from torchrl.envs import InitTracker, TransformedEnv
 from torchrl.modules import ProbabilisticActor
@@ -24,6 +24,13 @@ from usnet_env.frameworks.torchrl import SwarmEnv
 ENV, ARGUMENTS = "USNET/SingleCluster-v0", {"followers": 7, "observation_steps": 20}
 LARGER = {"followers": 15, "observation_steps": 20}
 GAMES, BATCH = 64, 1024
+
+
+class Bits(Independent):
+    """The distribution of an action: N independent bits with one joint log-probability."""
+
+    def __init__(self, logits: torch.Tensor) -> None:
+        super().__init__(Bernoulli(logits=logits), 1)
 
 
 class Critic(torch.nn.Module):

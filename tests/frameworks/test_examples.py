@@ -2,7 +2,6 @@
 
 import importlib
 import re
-import sys
 
 import numpy as np
 import pytest
@@ -11,10 +10,8 @@ EXAMPLES = {
     "ppo": ("torch", "--steps 1024 --episodes 2", ["PPO", "lagged-regression", "random"]),
     "sb3_ppo": ("stable_baselines3", "--steps 1024 --episodes 2", ["PPO", "lagged-regression", "random"]),
     "torchrl_ppo": ("torchrl", "--steps 1024 --episodes 2", ["PPO", "lagged-regression"] * 2),
-    "torchrl_observers": ("torchrl", "--updates 1 --games 2", ["REINFORCE", "lagged-regression", "random"]),
-    "tianshou_ppo": ("tianshou", "--epochs 1 --episodes 2", ["PPO", "lagged-regression", "random"]),
-    "minari_imitation": ("minari", "--games 3 --updates 2 --episodes 2", ["student", "teacher"] * 2),
     "supersuit_ppo": ("supersuit", "--steps 768 --games 2", ["PPO", "lagged-regression", "random"]),
+    "minari_imitation": ("minari", "--games 3 --updates 2 --episodes 2", ["student", "teacher"] * 2),
 }
 pytestmark = [
     pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL is tested using version:UserWarning"),
@@ -22,21 +19,11 @@ pytestmark = [
 ]
 
 
-def load(name, monkeypatch):
-    """Import an example; Tianshou's loops stay Python: it compiles them anew in every process, which takes 15 s."""
-    pytest.importorskip(EXAMPLES[name][0])
-    example = importlib.import_module(name)
-    for place in ("tianshou.algorithm.algorithm_base", "tianshou.data.buffer.manager"):
-        for attribute, loop in list(vars(sys.modules.get(place, object())).items() if place in sys.modules else ()):
-            if hasattr(loop, "py_func"):
-                monkeypatch.setattr(f"{place}.{attribute}", loop.py_func)
-    return example
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_an_example_trains_and_compares_its_agent_with_detectors(name, capsys, monkeypatch):
-    example = load(name, monkeypatch)
+    pytest.importorskip(EXAMPLES[name][0])
+    example = importlib.import_module(name)
     monkeypatch.setenv("MINARI_DATASETS_PATH", "")  # put back afterwards
     example.main(EXAMPLES[name][1].split())
     lines = [re.match(r"(\S+) .*\bJ(?:_m)?: (-?[\d.]+)", line) for line in capsys.readouterr().out.splitlines()]
