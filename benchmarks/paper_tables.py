@@ -72,7 +72,6 @@ def rounds_block() -> str:
         "rounds": mean("rounds"),
         "redundant, % of N": mean("redundancy", 2, 100),
         "J_m": mean("J"),
-        "finished": rate("success"),
         "exact": rate("exact"),
     }
     words = pd.read_csv(DATA / "multi_cluster_in_words.csv", index_col="study").words

@@ -84,7 +84,7 @@ def read_suite(name: str) -> pd.DataFrame:
 
 
 def suite_block(name: str) -> str:
-    """A line for each detector, over all cells; which cells it failed in; a line for each cell."""
+    """A line for each detector, over all cells; a line for each cell."""
     rows, suite = read_suite(name), list_suites()[name]
     columns: dict[str, Say] = {"n": size, "exact": rate("exact"), "F1 in round 1": mean("f1_first"), "J": mean("J")}
     parts = [pivot(rows, DETECTOR, {**columns, "seconds": median("seconds_per_round")})]
@@ -92,16 +92,7 @@ def suite_block(name: str) -> str:
     few = [f"{name_detector(label)} {count}" for label, count in counts.items() if count < suite.episodes]
     if few:
         parts.append(f"Slow detectors played only the first of the {suite.episodes} episodes: {', '.join(few)}.")
-    failed = rows[rows.error.notna()]
-    if len(failed):
-        cells: dict[str, Say] = {"failed in": lambda part: ", ".join(dict.fromkeys(part["cell"]))}
-        parts.append(pivot(failed, {**DETECTOR, "reason": "error"}, cells))
     order = list(suite.cells)
-    if name == "scale":
-        by_cell = across("cell", order, lambda part: f"{median('f1_first', '.2f')(part)}; {_seconds(part)}")
-        return "\n\n".join(
-            [*parts, "Median F1 in round 1; median seconds of an answer:", pivot(rows, DETECTOR, by_cell)]
-        )
     rows = rows.sort_values("cell", key=lambda cells: cells.map(order.index), kind="stable")
     percent = across("detector", counts.index[:BEST], lambda part: f"{100 * part.exact.mean():.0f}")
     percent = {name_detector(label): say for label, say in percent.items()}
@@ -109,8 +100,13 @@ def suite_block(name: str) -> str:
     return "\n\n".join([*parts, title, pivot(rows, {"cell": "cell"}, percent)])
 
 
-def _seconds(rows: pd.DataFrame) -> str:
-    return f"{median('seconds_per_round')(rows)} s" if rows.seconds_per_round.notna().any() else "–"
+def scale_block() -> str:
+    """A line for each detector, and what it does in each cell of the suite ``scale``."""
+
+    def say(rows: pd.DataFrame) -> str:
+        return f"{median('f1_first', '.2f')(rows)}; {median('seconds_per_round')(rows)} s".replace("–; – s", "–")
+
+    return pivot(read_suite("scale"), DETECTOR, across("cell", list_suites()["scale"].cells, say))
 
 
 def readme_block() -> str:
@@ -170,7 +166,7 @@ def leaderboard_block() -> str:
 
 
 def tracks_block() -> str:
-    """A table for each set of recordings and way to choose the step; a recording is one value of a mean."""
+    """A table for each set of recordings, whose steps were chosen; a recording is one value of a mean."""
     rows, parts = read_rows(RESULTS / "tracks.csv.gz"), []
     titles = {
         "ants": "Ants: tandem runs, a leader and a follower",
@@ -192,8 +188,8 @@ def tracks_block() -> str:
         "of these right": right("confirmed_heads", "confirmed"),
         "seconds": median("seconds"),
     }
-    for (name, chosen), part in rows.groupby(["set", "chosen"], sort=False):
-        steps = f"{part.step.min():g} to {part.step.max():g} s, chosen from each file" if chosen else "0.5 s, given"
+    for name, part in rows[rows.chosen == 1].groupby("set", sort=False):
+        steps = f"{part.step.min():g} to {part.step.max():g} s, chosen from each file"
         parts += [f"## {titles[name]}; step {steps}", pivot(part, DETECTOR, columns)]
     return "\n\n".join(parts)
 
@@ -238,7 +234,8 @@ def _report(name: str, report: Callable[[pd.DataFrame], str]) -> Callable[[], st
 
 BLOCKS: dict[str, Callable[[], str]] = {
     "": readme_block,
-    **{f"suite-{name}": lambda name=name: suite_block(name) for name in (*SUITES, *SOLVED, "scale")},
+    **{f"suite-{name}": lambda name=name: suite_block(name) for name in (*SUITES, *SOLVED)},
+    "suite-scale": scale_block,
     "ladder": ladder_block,
     "scenarios": _report("scenarios", scenarios.report),
     **{name: _report(name, lambda rows, name=name: reader.report(rows, name)) for name in READER_STUDIES},

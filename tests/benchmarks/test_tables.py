@@ -97,11 +97,8 @@ def test_a_failed_episode_is_not_exact_and_has_no_other_metric():
     assert len(failed)
     assert not failed.exact.any()
     assert failed.J.isna().all()
-    text = tables.suite_block("scale")
-    assert (
-        "| `gassl(times='mean')` | it took longer than 60 seconds, the time limit. | N237, N1000, N3000, N10000 |"
-        in text
-    )
+    (line,) = [line for line in tables.scale_block().splitlines() if "`gassl(" in line]
+    assert line.endswith("| – | – | – | – |")
 
 
 @pytest.mark.parametrize("name", ["paper-hard", "paper", "controls", "sensing", "field", "scale"])
