@@ -169,18 +169,8 @@ def test_roots_end_the_chains_of_leaders(leader):
         assert root == (chain[-1] if len(chain) <= len(leader) else -1)
 
 
-def test_direct_leaders_and_heads_are_both_truths():
-    """0 leads 1 and 2, 1 leads 3; 4 leads 5; 6 is alone."""
-    truth = np.array([0, 0, 0, 1, 4, 4, -1])
-    star = np.array([0, 0, 0, 0, 4, 4, 6])
-    assert objectives.leader_accuracy(truth, truth) == objectives.leader_accuracy(truth, truth, roots=True) == 1
-    assert objectives.leader_accuracy(truth, star) == 3 / 4
-    assert objectives.leader_accuracy(truth, star, roots=True) == 1
-    assert objectives.leader_accuracy(truth, [-1] * 7) == objectives.leader_accuracy(truth, [-1] * 7, roots=True) == 0
-    assert objectives.leader_accuracy([-1, 1], [0, 0]) == 0
-
-
 def test_the_leader_of_a_known_group_has_its_highest_score():
+    """0 leads 1 and 2, 1 leads 3; 4 leads 5; 6 is alone."""
     truth = np.array([0, 0, 0, 1, 4, 4, -1])
     assert objectives.group_leader_accuracy(truth, [2, 1, 1, 1, 0, 5, 9]) == 1 / 2
     assert objectives.group_leader_accuracy(truth, np.zeros(7)) == (1 / 4 + 1 / 2) / 2

@@ -170,20 +170,6 @@ def list_followers(detection: Detection, head: int) -> list[int]:
     return [int(i) for i in np.flatnonzero(behind) if i != head]
 
 
-def leader_accuracy(leader: ArrayLike, estimate: ArrayLike, *, roots: bool = False) -> float:
-    """Share of the followers whose leader is that of ``estimate`` ``(N,)``; 0 if no UAV follows another one.
-
-    With ``roots``, the heads of the trees, where a chain of leaders ends, are compared instead of direct leaders.
-    """
-    truth, found = np.asarray(leader), np.asarray(estimate)
-    follows = (truth >= 0) & (truth != np.arange(len(truth)))
-    if not follows.any():
-        return 0.0
-    if roots:
-        truth, found = find_roots(truth), np.where(found >= 0, find_roots(found), -1)
-    return float((truth == found)[follows].mean())
-
-
 def group_leader_accuracy(leader: ArrayLike, scores: ArrayLike) -> float:
     """Share of the groups whose head has the highest score of its group; the groups are known.
 

@@ -122,7 +122,6 @@ def test_detectors_are_compared_over_cells_by_groups_of_a_swarm(path):
     assert found.difference == pytest.approx((wide["destroy-all"] - wide["one-per-round"]).mean())
     assert found.p * 2**3 == round(found.p * 2**3)  # three groups, not six episodes
     assert [each.b for each in played.compare("none")] == ["destroy-all", "one-per-round"]
-    assert played.to_latex("J").splitlines()[2].startswith(r"J\_m$\downarrow$ & destroy-all & none")
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import usnet_env.envs  # noqa: F401  # registers the environments
-from usnet_env import ArgumentError, Detection, Window, make_detector
-from usnet_env.replay import EpisodeRecord, RecordReplay, record_episode
+from usnet_env import ArgumentError, Detection, Window
+from usnet_env.replay import EpisodeRecord, record_episode
 
 
 class Scripted:
@@ -108,63 +108,6 @@ def test_the_mind_of_the_detector_is_recorded():
     assert bare.probability is bare.attention is bare.reasons is None
 
 
-# --- the wrapper -----------------------------------------------------------------------------------------------------
-
-
-def small():
-    return multi(clusters=2, uavs=12, max_rounds=3)
-
-
-def play(env, detector, seed, note=False):
-    detector.reset(1)
-    observation, _ = env.reset(seed=seed)
-    over = False
-    while not over:
-        detection = detector.detect(Window.from_observation(observation))
-        if note:
-            env.note(detection)
-        observation, _, terminated, truncated, _ = env.step(detection.candidates.astype(np.int8))
-        over = terminated or truncated
-
-
-def test_the_episodes_of_the_trigger_are_written(tmp_path):
-    env = RecordReplay(small(), tmp_path / "new", lambda episode: episode % 2 == 1, label="mine")
-    for seed in range(4):
-        play(env, make_detector("one-per-round"), seed)
-    assert sorted(path.name for path in (tmp_path / "new").iterdir()) == ["episode-1.npz", "episode-3.npz"]
-    found = EpisodeRecord.load(tmp_path / "new" / "episode-3.npz")
-    assert (found.seed, found.detector, found.env_id) == (3, "mine", "USNET/MultiCluster-v0")
-    np.testing.assert_array_equal(found.scores, found.candidates)
-    assert repr(found).startswith(f"<EpisodeRecord: mine on USNET/MultiCluster-v0, {found.rounds} rounds, 12 UAVs")
-
-
-def test_a_noted_detection_is_kept_whole(tmp_path):
-    env = RecordReplay(small(), tmp_path)
-    play(env, make_detector("lagged-correlation"), 5, note=True)
-    found = EpisodeRecord.load(tmp_path / "episode-0.npz")
-    same = record_episode(small(), make_detector("lagged-correlation"), 5, 1)
-    for name in ("position", "alive", "root", "candidates", "scores", "clusters", "attention", "objective", "head"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(same, name))
-
-
-def test_an_episode_that_is_left_is_written_when_the_next_begins_or_at_the_end(tmp_path):
-    env = RecordReplay(small(), tmp_path)
-    for seed in (7, 8, 9):
-        env.reset(seed=seed)
-        for _ in range(seed - 7):  # no round of the first episode
-            env.step(np.zeros(12, np.int8))
-    env.close()
-    env.close()
-    found = {path.name: EpisodeRecord.load(path) for path in tmp_path.iterdir()}
-    assert {name: (each.seed, each.rounds) for name, each in found.items()} == {
-        "episode-1.npz": (8, 1),
-        "episode-2.npz": (9, 2),
-    }
-
-
-def test_other_environments_are_refused(tmp_path):
-    other = gym.make("CartPole-v1")
+def test_other_environments_are_refused():
     with pytest.raises(ArgumentError, match=r"^env must be"):
-        record_episode(other, Scripted(), 0, None)
-    with pytest.raises(ArgumentError, match=r"^env must be"):
-        RecordReplay(other, tmp_path)
+        record_episode(gym.make("CartPole-v1"), Scripted(), 0, None)

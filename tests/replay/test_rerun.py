@@ -12,7 +12,7 @@ from small_episode import DECOY, ROUNDS, SAMPLES, UAVS, large_episode, small_epi
 
 from usnet_env import ArgumentError
 from usnet_env.config import MissingExtraError
-from usnet_env.replay import rerun, write_comparison, write_recording
+from usnet_env.replay import rerun, write_recording
 from usnet_env.replay.recording import attention_sheet, find_groups, list_steps
 
 rr = pytest.importorskip("rerun")
@@ -165,24 +165,6 @@ def test_every_round_is_moved_to_the_middle_of_the_view(tmp_path, drift):
     for r in range(ROUNDS):
         places = position[r][small.seen[r]] + shift[r]
         np.testing.assert_allclose(places.min(axis=0), -places.max(axis=0), atol=1e-2)
-
-
-def test_two_detectors_on_one_swarm(tmp_path):
-    from rerun.chunk import RrdReader
-
-    other = np.zeros((ROUNDS, UAVS), bool)
-    other[0, [0, 3]] = other[1, 4] = True
-    path = write_comparison(small_episode(), small_episode(candidates=other, detector="another"), tmp_path / "both.rrd")
-    found = read(path)
-    entities = {chunk.entity_path for chunk in found}
-    assert {"/a/world/swarm/uavs", "/b/world/swarm/uavs", "/a/game/J", "/b/game/J", "/about"} <= entities
-    ((text,),) = column(found, "/about", "TextDocument:text")
-    assert "**by hand:**" in text
-    assert "**another:**" in text
-    assert len(RrdReader(path).blueprints()) == 1
-    elsewhere = small_episode(position=np.zeros((ROUNDS, SAMPLES, UAVS, 3)))
-    with pytest.raises(ArgumentError, match=r"^second must begin with the same swarm"):
-        write_comparison(small_episode(), elsewhere, tmp_path / "c.rrd")
 
 
 def test_records_without_a_mind_or_a_sighting_can_be_written(tmp_path):

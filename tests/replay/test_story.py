@@ -53,7 +53,7 @@ def test_zero_is_the_best_score_of_p1():
 def tell(record):
     names = [str(i) for i in range(record.uavs)]
     told = [text for number in range(1, record.rounds + 1) for text in tell_round(record, number, names)]
-    return "\n".join([*told, explain_replay([record], ["it"])])
+    return "\n".join([*told, explain_replay(record)])
 
 
 def test_a_round_is_told_as_it_happens():

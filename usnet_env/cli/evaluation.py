@@ -113,10 +113,10 @@ def evaluate(
 
 
 def _show_result(result: EvaluationResult, form: str) -> None:
-    """Print the tables of a result: short, ``"all"``, as ``"markdown"`` or as ``"latex"``."""
-    if form in ("markdown", "latex"):
-        write = result.to_markdown if form == "markdown" else result.to_latex
-        click.echo("\n".join([write(), *[write("exact")] * (len(result.cells) > 1)]), nl=False)
+    """Print the tables of a result: short, ``"all"``, or as ``"markdown"``."""
+    if form == "markdown":
+        exact = [result.to_markdown("exact")] * (len(result.cells) > 1)
+        click.echo("\n".join([result.to_markdown(), *exact]), nl=False)
         return
     show(result.table() if form == "all" else result.ranking())
     if form == "all" and len(result.cells) > 1:
@@ -136,7 +136,7 @@ def _tell_what_is_kept(out: str) -> str:
 
 @click.command(short_help="Print the tables of a run, and compare detectors.")
 @click.argument("folder", type=click.Path(path_type=Path))
-@click.option("--format", "form", type=click.Choice(["all", "markdown", "latex"]), help="All metrics; or for a page.")
+@click.option("--format", "form", type=click.Choice(["all", "markdown"]), help="All metrics; or for a page.")
 @click.option(
     "--compare", "labels", multiple=True, metavar="LABEL", help="With the next, or with all. May be repeated."
 )

@@ -30,7 +30,6 @@ Examples:
   usnet replay runs/demo/episode.npz --open
   usnet replay runs/mine                      (lists the episodes of a run)
   usnet replay runs/mine --episode 7 --animation game.gif --page game.html
-  usnet replay one.npz other.npz --open       (two detectors on the same swarm)
 """
 
 
@@ -59,43 +58,34 @@ def demo(out: str, open_viewer: bool, **given: Any) -> None:
         open_replay(files["replay"])
 
 
-@click.command(short_help="Show recorded episodes: replay, comparison, animation, page.", epilog=_REPLAY_EXAMPLES)
-@click.argument("paths", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="PATH [OTHER]")
+@click.command(short_help="Show recorded episodes: replay, animation, page.", epilog=_REPLAY_EXAMPLES)
+@click.argument("path", type=click.Path(path_type=Path))
 @click.option("--episode", type=click.IntRange(0), metavar="N", help="Number of the episode in a folder of several.")
 @click.option("--rrd", type=click.Path(path_type=Path), metavar="FILE", help="Replay.  [default: beside the file]")
 @click.option("--open", "open_viewer", is_flag=True, help="Open the replay in the Rerun viewer.")
 @click.option("--animation", metavar="GIF|MP4", help="Animation to write, .gif or .mp4.")
 @click.option("--page", metavar="HTML", help="Page to write for any browser; it needs no network.")
 @click.option("--figure", metavar="PNG|PDF", help="Picture to write, a map for each round.")
-def replay(
-    paths: Sequence[Path], episode: int | None, rrd: Path | None, open_viewer: bool, **files: str | None
-) -> None:
-    """Show a recorded episode, or two that began with the same swarm, side by side.
+def replay(path: Path, episode: int | None, rrd: Path | None, open_viewer: bool, **files: str | None) -> None:
+    """Show a recorded episode.
 
     PATH is an episode file (.npz), or the folder of a run or a demo. A folder with several episodes is listed, unless
     --episode chooses one.
     """
-    from usnet_env.replay import EpisodeRecord, write_comparison, write_recording
+    from usnet_env.replay import EpisodeRecord, write_recording
     from usnet_env.replay.rerun import find_viewer, open_replay
     from usnet_env.replay.story import describe_outcome, describe_round, name_game
 
-    chosen = [_choose_episodes(path, episode) for path in paths]
-    if len(chosen) == 1 and len(chosen[0]) > 1:
-        _list_episodes(chosen[0])
+    found = _choose_episodes(path, episode)
+    if len(found) > 1:
+        _list_episodes(found)
         return
-    if len(chosen) > 2 or any(len(found) > 1 for found in chosen):
-        raise click.UsageError("PATH must be one episode, two, or a folder to list; --episode chooses one of a folder.")
-    records = [EpisodeRecord.load(found[0]) for found in chosen]
-    if len(records) == 2:
-        _say(f"{record.detector}: {describe_outcome(record)}" for record in records)
-        written = write_comparison(records[0], records[1], rrd or Path("comparison.rrd"))
-    else:
-        (record,) = records
-        rounds = [f"  {number}: {describe_round(record, number)}" for number in range(1, record.rounds + 1)]
-        _say([name_game(record), *rounds, describe_outcome(record)])
-        if _write_files(record, **files) and rrd is None and not open_viewer:
-            return
-        written = write_recording(record, rrd or chosen[0][0].with_suffix(".rrd"))
+    record = EpisodeRecord.load(found[0])
+    rounds = [f"  {number}: {describe_round(record, number)}" for number in range(1, record.rounds + 1)]
+    _say([name_game(record), *rounds, describe_outcome(record)])
+    if _write_files(record, **files) and rrd is None and not open_viewer:
+        return
+    written = write_recording(record, rrd or found[0].with_suffix(".rrd"))
     click.echo(f"replay     {written}" + ("" if open_viewer else f"  (open: {find_viewer()} {written})"))
     if open_viewer:
         open_replay(written)

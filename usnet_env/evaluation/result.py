@@ -179,10 +179,6 @@ class EvaluationResult:
         """
         return tables.format_markdown(*self._grid(metrics))
 
-    def to_latex(self, metrics: Sequence[str] | str | None = None) -> str:
-        """The table of :meth:`to_markdown` as a ``tabular`` for LaTeX's booktabs."""
-        return tables.format_latex(*self._grid(metrics))
-
     def _grid(
         self, metrics: Sequence[str] | str | None, pattern: str = "{} ({} to {})"
     ) -> tuple[list[str], list[list[str]]]:

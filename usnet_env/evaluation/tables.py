@@ -1,4 +1,4 @@
-"""Tables of a summary, and the sentence that it supports: for a terminal, and as Markdown and LaTeX."""
+"""Tables of a summary, and the sentence that it supports: for a terminal, and as Markdown."""
 
 from __future__ import annotations
 
@@ -16,11 +16,6 @@ Lines = list[list[str]]
 
 RANKED = ("J", "f1_first")  # the metrics that a ranking may show with intervals
 _NAMES = {"f1_first": "F1", "ap_first": "AP", "seconds_per_round": "s"}  # in headings
-_LATEX = str.maketrans(
-    {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "|": r"\textbar{}"}
-    | {"↓": r"$\downarrow$", "↑": r"$\uparrow$", "<": r"\textless{}", ">": r"\textgreater{}", "–": "--"}
-    | {sign: f"\\{sign}" for sign in "&%$#_{}"}
-)
 
 
 def objective(summary: Summary) -> tuple[str, str, int]:
@@ -109,13 +104,6 @@ def format_markdown(header: Sequence[str], lines: Lines) -> str:
     rule = ["---", *["---:"] * (len(header) - 1)]
     cells = ([text.replace("|", r"\|") for text in line] for line in (header, rule, *lines))
     return "".join(f"| {' | '.join(line)} |\n" for line in cells)
-
-
-def format_latex(header: Sequence[str], lines: Lines) -> str:
-    """A ``tabular`` for LaTeX with the rules of the package ``booktabs``."""
-    first, *others = (" & ".join(text.translate(_LATEX) for text in line) + r" \\" for line in (header, *lines))
-    begin = rf"\begin{{tabular}}{{l{'r' * (len(header) - 1)}}}"
-    return "\n".join([begin, r"\toprule", first, r"\midrule", *others, r"\bottomrule", r"\end{tabular}", ""])
 
 
 def make_table(title: str, header: Sequence[str], lines: Iterable[Iterable[object]], words: bool = False) -> Table:

@@ -1,11 +1,8 @@
-"""Record episodes: play one with a detector, or wrap an environment that somebody else plays."""
+"""Play an episode with a detector, and record it."""
 
 from __future__ import annotations
 
-import os
-import time
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -17,7 +14,6 @@ from usnet_env.config import ArgumentError, describe_arguments, optional_seed, q
 from usnet_env.detection import Detection, ask
 from usnet_env.envs.play import PlayedRound, play_probe, play_rounds
 from usnet_env.envs.probers import Prober
-from usnet_env.files import as_path
 from usnet_env.objectives import list_followers
 from usnet_env.plugins import DetectorLike, detector_label
 from usnet_env.provenance import versions
@@ -151,74 +147,3 @@ def _make_record(
         versions=versions(),
         labelled=labelled,
     )
-
-
-class RecordReplay(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
-    """Write episodes as episode files, used like Gymnasium's ``RecordVideo``; also those that are left before the end.
-
-    Args:
-        env: an environment of this project; wrappers below must keep the form of observations and actions.
-        folder: where to; the files are ``episode-0.npz``, ``episode-1.npz``, … and replace those of these names.
-        trigger: whether to write an episode, given its number from 0; ``None``: every episode.
-        label: name of the agent in the files.
-
-    Raises:
-        ArgumentError: ``env`` is no environment of this project, or ``folder`` is no path.
-    """
-
-    def __init__(
-        self,
-        env: gym.Env[Any, Any],
-        folder: str | os.PathLike[str],
-        trigger: Callable[[int], bool] | None = None,
-        *,
-        label: str = "agent",
-    ) -> None:
-        gym.utils.RecordConstructorArgs.__init__(self, folder=folder, trigger=trigger, label=label)
-        _check_environment(env)
-        super().__init__(env)
-        self.folder = as_path("folder", folder)
-        self._trigger, self._label = trigger, label
-        self._episode = -1
-        self._noted: Detection | None = None
-        self._rounds: list[PlayedRound[Detection]] = []
-        self._seconds: list[float] = []
-        self._began = 0.0
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Start an episode."""
-        self._write()
-        self._observation, info = self.env.reset(seed=seed, options=options)
-        self._episode, self._seed, self._noted = self._episode + 1, seed, None
-        self._began = time.perf_counter()
-        return self._observation, info
-
-    def note(self, detection: Detection) -> None:
-        """Keep the detection from which the next action is made; without it, the record holds the action alone."""
-        self._noted = detection
-
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Play a round; write the episode if it is the last one."""
-        self._seconds.append(time.perf_counter() - self._began)
-        game: Any = self.env.unwrapped
-        truth: SwarmState = game.swarm
-        following, reward, terminated, truncated, info = self.env.step(action)
-        candidates = np.asarray(action, bool).reshape(truth.alive.shape)
-        answer = replace(self._noted or Detection(candidates, candidates.astype(float)), candidates=candidates)
-        self._rounds.append(PlayedRound(self._observation, truth, answer, info, game.swarm))
-        if terminated or truncated:
-            self._write()
-        self._observation, self._noted = following, None
-        self._began = time.perf_counter()
-        return following, reward, bool(terminated), bool(truncated), info
-
-    def close(self) -> None:
-        """Write what was played, and close the environment."""
-        self._write()
-        super().close()
-
-    def _write(self) -> None:
-        if self._rounds and (self._trigger is None or self._trigger(self._episode)):
-            record = _make_record(self.env, self._rounds, self._seconds, self._seed, None, self._label)
-            record.save(self.folder / f"episode-{self._episode}.npz")
-        self._rounds, self._seconds = [], []

@@ -23,7 +23,7 @@ _USUAL_SPAN = 800.0  # metres: a swarm may be smaller or larger, and all sizes w
 _MOST_LABELS = 16  # in a round with more marks, they have no labels
 _MARKS = {HIT: 0x1ED9A0FF, LEADER: 0x1ED9A0FF, REDUNDANT: 0xFF7A1AFF, MISSED: 0xF5F5F5FF, OTHER: 0x6A6A6AFF}
 _NAMED, _GONE, _OBSERVER, _DECOY = 0x35A7FFFF, 0x8A8A8AFF, 0x7CC7FFFF, "#FFE45C"
-_SERIES = (0x56B4E9FF, 0xF0C04AFF)  # of the curves
+_SERIES = 0x56B4E9FF  # of the curves
 
 
 def list_steps(record: EpisodeRecord) -> Indices:
@@ -71,12 +71,12 @@ def attention_sheet(record: EpisodeRecord, r: int) -> NDArray[np.uint8]:
 
 
 class EpisodeWriter:
-    """Writes an episode into a stream, below the path ``root``; ``span`` is the side of the swarm in metres."""
+    """Writes an episode into a stream; ``span`` is the side of the swarm in metres."""
 
-    def __init__(self, record: EpisodeRecord, stream: rr.RecordingStream, root: str, span: float) -> None:
+    def __init__(self, record: EpisodeRecord, stream: rr.RecordingStream, span: float) -> None:
         import rerun
 
-        self.rr, self.record, self.stream, self.root, self.span = rerun, record, stream, root, span
+        self.rr, self.record, self.stream, self.span, self.log = rerun, record, stream, span, stream.log
         self.scale = span / _USUAL_SPAN
         self.samples = record.position.shape[1]
         self.answer, self.destroy, self.remerge = range(self.samples, self.samples + 3)
@@ -94,10 +94,6 @@ class EpisodeWriter:
         beats = 0.25 + _BEAT_SECONDS * (instant - self.answer) if instant >= self.answer else 0.0
         round_seconds = _WATCH_SECONDS + 3 * _BEAT_SECONDS + 0.5
         self.stream.set_time("time", duration=round_seconds * r + watched + beats)
-
-    def log(self, path: str, value: Any, *more: Any, static: bool = False) -> None:
-        """Log a value below the root."""
-        self.stream.log(self.root + path, value, *more, static=static)
 
     def write(self) -> None:
         """Write all of it."""
@@ -203,8 +199,7 @@ class EpisodeWriter:
         self.log("world/swarm/destroyed", gone)
         if not record.recorded:
             for name, value in (("J", record.objective[r]), ("heads_left", record.heads_left[r])):
-                names = f"{name} {self.root}".rstrip(" /")
-                look: dict[str, Any] = {"colors": _SERIES[self.root == "b/"], "names": names}
+                look: dict[str, Any] = {"colors": _SERIES, "names": name}
                 self.log(f"game/{name}", rr.SeriesPoints(marker_sizes=5, **look), rr.SeriesLines(**look), static=True)
                 self.log(f"game/{name}", rr.Scalars(value))
 

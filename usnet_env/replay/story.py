@@ -107,16 +107,15 @@ def tell_round(record: EpisodeRecord, number: int, names: Sequence[str]) -> tupl
     return start, f"{start}\n\n{describe_round(record, number)}.\n\n" + "\n".join(lines)
 
 
-def explain_replay(records: Sequence[EpisodeRecord], labels: Sequence[str]) -> str:
-    """Explain a recording of one or two episodes in Markdown."""
-    told = zip(labels, map(describe_outcome, records), strict=True)
-    outcomes = "\n".join(f"- **{label}:** {outcome}" for label, outcome in told)
-    if not records[0].labelled:
-        return f"{outcomes}\n\nThe truth is unknown: colours, links and green marks show what the detector found.\n"
-    return f"""{outcomes}
+def explain_replay(record: EpisodeRecord) -> str:
+    """Explain a recording in Markdown."""
+    outcome = f"**{record.detector or 'A detector'}:** {describe_outcome(record)}"
+    if not record.labelled:
+        return f"{outcome}\n\nThe truth is unknown: colours, links and green marks show what the detector found.\n"
+    return f"""{outcome}
 
 **Left:** what the detector sees, equal dots. With its answer, blue spheres are candidates, colours the groups that it
-found, and a larger dot means a higher {"score" if records[0].probability is None else "probability"}.
+found, and a larger dot means a higher {"score" if record.probability is None else "probability"}.
 
 **Right:** the truth, large points for heads and followers in the colour of their head. Green spheres are hits, orange
 boxes redundant candidates, white spheres heads that were not named; yellow points decoys, grey ones destroyed UAVs.
