@@ -167,6 +167,10 @@ def test_the_title_of_a_frame_has_the_result_of_the_round(monkeypatch):
     ]
 
 
+def test_a_notebook_shows_a_figure_without_pyplot():
+    assert drawing.draw_round(**scene())._repr_png_().startswith(b"\x89PNG")
+
+
 def test_nothing_global_is_touched(monkeypatch):
     """No pyplot, no change of rcParams or of the backend, no global random numbers drawn."""
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 import warnings
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from functools import partial
+from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
 from textwrap import fill
@@ -79,6 +81,8 @@ Limits = tuple[float, float, float]
 def new_figure(width: float, height: float, dpi: float = 100) -> Figure:
     """Create an empty figure of ``width`` by ``height`` inches with the Agg canvas, without pyplot.
 
+    Jupyter shows figures after pyplot was imported, and this one also if it wasn't.
+
     Raises:
         MissingExtraError: matplotlib is not installed.
     """
@@ -89,7 +93,14 @@ def new_figure(width: float, height: float, dpi: float = 100) -> Figure:
         raise MissingExtraError(f"Drawing needs matplotlib; {how_to_install('render')}.") from None
     figure = Figure(figsize=(width, height), dpi=dpi, facecolor="white")
     FigureCanvasAgg(figure)
+    figure._repr_png_ = partial(_encode, figure)  # type: ignore[attr-defined]  # what Jupyter asks for
     return figure
+
+
+def _encode(figure: Figure) -> bytes:
+    file = BytesIO()
+    figure.savefig(file, format="png")
+    return file.getvalue()
 
 
 def last_seen_position(position: Singles, seen: Mask) -> Singles:
