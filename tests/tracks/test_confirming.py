@@ -1,5 +1,7 @@
 """Confirmed leaders: a lead counts, what happens at the same time doesn't, and groups hold what moves alike."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from scipy.stats import gumbel_r
@@ -83,9 +85,22 @@ def test_ids_that_set_off_later_on_the_same_way_follow_the_places_of_the_first()
         assert (confirmed_ones.tolist(), kept) == ([True], [rest])
         second = order.index(1)
         assert follow_places(set_off(order, 0.5), second, [k for k in range(4) if order[k] > 1]) == []
-    assert follow_places(set_off([0, 1, 2, 3], 40.0), 0, [1, 2, 3]) == []  # side by side
+    assert follow_places(set_off([0, 1, 2, 3], 40.0), 0, [1, 2, 3]) == [1, 2, 3]  # side by side
     assert follow_places(set_off([0, 3, 3.1, 3.2], 0.5), 0, [1, 2, 3]) == []  # later than 30 s
     assert follow_places(set_off([0, 0.02, 0.01, 0.03], 0.5), 0, [1, 2, 3]) == []  # at once
+
+
+def test_straight_ways_at_one_speed_tell_nothing_of_a_leader():
+    """In whole numbers, at a speed that they hold exactly or hardly, or with noise."""
+    for speed, noise in product((1.0, 1.3), (0.0, 0.05)):
+        gone = np.floor(speed * np.arange(101)) if not noise else speed * np.arange(101)
+        position = np.zeros((101, 6, 3), np.float32)
+        position[..., 0], position[..., 1] = gone[:, None] + 7 * np.arange(6), 1000 * np.arange(6)
+        position += np.random.default_rng(5).normal(0, noise, position.shape)
+        seen = np.ones(position.shape[:2], bool)
+        window = Window(position, np.diff(position, axis=0), seen, seen[0], step=1.0)
+        for leader in range(6):
+            assert follow_places(window, leader, [k for k in range(6) if k != leader]) == []
 
 
 def test_leaders_of_short_windows_are_confirmed():

@@ -1,4 +1,4 @@
-"""Confirm leaders: does a group copy its leader's velocity later, or go to its places, and the leader nobody's?"""
+"""Confirm leaders: does a group copy its leader's velocity later, or go on its way, and the leader on nobody's?"""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ _DEVIATION_OF_BOTH = 1.7  # of the sum of two scores with a correlation of 0.45
 _LONGEST, _THIRD = 30.0, 3  # seconds, and part of a window, in which a place is reached later
 _SAME_HEADING = 0.8  # the cosine of headings at one place
 _SAME_WAY = 0.03  # squared distances to the way of a leader, as a share of those to where it is
+_ROUNDED = 1e-9  # of the variance of all places: what the rounding of numbers may be
 _MOST_OF = 0.75  # of a group
 _MOST_COMPARED = 20  # UAVs
 _MOST_ALIKE = 0.999  # the logarithm of equal tracks is infinite
@@ -36,7 +37,7 @@ def confirm_leaders(
     """Which of c leaders are confirmed, ``(c,)`` bool, and the followers that each keeps.
 
     Its followers copy its velocity later (:func:`keep_group`, :func:`confirm_lead`) and it doesn't follow another
-    (:func:`find_followers`); or else they go to the places where it was (:func:`follow_places`).
+    (:func:`find_followers`); or else they go on its way later (:func:`follow_places`).
     """
     kept = [keep_group(window, int(leader), members) for leader, members in zip(leaders, followers, strict=True)]
     leads = [confirm_lead(window, int(leader), members) for leader, members in zip(leaders, kept, strict=True)]
@@ -48,11 +49,12 @@ def confirm_leaders(
 
 
 def follow_places(window: Window, leader: int, followers: Sequence[int]) -> list[int]:
-    """The followers that go later to the places where their leader was, or a follower that does so.
+    """The followers that go later on the way of their leader, or of a follower that does so, or beside it.
 
-    UAV i follows the way of UAV j if the mean squared distance of its places to those of j some time before, up to 30 s
-    and a third of the window, is at most 3 % of the least one to those of j now or later. Empty if fewer than three
-    quarters of the followers do, if the leader follows the way of any UAV, or in a window of fewer than 16 steps.
+    UAV i follows the way of UAV j if the mean square of the vector between its places and those of j some time before,
+    up to 30 s and a third of the window, is at most 3 % of the least one between its places and those of j now or
+    later; beside it, if the variance of the vector is. Empty if fewer than three quarters of the followers do, if the
+    leader follows the way of any UAV, or in a window of fewer than 16 steps.
     """
     most = int(min(_LONGEST / (window.step or 1.0), window.observation_steps / _THIRD))
     if not followers or most < 1 or window.observation_steps < LEAST_STEPS:
@@ -68,23 +70,30 @@ def follow_places(window: Window, leader: int, followers: Sequence[int]) -> list
 
 
 def _compare_ways(window: Window, behind: Indices, ahead: Indices, most: int) -> Floats:
-    """``(b, a)`` mean squared distance to a UAV's places up to ``most`` steps before, as a share of that to others.
+    """``(b, a)`` mean square of the vector to a UAV's places up to ``most`` steps before, as a share of that to others.
 
-    It is infinite where both are seen in fewer than half of the window.
+    The same share of variances counts if it is smaller. It is infinite where both are seen in fewer than half of the
+    window. What is tiny beside the variance of all places counts as equal: on a straight way at one speed, it comes
+    from rounded numbers.
     """
     seen = window.seen.astype(np.float64)
     place = np.where(window.seen[..., None], window.position - window.position[window.seen].mean(axis=0), 0.0)
     squares, instants = (place**2).sum(axis=2), len(place)
-    distance = np.empty((2 * most + 1, len(behind), len(ahead)))
+    least = _ROUNDED * squares.sum() / max(seen.sum(), 1.0)
+    spread = np.empty((2, 2 * most + 1, len(behind), len(ahead)))  # mean squares and variances
     for lag in range(-most, most + 1):
         now, then = slice(max(0, lag), instants + min(0, lag)), slice(max(0, -lag), instants - max(0, lag))
         both = seen[now][:, behind].T @ seen[then][:, ahead]
         total = squares[now][:, behind].T @ seen[then][:, ahead] + seen[now][:, behind].T @ squares[then][:, ahead]
         total -= 2 * np.einsum("tbk,tak->ba", place[now][:, behind], place[then][:, ahead], optimize=True)
-        distance[lag + most] = np.where(both >= instants / 2, np.maximum(total, 0.0) / np.maximum(both, 1.0), np.inf)
-    before, other = distance[most + 1 :].min(axis=0), distance[: most + 1].min(axis=0)
+        apart = np.einsum("tbk,ta->bak", place[now][:, behind], seen[then][:, ahead], optimize=True)
+        apart -= np.einsum("tb,tak->bak", seen[now][:, behind], place[then][:, ahead], optimize=True)
+        square, mean = total / np.maximum(both, 1.0), apart / np.maximum(both, 1.0)[..., None]
+        found = np.maximum((square, square - (mean**2).sum(axis=2)), least)
+        spread[:, lag + most] = np.where(both >= instants / 2, found, np.inf)
+    before, other = spread[:, most + 1 :].min(axis=1), spread[:, : most + 1].min(axis=1)
     known = np.isfinite(before) & np.isfinite(other) & (other > 0)
-    return np.where(known, before / np.where(known, other, 1.0), np.inf)
+    return np.where(known, before / np.where(known, other, 1.0), np.inf).min(axis=0)
 
 
 def keep_group(window: Window, leader: int, followers: Sequence[int]) -> list[int]:
