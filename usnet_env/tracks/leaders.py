@@ -6,7 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from itertools import product
+from itertools import cycle, product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +15,7 @@ import pandas as pd
 from usnet_env.arrays import Floats, Indices
 from usnet_env.config import ArgumentError, format_count, quote, whole_number
 from usnet_env.detection import Detection, ask
+from usnet_env.drawing import CLUSTER_COLORS
 from usnet_env.objectives import list_followers
 from usnet_env.parts import describe_error
 from usnet_env.plugins import DetectorLike, detector_label, make_detector
@@ -165,6 +166,12 @@ class FoundLeaders:
         """Who leads, joins, leaves and takes over when, from window to window."""
         return find_events(self.windows)
 
+    @property
+    def colors(self) -> dict[str | int, str]:
+        """The colour of each id that leads, in all pictures and in the replay."""
+        leading = {leader.id for window in self.windows for leader in window.leaders}
+        return dict(zip((name for name in self.ids if name in leading), cycle(CLUSTER_COLORS), strict=False))
+
     def to_frame(self) -> pd.DataFrame:
         """A row for each window and each id that leads or follows in it.
 
@@ -183,19 +190,19 @@ class FoundLeaders:
         """Draw who follows whom: an arrow leads to the one that is followed; see :mod:`usnet_env.tracks.plots`."""
         from usnet_env.tracks.plots import draw_network
 
-        return draw_network(self.to_frame(), len(self.windows))
+        return draw_network(self)
 
     def plot_delays(self) -> Figure:
         """Draw the median delay in seconds of each id behind each one that it follows."""
         from usnet_env.tracks.plots import draw_delays
 
-        return draw_delays(self.to_frame())
+        return draw_delays(self)
 
     def plot_timeline(self) -> Figure:
         """Draw which head each id follows in each window."""
         from usnet_env.tracks.plots import draw_timeline
 
-        return draw_timeline(self.to_frame(), self.ids, [window.start for window in self.windows])
+        return draw_timeline(self)
 
     def as_dict(self) -> dict[str, Any]:
         """The windows and the leaders over the file as plain values for JSON."""

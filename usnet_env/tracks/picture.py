@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -50,7 +50,7 @@ def draw_leaders(found: FoundLeaders, cuts: Iterable[TrackWindow], title: str, t
     for k, (cut, window) in enumerate(zip(cuts, windows, strict=True)):
         if k in chosen:
             axes = figure.add_subplot(grid[divmod(len(maps), columns)])
-            place, present = _draw_map(axes, cut, window, tracks)
+            place, present = _draw_map(axes, cut, window, tracks, [*found.colors])
             marks |= present
             axes.set_title(f"{window.start} to {window.end}", fontsize=9, loc="left")
             maps.append((axes, place, cut, window))
@@ -66,12 +66,13 @@ def draw_leaders(found: FoundLeaders, cuts: Iterable[TrackWindow], title: str, t
     return figure
 
 
-def _draw_map(axes: Axes, cut: TrackWindow, window: DetectedWindow, tracks: Tracks) -> tuple[Any, dict[str, str]]:
+def _draw_map(
+    axes: Axes, cut: TrackWindow, window: DetectedWindow, tracks: Tracks, leading: Sequence[str | int]
+) -> tuple[Any, dict[str, str]]:
     """Draw one window; returns where each UAV was seen last, and the marks for the legend."""
-    groups = {leader.id: leader.group - 1 for leader in window.leaders}
     root, none = window.roots(cut.ids), np.zeros(len(cut.ids), bool)
-    head = np.array([name in groups for name in cut.ids])
-    number = np.array([groups.get(name, 0) for name in cut.ids])  # a group has one colour in all windows
+    head = np.isin(np.arange(len(root)), root)
+    number = np.array([leading.index(name) if name in leading else 0 for name in cut.ids])
     origin = cut.origin + (tracks.origin if "degrees" not in tracks.frame else 0.0)
     position: Any = cut.window.position + origin  # in float64: coordinates may be large
     seen, alive = cut.window.seen, cut.window.alive
@@ -89,12 +90,11 @@ def _draw_times(axes: Axes, found: FoundLeaders, names: Mapping[str, str]) -> No
     bars, count = found.leaders[:_MOST_ROWS], len(found.windows)
     for row, bar in enumerate(bars):
         led = [k for k, w in enumerate(found.windows) if (bar.id, bar.group) in {(x.id, x.group) for x in w.leaders}]
-        color = drawing.CLUSTER_COLORS[(bar.group - 1) % len(drawing.CLUSTER_COLORS)]
-        axes.barh([row] * len(led), 1.0, left=led, height=0.7, color=color)
+        axes.barh([row] * len(led), 1.0, left=led, height=0.7, color=found.colors[bar.id])
     axes.set_yticks(range(len(bars)), [drawing.escape_math(names[str(bar.id)]) for bar in bars], fontsize=8)
     axes.set(xlim=(0, count), ylim=(max(len(bars), 1) - 0.5, -0.5))
     ticks = np.unique(np.linspace(0, count - 1, min(count, 4)).astype(int))
     axes.set_xticks(ticks, [str(found.windows[k].start) for k in ticks], fontsize=8)
-    heading = "Windows in which each id leads (colour = group), and the times of their start"
+    heading = "Windows in which each id leads, and the times of their start"
     axes.set_title(heading if bars else "No leader was found.", fontsize=10, loc="left")
     axes.spines[["top", "right"]].set_visible(False)

@@ -1,27 +1,24 @@
-"""Pictures of found leaders: a network of who follows whom, the delays, and a timeline.
-
-They are drawn from the rows of :meth:`usnet_env.tracks.FoundLeaders.to_frame`.
-"""
+"""Pictures of found leaders: a network of who follows whom, the delays, and a timeline."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from usnet_env import drawing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from usnet_env.tracks.leaders import FoundLeaders
+
 _INNER, _GAP = 0.42, 0.1  # radius of the heads' circle; of an arrow's length, free at its ends
 _BOX = {"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 0.8}  # behind texts
 _MOST_LABELS, _LONGEST_NAME = 40, 18
 
 
-def draw_network(rows: pd.DataFrame, windows: int) -> Figure:
+def draw_network(found: FoundLeaders) -> Figure:
     """Draw an arrow from each id to the one that it follows directly.
 
     It is as wide as the share of the windows in which it does so; the label is the median delay in seconds. Heads are
@@ -29,9 +26,9 @@ def draw_network(rows: pd.DataFrame, windows: int) -> Figure:
     """
     figure = drawing.new_figure(7, 7)
     axes: Any = figure.add_axes((0.02, 0.02, 0.96, 0.9))
+    rows, windows, colors = found.to_frame(), len(found.windows), found.colors
     most = rows.groupby("id")["head"].agg(lambda heads: heads.value_counts().index[0])
     heads = [name for name in dict.fromkeys(rows["head"]) if (most == name).any()]
-    colors = _color_heads(rows["head"])
     members = sorted((name for name in most.index if name not in heads), key=lambda name: heads.index(most[name]))
     place = {name: 0.0 * _circle(1)[0] for name in heads[:1]} if len(heads) < 2 else {}
     place |= dict(zip(heads, _INNER * _circle(len(heads)), strict=True)) if len(heads) > 1 else {}
@@ -57,9 +54,9 @@ def draw_network(rows: pd.DataFrame, windows: int) -> Figure:
     return figure
 
 
-def draw_delays(rows: pd.DataFrame) -> Figure:
+def draw_delays(found: FoundLeaders) -> Figure:
     """Draw a matrix with a row for each follower, a column for each that is followed, and the median delay."""
-    links = rows.dropna(subset="leader")
+    links = found.to_frame().dropna(subset="leader")
     table = links.pivot_table("delay", "id", "leader", "median", dropna=False, sort=False).astype(float)
     figure = drawing.new_figure(2.5 + 0.55 * table.shape[1], 1.5 + 0.3 * table.shape[0])
     figure.set_layout_engine("constrained")
@@ -77,13 +74,14 @@ def draw_delays(rows: pd.DataFrame) -> Figure:
     return figure
 
 
-def draw_timeline(rows: pd.DataFrame, ids: Sequence[str | int], starts: Sequence[Any]) -> Figure:
+def draw_timeline(found: FoundLeaders) -> Figure:
     """Draw a row for each id: in each window, the colour of its head, and a star if it is one itself."""
+    rows, ids, starts = found.to_frame(), found.ids, [window.start for window in found.windows]
     figure = drawing.new_figure(8, 1.5 + 0.24 * len(ids))
     figure.set_layout_engine("constrained")
     axes: Any = figure.add_subplot()
     column = {start: k for k, start in enumerate(starts)}
-    row, colors = {name: k for k, name in enumerate(ids)}, _color_heads(rows["head"])
+    row, colors = {name: k for k, name in enumerate(ids)}, found.colors
     for start, name, head in rows[["start", "id", "head"]].itertuples(index=False):
         axes.barh(row[name], 0.96, left=column[start], height=0.8, color=colors[head])
         if name == head:
@@ -103,14 +101,6 @@ def draw_timeline(rows: pd.DataFrame, ids: Sequence[str | int], starts: Sequence
 def _circle(points: int) -> Any:
     angle = np.pi / 2 - 2 * np.pi * np.arange(points) / max(points, 1)
     return np.stack([np.cos(angle), np.sin(angle)], axis=1)
-
-
-def _color_heads(heads: pd.Series[Any]) -> dict[Any, str]:
-    """The most frequent heads have the first colours."""
-    return {
-        head: drawing.CLUSTER_COLORS[k % len(drawing.CLUSTER_COLORS)]
-        for k, head in enumerate(heads.value_counts().index)
-    }
 
 
 def _labels(names: Any) -> list[str]:
