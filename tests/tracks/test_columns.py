@@ -28,6 +28,12 @@ def test_names_of_columns_are_guessed_or_mapped(tmp_path, header, options):
     assert f"id = {header[0]}" in str(read.report())
 
 
+def test_a_heading_is_no_id(tmp_path):
+    rows = [[*row, 7.5 * k] for k, row in enumerate(ROWS)]
+    read = read_tracks(write_csv(tmp_path / "flights.csv", rows, ["icao24", "timestamp", "x", "y", "track"]))
+    assert read.ids == ("a", "b", "c")
+
+
 def test_the_columns_that_the_caller_names_are_read(tmp_path):
     path = write_csv(tmp_path / "both.csv", [[*row, 10.0, 50.0] for row in HIGH], [*HEADER, "z", "lon", "lat"])
     assert read_tracks(path).frame != "metres"

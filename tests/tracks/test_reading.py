@@ -271,6 +271,11 @@ def test_rows_without_values_can_be_skipped_and_repetitions_are(tmp_path):
     read = read_tracks(path, missing="skip")
     assert (read.samples, read.ids) == (2, ("a", "b"))
     assert "3 of 5 rows" in str(read.report())
+    path.write_text("id,t,x,y\na,0,1,2\na,1,2,2\nb,0,?,2\nb,25:00,1,2\nb,1,1,2\nb,2,1,2\n")
+    assert read_tracks(path, missing="skip").samples == 4
+    assert "got '25:00' in column 't'" in refusal(path)
+    path.write_text("id,t,x,y\na,0,1;5,2\na,1,2;5,2\nb,0,3;5,2\nb,1,1,2\n")  # most of the numbers
+    assert "got '1;5' in column 'x'" in refusal(path, missing="skip")
     path.write_text("id,t,x,y\na,0,1,2\nb,0,1,2\na,0,1,2\na,1,1,2\n")
     assert read_tracks(path).samples == 3
     assert "Left out as repetitions (same id, time and place): 1 sample." in str(read_tracks(path).report())

@@ -85,7 +85,7 @@ def _parse_place(context: click.Context, option: click.Parameter, words: str | N
 @click.option("--time-format", metavar="FORMAT", help="Of timestamps, such as '%d/%m/%Y %H:%M:%S'.")
 @click.option("--length-unit", type=click.Choice(["m", "cm", "mm", "km", "ft", "px"]), help=_LENGTH)
 @click.option("--duplicates", type=click.Choice(["error", "first", "mean"]), default="error", help=_DUPLICATES)
-@click.option("--skip-missing", "missing", flag_value="skip", default="refuse", help="Skip incomplete rows.")
+@click.option("--skip-missing", "missing", flag_value="skip", default="refuse", help="Skip rows that can't be read.")
 @click.option("--missing", "missing_place", callback=_parse_place, metavar="X,Y", help="A place that means none.")
 @click.option("--min-confidence", type=float, help="Skip rows with a smaller confidence, likelihood or score.")
 @click.option("--split-gap", type=PositiveNumber(), help="Seconds; after a longer gap, an id is another one.")

@@ -20,14 +20,14 @@ Role = Literal["id", "t", "frame", "lon", "lat", "x", "y", "z", "leader", "confi
 #: The roles of columns, with the names that are guessed, the preferred one first; a unit may follow (``time_ms``).
 ROLES: dict[str, tuple[str, ...]] = {
     "id": (
-        "individual-local-identifier", "id", "ids", "track_id", "trackid", "trajectory_id", "track", "animal",
-        "animal_id", "agent", "agent_id", "uav", "uav_id", "drone", "drone_id", "vehicle", "vehicle_id", "individual",
+        "individual-local-identifier", "id", "ids", "track_id", "trackid", "trajectory_id", "animal", "animal_id",
+        "agent", "agent_id", "uav", "uav_id", "drone", "drone_id", "vehicle", "vehicle_id", "individual",
         "individual_id", "ind", "bird", "bird_id", "ped_id", "pedestrian_id", "person_id", "object_id", "user_id",
-        "uid", "tag_id", "tag", "collar_id", "device_id", "mmsi", "icao24", "icao", "callsign", "name",
+        "uid", "tag_id", "tag", "collar_id", "device_id", "mmsi", "icao24", "icao", "callsign", "track", "name",
     ),
     "t": (
         "t", "time", "timestamp", "seconds", "sec", "datetime", "date_time", "utc", "timestamp_utc", "time_utc",
-        "base_date_time", "fix_time", "fixtime", "date",
+        "base_date_time", "fix_time", "fixtime", "tracked_at", "date",
     ),
     "frame": ("frame", "frame_id", "frame_number", "frame_nr", "frame_index", "frameid"),
     "lon": ("lon", "longitude", "location-long", "lng", "long"),
@@ -116,9 +116,12 @@ def _is_number(cell: str) -> bool:
 
 
 def read_numbers(
-    column: pd.Series[Any], role: str, where: str, decimal: str = ".", time_format: str | None = None
+    column: pd.Series[Any], role: str, where: str, decimal: str, time_format: str | None, *, skip_few: bool
 ) -> Floats:
-    """The numbers of a column, or its timestamps as microseconds since 1970; NaN where there is none, or no end."""
+    """The numbers of a column, or its timestamps as microseconds since 1970; NaN where there is none, or no end.
+
+    A cell that can't be read is refused, or is NaN with ``skip_few``, if fewer than half of the different ones are so.
+    """
     if column.dtype.kind in "fiu":
         numbers = column.to_numpy(np.float64)
     else:
@@ -131,7 +134,7 @@ def read_numbers(
             else np.array([_parse(cell, decimal) for cell in cells], np.float64)
         )
         wrong = np.isnan(values) & ~cells.map(is_none).to_numpy(bool)
-        if wrong.any():
+        if wrong.any() and not (skip_few and wrong.mean() < 0.5):
             refuse_cell(role, column, cells[wrong].iloc[0], where)
         numbers = np.append(values, math.nan)[codes]
         if dated:
@@ -139,7 +142,7 @@ def read_numbers(
     numbers = np.where(np.isinf(numbers), math.nan, numbers)
     wild = np.abs(numbers) > _LIMITS.get(role, _LARGEST)
     if wild.any():
-        refuse_cell(role, column, numbers[wild][0], where)
+        refuse_cell(role, column, numbers[wild][0].item(), where)
     return numbers
 
 
@@ -207,5 +210,6 @@ def refuse_cell(role: str, column: pd.Series[Any], cell: Any, where: str) -> NoR
     elif _COMMA.fullmatch(str(cell)):
         hint = " (decimal=',', or --decimal , reads decimal commas)"
     elif role in TIMES and re.search(r"\d\D\d", str(cell)):
-        hint = " (time_format='%d/%m/%Y %H:%M:%S', or --time-format, names another format)"
+        what = "names another format; missing='skip', or --skip-missing, skips a few that can't be read"
+        hint = f" (time_format='%d/%m/%Y %H:%M:%S', or --time-format, {what})"
     raise ArgumentError(f"{role} must be {must} in every row of {where}, got {got} in column {column.name!r}{hint}.")

@@ -37,7 +37,7 @@ _TIME_OF_DAY = r"\d{1,2}:\d\d"
 _RECORDED = (315_532_800, 4_102_444_800)  # seconds from 1970 to 1980 and to 2100
 _SHORT = 0.05  # seconds between samples, or 72 minutes in days
 _SKIPPED = {
-    "skipped": "without a time, place or id",
+    "skipped": "without a time, place or id that can be read",
     "marked": "marked as outliers in the file",
     "unsure": "with less than the least confidence",
 }
@@ -100,9 +100,9 @@ def read_tracks(
             spreadsheet's days, or else 1.
         time_format: of timestamps, as ``strftime`` writes it; ``None``: ISO 8601, or days and months in plain order.
         length_unit: of x, y and z (heights only beside degrees); ``None``: that in the name (``x_cm``), or metres.
-        missing: ``"refuse"`` a row without a time, place or id, or ``"skip"`` it. Such rows of a Movebank file, which
-            are missed fixes, are always skipped; so are those that Movebank marks as outliers, and empty cells of a
-            table with a column for each id (``x1, y1, x2, y2``).
+        missing: ``"refuse"`` a row without a time, place or id that can be read, or ``"skip"`` it. Such rows of a
+            Movebank file, which are missed fixes, are always skipped; so are those that Movebank marks as outliers, and
+            empty cells of a table with a column for each id (``x1, y1, x2, y2``).
         missing_place: a place that stands for a missing one, such as (0, 0).
         min_confidence: leaves out rows with a smaller number, or none, in the column of the role ``confidence``.
         split_gap: seconds; after a longer gap, an id is another one: ``a`` is ``a/2``, and then ``a/3``.
@@ -193,7 +193,8 @@ def _read_part(table_of_file: formats.Table, options: _Options, where: str, stem
         if role in roles.LABELS:
             rows[role] = roles.read_labels(column)
         else:
-            rows[role] = roles.read_numbers(column, role, where, options.decimal, options.time_format)
+            few = options.missing == "skip"
+            rows[role] = roles.read_numbers(column, role, where, options.decimal, options.time_format, skip_few=few)
         if role in ("leader", "confidence") or (role == "z" and not mapping.get("z")):
             continue
         none = rows[role].isin(["", np.nan]).to_numpy()

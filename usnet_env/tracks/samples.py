@@ -16,7 +16,7 @@ from usnet_env.config import ArgumentError, format_count, quote
 
 _DIGITS = 9  # decimals of a time that is written as a number, where float64 has as many
 _EPOCH = datetime(1970, 1, 1)
-_NO_VALUE = {"", "-", "na", "n/a", "#n/a", "nan", "null", "none", "nat", "\\n"}
+_NO_VALUE = {"", "-", "na", "n/a", "#n/a", "nan", "null", "none", "nat", "\\n", "?"}
 
 
 @dataclass(frozen=True)
