@@ -28,8 +28,8 @@ _SHORT_REPR.maxlist = _SHORT_REPR.maxtuple = 30
 _SHORT_REPR.maxlevel = 3
 
 #: The module of each optional package, and the extra that brings it.
-EXTRAS = {"torch": "torch", "matplotlib": "render", "rerun": "replay", "ray": "ray"}
-EXTRAS |= {"pettingzoo": "multiagent", **dict.fromkeys(("pyarrow", "pyproj", "pyulog", "h5py", "pymavlink"), "tracks")}
+EXTRAS = {"torch": "torch", "matplotlib": "render", "rerun": "replay", "ray": "ray", "pettingzoo": "multiagent"}
+EXTRAS |= dict.fromkeys(("pyarrow", "pyproj", "pyulog", "h5py", "pymavlink", "rosbags"), "tracks")
 
 _EXPECTED = {  # texts for pydantic's error types
     "int_type": "a whole number",

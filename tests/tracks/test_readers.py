@@ -126,6 +126,56 @@ def test_mavlink_logs_have_an_id_for_each_system(tmp_path):
     np.testing.assert_allclose(np.diff(read.position[:4, 1]), 11.1, atol=0.1)
 
 
+def test_geoparquet_has_degrees_or_metres(tmp_path):
+    pyarrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    columns = {"animal": [row[0] for row in FRAMES], "frame": [row[1] for row in FRAMES]}
+    columns["geometry"] = [struct.pack("<BIdd", 1, 1, x, y / 2) for _, _, x, y in FRAMES]
+    for system, frame in (("ProjectedCRS", "metres"), ("GeographicCRS", "from degrees")):
+        about = {"primary_column": "geometry", "columns": {"geometry": {"encoding": "WKB", "crs": {"type": system}}}}
+        table = pyarrow.table(columns).replace_schema_metadata({"geo": json.dumps(about)})
+        parquet.write_table(table, tmp_path / "geo.parquet")
+        read = read_tracks(tmp_path / "geo.parquet", time_unit=0.5)
+        assert read.frame.endswith(frame)
+        if system == "ProjectedCRS":
+            places = PLACES.transpose(1, 0, 2).reshape(-1, 2) * [1, 0.5]
+            np.testing.assert_allclose((read.position + read.origin)[:, :2], places)
+
+
+def write_bag(folder, suffix, topics="abc"):
+    """A bag with a point at each place, beside a topic of texts."""
+    typesys = pytest.importorskip("rosbags.typesys")
+    from rosbags import rosbag1, rosbag2
+
+    first = suffix == ".bag"
+    store = typesys.get_typestore(typesys.Stores.ROS1_NOETIC if first else typesys.Stores.LATEST)
+    kinds = {name.rpartition("/")[2]: kind for name, kind in store.types.items()}
+    time = store.types["builtin_interfaces/msg/Time"](0, 0)
+    stamp = kinds["Header"](stamp=time, frame_id="map", **{"seq": 0} if first else {})
+    path = folder / f"bag{suffix}" if first else folder / suffix[1:]
+    plugin = rosbag2.StoragePlugin.MCAP if suffix == ".mcap" else rosbag2.StoragePlugin.SQLITE3
+    with rosbag1.Writer(path) if first else rosbag2.Writer(path, version=9, storage_plugin=plugin) as bag:
+        said = [("/rosout", 0, kinds["String"]("ready"))]
+        points = [(name, frame, kinds["Point"](x, y, 0.0)) for name, frame, x, y in FRAMES if name in topics]
+        said += [(f"/{name}/point", frame, kinds["PointStamped"](stamp, point)) for name, frame, point in points]
+        kind_of = {name: message.__msgtype__ for name, _, message in said}
+        topic_of = {name: bag.add_connection(name, kind, typestore=store) for name, kind in kind_of.items()}
+        for name, frame, message in said:
+            write = store.serialize_ros1 if first else store.serialize_cdr
+            bag.write(topic_of[name], int((1e9 + frame / 2) * 1e9), write(message, kind_of[name]))
+    return path if first else path / f"{path.name}{suffix}"
+
+
+@pytest.mark.parametrize("suffix", [".bag", ".mcap", ".db3"])
+def test_bags_have_an_id_for_each_topic_with_places(tmp_path, suffix):
+    read = read_tracks(write_bag(tmp_path, suffix))
+    assert (read.ids, read.duration) == (("/a/point", "/b/point", "/c/point"), 9.5)
+    np.testing.assert_allclose((read.position + read.origin)[:, :2], PLACES.transpose(1, 0, 2).reshape(-1, 2))
+
+
+def test_a_bag_without_places_is_refused(tmp_path):
+    assert "it has no places in nav_msgs/msg/Odometry" in refusal(write_bag(tmp_path, ".mcap", topics=""))
+
+
 @pytest.fixture
 def stranger(monkeypatch, tmp_path):
     """Installs a distribution with a reader of ``.two``, and one that gives no frame."""

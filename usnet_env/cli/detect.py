@@ -117,7 +117,7 @@ def detect(
     """Find the leaders in recorded tracks: their followers, times, probabilities and reasons.
 
     TRACKS is a CSV file with the columns id, t (or frame), x, y and optionally z, or lon and lat in degrees; or a file
-    of another format, such as Parquet, GPX, SLEAP, DeepLabCut or ULog. Several files are read as one.
+    of another format, such as Parquet, GPX, SLEAP, DeepLabCut, ULog or ROS bags. Several files are read as one.
     """
     from usnet_env.detection import read_tags
     from usnet_env.plugins import make_detector

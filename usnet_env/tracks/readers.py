@@ -13,6 +13,7 @@ import os
 import warnings
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -33,6 +34,15 @@ _MESSAGES = {  # of MAVLink and of ArduPilot's logs: the fields, and units in a 
     "GLOBAL_POSITION_INT": ("lon", "lat", "alt", 1e7, 1e3),
     "POS": ("Lng", "Lat", "Alt", 1.0, 1.0),
 }
+_POSITION = "{0}.x {0}.y {0}.z"
+_PLACES = {  # in messages of ROS: the columns, and where they are
+    "nav_msgs/msg/Odometry": ("x y z", _POSITION.format("pose.pose.position")),
+    "geometry_msgs/msg/PoseStamped": ("x y z", _POSITION.format("pose.position")),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": ("x y z", _POSITION.format("pose.pose.position")),
+    "geometry_msgs/msg/TransformStamped": ("x y z", _POSITION.format("transform.translation")),
+    "geometry_msgs/msg/PointStamped": ("x y z", _POSITION.format("point")),
+    "sensor_msgs/msg/NavSatFix": ("lon lat z", "longitude latitude altitude"),
+}
 _SLEAP = {"tracks": '["track", "xy", "node", "frame"]', "instance_scores": '["track", "frame"]'}  # the usual axes
 _MOVEMENT = ("position", "confidence")
 
@@ -50,10 +60,18 @@ def read_lines(path: Path) -> pd.DataFrame:
 
 
 def read_parquet(path: Path) -> pd.DataFrame:
-    """Parquet; an index that pandas has written into it is a column like others."""
+    """Parquet; an index that pandas has written into it is a column like others, and GeoParquet's points are two."""
     import pyarrow.parquet
 
-    return pyarrow.parquet.read_table(path).to_pandas(ignore_metadata=True)
+    table = pyarrow.parquet.read_table(path)
+    frame = table.to_pandas(ignore_metadata=True)
+    geo = json.loads((table.schema.metadata or {}).get(b"geo", "{}"))
+    if name := geo.get("primary_column"):
+        points = np.frombuffer(b"".join(frame.pop(name)), [("kind", "V5"), ("x", "<f8"), ("y", "<f8")])
+        system = geo["columns"][name].get("crs") or {"type": "GeographicCRS"}
+        axes = ("lon", "lat") if system["type"] == "GeographicCRS" else ("x", "y")
+        frame = frame.assign(**dict(zip(axes, (points["x"], points["y"]), strict=True)))
+    return frame
 
 
 def read_npz(path: Path) -> pd.DataFrame:
@@ -185,11 +203,32 @@ def read_mavlink(path: Path) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["id", "t", "lon", "lat", "z"])
 
 
+def read_ros(path: Path) -> pd.DataFrame:
+    """Places in a bag of ROS 1 or 2; the ids are the topics with the first kind of message in which it has places.
+
+    Times are those of the bag, which come from one clock.
+    """
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as bag:
+        kinds = dict.fromkeys(topic.msgtype for topic in bag.connections)
+        kind = next((kind for kind in _PLACES if kind in kinds), "")
+        if not kind:
+            raise ValueError(f"it has no places in {', '.join(_PLACES)}, but {', '.join(kinds) or 'nothing'}")
+        names, fields = _PLACES[kind]
+        find = attrgetter(*fields.split())
+        recorded = bag.messages([topic for topic in bag.connections if topic.msgtype == kind])
+        rows = [(topic.topic, time / 1e9, *find(bag.deserialize(raw, kind))) for topic, time, raw in recorded]
+    return pd.DataFrame(rows, columns=["id", "t", *names.split()])
+
+
 _OWN: dict[str, Reader] = {
     **dict.fromkeys(("parquet", "pq"), read_parquet),
     **dict.fromkeys(("jsonl", "ndjson"), read_lines),
     **dict.fromkeys(("h5", "hdf5", "nc"), read_hdf5),
     **dict.fromkeys(("tlog", "bin"), read_mavlink),
+    **dict.fromkeys(("bag", "mcap", "db3"), read_ros),
     "json": read_json,
     "npz": read_npz,
     "gpx": read_gpx,
