@@ -1,12 +1,15 @@
 """The picture of ``usnet detect``: titles, names and the legend."""
 
+import numpy as np
 import pytest
 from test_track_tables import flying, stamp
-from track_files import Sure, example, write_csv
+from track_files import Answers, Sure, answer_of, example, rows_of, straight, write_csv
 
 from usnet_env.tracks import find_leaders, read_tracks
 
 pytest.importorskip("matplotlib")
+from matplotlib.colors import to_hex
+
 from usnet_env.tracks.picture import draw_leaders
 
 
@@ -63,3 +66,20 @@ def test_the_legend_names_what_is_shown(tmp_path):
     rows = [row[:4] for row in example().leaderless()]
     without = draw(read_tracks(write_csv(tmp_path / "none.csv", rows)), "none")
     assert legend_of(without) == ["other (no leader found)"]
+
+
+def test_an_id_has_one_colour_in_all_pictures(tmp_path):
+    """In the maps, the bars below them, the network, where it is one of few windows, and the timeline."""
+    tracks = read_tracks(write_csv(tmp_path / "tracks.csv", rows_of(straight(steps=80)))).resample(0.5)
+    answers = Answers(lambda uavs, number: answer_of(uavs, int(number == 0), np.full(uavs, int(number == 0))))
+    found = find_leaders(tracks, answers, length=20, confirm=False)
+    colors = [color.lower() for color in found.colors.values()]
+    assert [*found.colors] == ["a", "b"]
+    maps, network = draw_leaders(found, tracks.windows(20), "tracks.csv", tracks), found.plot().axes[0]
+    for axes, color in zip(maps.axes, (colors[1], colors[0]), strict=False):
+        assert color in {to_hex(each) for part in axes.collections for each in part.get_facecolor()}
+    for patches in (maps.axes[-1].patches, found.plot_timeline().axes[0].patches):
+        assert {to_hex(patch.get_facecolor()) for patch in patches} == set(colors)
+    names = [each.get_text() for each in network.texts if each.get_text() in ("a", "b", "c")]
+    shown = {name: to_hex(dot.get_facecolor()[0]) for name, dot in zip(names, network.collections, strict=True)}
+    assert {name: shown[name].upper() for name in "ab"} == found.colors

@@ -22,7 +22,8 @@ def draw_network(found: FoundLeaders) -> Figure:
     """Draw an arrow from each id to the one that it follows directly.
 
     It is as wide as the share of the windows in which it does so; the label is the median delay in seconds. Heads are
-    in the middle, and ids have the colour of the head that they follow most often.
+    in the middle. An id that leads in some window has its own colour; others, and arrows, have that of the head that
+    they belong to most often.
     """
     figure = drawing.new_figure(7, 7)
     axes: Any = figure.add_axes((0.02, 0.02, 0.96, 0.9))
@@ -33,17 +34,18 @@ def draw_network(found: FoundLeaders) -> Figure:
     place = {name: 0.0 * _circle(1)[0] for name in heads[:1]} if len(heads) < 2 else {}
     place |= dict(zip(heads, _INNER * _circle(len(heads)), strict=True)) if len(heads) > 1 else {}
     place |= dict(zip(members, _circle(len(members)), strict=True))
-    links = rows.dropna(subset="leader").groupby(["id", "leader"])["delay"].agg(["size", "median"])
-    for (name, leader), (times, delay) in links.iterrows():
+    pairs = rows.dropna(subset="leader").groupby(["id", "leader"])
+    links = pairs.agg(times=("head", "size"), delay=("delay", "median"), head=("head", lambda head: head.mode()[0]))
+    for (name, leader), (times, delay, head) in links.iterrows():
         begin, end = place[name], place[leader]
         way, width = end - begin, 0.5 + 3.5 * times / windows
-        arrow = {"arrowstyle": "-|>", "lw": width, "color": colors[most[name]], "shrinkA": 12, "shrinkB": 14}
+        arrow = {"arrowstyle": "-|>", "lw": width, "color": colors[head], "shrinkA": 12, "shrinkB": 14}
         axes.annotate("", end, begin, arrowprops=arrow | {"alpha": 0.8, "mutation_scale": 10 + 2 * width})
         if len(links) <= _MOST_LABELS and not np.isnan(delay):
             axes.text(*(begin + 0.45 * way), f"{delay:.3g} s", fontsize=7, ha="center", va="center", bbox=_BOX)
     for name, (x, y) in place.items():
-        size = 420 if name in heads else 200
-        axes.scatter(x, y, s=size, color=colors[most[name]], edgecolor="black", linewidth=0.6, zorder=3)
+        size, color = 420 if name in heads else 200, colors.get(name, colors[most[name]])
+        axes.scatter(x, y, s=size, color=color, edgecolor="black", linewidth=0.6, zorder=3)
         label = drawing.escape_math(drawing.abbreviate([str(name)], _LONGEST_NAME)[0])
         axes.annotate(
             label, (x, y), xytext=(0, 13), textcoords="offset points", fontsize=8, ha="center", zorder=4, bbox=_BOX
