@@ -87,8 +87,11 @@ def choose_columns(
             raise ArgumentError(f"row 1 of {where} must name its columns, got values: {first} ({hint} names them).")
     elif len(set(chosen)) < len(chosen) or any(header.count(name) != 1 for name in chosen):
         must = f"give each role a column that {where} has once"
+    hint = " (several files may be the tracks of one id each)" * (missing == ["id"])
     if must:
-        raise ArgumentError(f"columns (--column) must {must}, got {quote(found)}; row 1 names {quote(list(header))}.")
+        raise ArgumentError(
+            f"columns (--column) must {must}, got {quote(found)}; row 1 names {quote(list(header))}{hint}."
+        )
     return found
 
 
