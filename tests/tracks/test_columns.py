@@ -28,6 +28,15 @@ def test_names_of_columns_are_guessed_or_mapped(tmp_path, header, options):
     assert f"id = {header[0]}" in str(read.report())
 
 
+def test_places_of_parts_of_one_animal_are_no_ids(tmp_path):
+    header = ["frame", "X (cm)", "Y (cm)", "midline_x", "midline_y", "X#wcentroid (cm)", "Y#wcentroid (cm)"]
+    path = write_csv(tmp_path / "beetle.csv", [[t, *[t + k for k in range(6)]] for t in range(9)], header)
+    assert "for id, got" in refusal(path)
+    assert "several files may be the tracks of one id each" in refusal(path)
+    other = write_csv(tmp_path / "ant.csv", [[t, *[t - k for k in range(6)]] for t in range(9)], header)
+    assert read_tracks([path, other]).ids == ("beetle", "ant")
+
+
 def test_a_heading_is_no_id(tmp_path):
     rows = [[*row, 7.5 * k] for k, row in enumerate(ROWS)]
     read = read_tracks(write_csv(tmp_path / "flights.csv", rows, ["icao24", "timestamp", "x", "y", "track"]))

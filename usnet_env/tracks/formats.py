@@ -23,7 +23,7 @@ def as_long(table: Table) -> Table:
     """A table with a row for each time, such as ``t, x1, y1, x2, y2``, as one with a row for each sample of an id."""
     header, read = table
     plain, wide = {roles.split_unit(name)[0] for name in header}, roles.find_wide(header)
-    if len(wide) < 2 or plain & {name.replace("-", "_") for name in roles.ROLES["id"]}:
+    if len(wide) < 2 or {"x", "y"} <= plain or plain & {name.replace("-", "_") for name in roles.ROLES["id"]}:
         return table
     rest = [name for name in header if not any(name in axes.values() for axes in wide.values())]
     if not plain & {*roles.ROLES["t"], *roles.ROLES["frame"]}:
