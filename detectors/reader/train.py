@@ -34,7 +34,7 @@ from usnet_env.files import reserve_folder, write_text
 
 _START, _SHARD, _ORDER = range(3)  # purpose of a seed
 _PRESETS = {"minutes": 25, "hours": 300}  # shards
-_PASSES, _TOGETHER = 2, 3  # how often a shard is used, and the batches in a step
+_PASSES, _GROUPED = 2, 3  # how often a shard is used, and the groups of batches in a step
 _WARM, _MOST_DECAY = 100, 0.996  # steps until the largest rate; decay of the average of the weights
 _DROPPED = 0.15  # share of batches in which one group of features is hidden
 _STATE = ("step", "exp_avg", "exp_avg_sq")  # of the optimiser, for each parameter
@@ -56,6 +56,7 @@ class ReaderTraining(NetworkSizes):
         width, attn_heads, blocks: see :class:`detectors.reader.network.NetworkSizes`.
         shards: their number; ``None``: the preset's.
         batches, windows, most_uavs: batches in a shard, windows in a batch, and the largest N.
+        together: batches with the same N that the network reads at once, at most; several keep a GPU busy.
     """
 
     preset: Literal["minutes", "hours"] = "minutes"
@@ -67,6 +68,7 @@ class ReaderTraining(NetworkSizes):
     batches: Count = 120
     windows: Count = 4
     most_uavs: Annotated[int, Field(ge=6, le=300)] = 82
+    together: Count = 1
 
 
 def compute_loss(answer: Answer[Tensor], head: Tensor, leader: Tensor, root: Tensor, delay: Tensor) -> Tensor:
@@ -79,6 +81,14 @@ def compute_loss(answer: Answer[Tensor], head: Tensor, leader: Tensor, root: Ten
     known = delay.isfinite()
     late = huber_loss(answer.delay[known], torch.log1p(delay[known]), reduction="sum") / known.sum().clamp(min=1)
     return heads / math.sqrt(head.shape[1]) + 0.3 * links + 0.3 * silent + 0.1 * late
+
+
+def _group_batches(shard: list[Batch], together: int) -> list[list[Batch]]:
+    """The batches in groups, each of at most so many with the same number of UAVs."""
+    alike = dict[int, list[Batch]]()
+    for batch in shard:
+        alike.setdefault(batch[1].head.shape[1], []).append(batch)
+    return [batches[k : k + together] for batches in alike.values() for k in range(0, len(batches), together)]
 
 
 class _Trainer:
@@ -104,35 +114,49 @@ class _Trainer:
         if not self.rows and not self.training.start:
             self._standardise(shard)
         rng = np.random.default_rng([self.training.seed, _ORDER, len(self.rows)])
-        losses, families = [], dict[str, list[int]]()
+        groups = _group_batches(shard, self.training.together)
+        losses, exact = list[Tensor](), list[tuple[list[Batch], Tensor]]()
         for number in range(_PASSES):
-            order = rng.permutation(len(shard))
-            steps = np.split(order, range(_TOGETHER, len(order), _TOGETHER))
+            order = rng.permutation(len(groups))
+            steps = np.split(order, range(_GROUPED, len(order), _GROUPED))
             for k, chosen in enumerate(steps, start=(len(self.rows) * _PASSES + number) * len(steps)):
-                for batch in (shard[index] for index in chosen):
+                windows = sum(len(truth.head) for index in chosen for _, truth in groups[index])
+                for group in (groups[index] for index in chosen):
                     dropped = _GROUPS[rng.integers(len(_GROUPS))] if rng.random() < _DROPPED else None
-                    loss, exact = self._add_gradients(batch, dropped, len(chosen))
+                    loss, right = self._add_gradients(group, dropped, windows)
                     if number == 0 and dropped is None:
                         losses.append(loss)
-                        right, windows = families.get(batch[1].family, (0, 0))
-                        families[batch[1].family] = [right + exact, windows + len(batch[1].head)]
+                        exact.append((group, right))
                 self._step(k, self.shards * _PASSES * len(steps))
+        families = dict[str, list[int]]()
+        for group, right in exact:
+            for (_, truth), part in zip(group, right.tolist(), strict=True):
+                known, count = families.get(truth.family, (0, 0))
+                families[truth.family] = [known + part, count + len(truth.head)]
         share = np.divide(*np.sum([[0, 0], *families.values()], axis=0))
-        row = {"shard": len(self.rows) + 1, "loss": float(np.mean(losses)), "exact": float(share), "families": families}
-        self.rows.append(row)
+        mean = float(torch.stack(losses).mean()) if losses else math.nan
+        self.rows.append({"shard": len(self.rows) + 1, "loss": mean, "exact": float(share), "families": families})
 
-    def _add_gradients(self, batch: Batch, dropped: tuple[str, slice] | None, count: int) -> tuple[float, int]:
-        """Add a batch's gradients over ``count``; returns its loss, and in how many windows the heads are exact."""
-        (features, truth), device = batch, self.training.device
-        inputs = {name: torch.tensor(array, device=device).float() for name, array in features._asdict().items()}
-        head, leader, root, delay = (torch.tensor(array, device=device) for array in truth[3:7])
+    def _add_gradients(
+        self, group: list[Batch], dropped: tuple[str, slice] | None, windows: int
+    ) -> tuple[Tensor, Tensor]:
+        """Add a group's part of the gradients of so many windows; returns its loss, and its exact windows by batch."""
+        device = self.training.device
+        features = (np.concatenate(parts) for parts in zip(*(features for features, _ in group), strict=True))
+        inputs = {
+            name: torch.tensor(array, device=device).float()
+            for name, array in zip(group[0][0]._fields, features, strict=True)
+        }
+        truth = (np.concatenate(parts) for parts in zip(*(truth[3:7] for _, truth in group), strict=True))
+        head, leader, root, delay = (torch.tensor(array, device=device) for array in truth)
         if dropped is not None:
             name, part = dropped
             inputs[name][..., part] = self.network.get_buffer(f"{name}_mean")[part]
         answer = self.network(**inputs)
         loss = compute_loss(answer, head, leader, root, delay)
-        (loss / count).backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
-        return float(loss.detach()), int(((answer.head > 0) == head).all(dim=1).sum())
+        (loss * (len(head) / windows)).backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
+        right = ((answer.head > 0) == head).all(dim=1)
+        return loss.detach(), right.view(len(group), -1).sum(dim=1)
 
     def _step(self, step: int, total: int) -> None:
         """Take a step at a rate that rises at first and falls along a cosine."""
