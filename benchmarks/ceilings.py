@@ -10,9 +10,9 @@ several UAVs above j, it repeats this with the chains that it has found. In floc
 chaser of each flock, and names the UAVs that don't fly by the flock's law.
 
 The noise of positions enters by its linear response, as a covariance in time, and nothing is assumed of how heads fly.
-So with noise this is less than the exact likelihood: a lower bound of the ceiling that a detector may beat; the column
-`bound` says so. Cells with other kinematics than ``unit``, missed or exchanged samples, a slower observer, noise along
-the course, or noise in flocks have no oracle here.
+So this is less than the exact likelihood, and a detector may beat it, most of all with noise: there it is far below
+what is possible, and the column `bound` says ``lower``. Cells with other kinematics than ``unit``, missed or exchanged
+samples, a slower observer, noise along the course, or noise in flocks have no oracle here.
 """
 
 from __future__ import annotations
