@@ -62,7 +62,6 @@ class GameBatch(ABC):
         self.scores = np.zeros((num_envs, config.uavs))
         self.metrics: dict[str, NDArray[Any]] = {}
         self._rngs: list[np.random.Generator] = []
-        self._seeds: list[int] = []
         self._game: GameState | None = None
         self._prices: ByRole = {}  # that agents pay, of roles that do
         count, seen, _ = roles[OBSERVER]
@@ -97,7 +96,7 @@ class GameBatch(ABC):
         if mask.shape != (self.num_envs,) or mask.dtype != bool or not enough:
             raise ArgumentError(f"games must be {self.num_envs} booleans, some true, at first all, got {quote(games)}.")
         chosen = np.flatnonzero(mask)
-        renew_generators(self._rngs, self._seeds, parse_seeds(seed, self.num_envs), chosen)
+        renew_generators(self._rngs, [], parse_seeds(seed, self.num_envs), chosen)
         state = game.start_games([self.config] * len(chosen), [self._rngs[b] for b in chosen])
         self._game = state if mask.all() else self.game.with_rows(chosen, state)
         self.candidates, self.scores = self.candidates & ~mask[:, None], np.where(mask[:, None], 0.0, self.scores)

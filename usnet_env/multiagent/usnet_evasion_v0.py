@@ -65,7 +65,7 @@ class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
             "legal": spaces.MultiBinary(int(choices.sum())),
         }
         roles: dict[str, tuple[int, spaces.Dict, spaces.Space[Any]]] = {
-            OBSERVER: (1, spaces.Dict({**window_spaces, "legal": mask}), mask),
+            OBSERVER: (1, spaces.Dict({**window_spaces, "legal": mask}), spaces.MultiBinary(uavs)),
             HEAD: (config.clusters, spaces.Dict(head_spaces), spaces.MultiDiscrete(choices)),
         }
         super().__init__(num_envs, config, rules, roles)
