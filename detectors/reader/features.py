@@ -32,7 +32,6 @@ _CORRELATIONS: Mapping[str, tuple[tuple[str, ...], tuple[int, ...]]] = {  # seri
     "cc": (("velocity",), _LAGS),
     "ee": (("innovation",), _LAGS),
     "gg": (("turn",), (0, 2, 4, 6, 8, 10, 12)),
-    "ss": (("smooth",), (0, 3, 6, 9, 12)),
     "long": (("slow", "slow_innovation"), (4, 8, 16, 24, 32)),
 }
 _CORRELATION_LENGTHS = {name: len(names) * len(lags) for name, (names, lags) in _CORRELATIONS.items()}
@@ -45,8 +44,8 @@ def _slice_groups(lengths: Mapping[str, int]) -> dict[str, slice]:
 
 
 PAIR_GROUPS = _slice_groups({
-    **_CORRELATION_LENGTHS, "raw": 2, "tops": 5, "net": 5, "shares": len(_SHARES),
-    "local": _BLOCK_FEATURES, "geo": 6 + kernels.BANK, "force": 5, "pc": 16, "places": 13, "joint": 6,
+    **_CORRELATION_LENGTHS, "raw": 2, "tops": 5, "shares": len(_SHARES),
+    "local": _BLOCK_FEATURES, "geo": 6 + kernels.BANK, "force": 5, "places": 13, "joint": 6,
 })  # fmt: skip
 UAV_GROUPS = _slice_groups({"track": 20, "nearest": 4, "neighbours": 26, "rule": 13})
 CONTEXT_GROUPS = _slice_groups({"size": 3, "motion": 6})
@@ -77,7 +76,6 @@ def make_features(position: Singles, velocity: Singles, seen: Mask) -> Features:
     _fill_correlations(pair, s)
     _fill_shares(pair[PAIR_GROUPS["shares"]], s)
     _fill_blocks(pair[PAIR_GROUPS["local"]], s)
-    _fill_own_past(pair[PAIR_GROUPS["pc"]], s)
     _fill_places(pair[PAIR_GROUPS["places"]], s)
     _fill_joint(pair[PAIR_GROUPS["joint"]], s)
     own = _fill_bearings(pair[PAIR_GROUPS["geo"]], pair[PAIR_GROUPS["force"]], s)
@@ -127,7 +125,7 @@ def _make_signals(p: Singles, v: Singles, seen: Singles, m: Singles) -> _Signals
     bank, count, nearest = flock.survey_neighbours(p, seen, v, m)
     rule = flock.fit_flock(v, complete, bank)
     raw = {"velocity": c, "innovation": e, "turn": series.change_series(smooth, enough, 5),
-           "smooth": series.centre_series(smooth, enough), "slow": series.average_series(c, m, 4)[0],
+           "slow": series.average_series(c, m, 4)[0],
            "slow_innovation": series.average_series(e, complete, 4)[0],
            "residual": rule["residual"]}  # fmt: skip
     s = {"p": p, "v": v, "seen": seen, "m": m, "complete": complete, "nearest": nearest, **rule}
@@ -138,7 +136,6 @@ def _make_signals(p: Singles, v: Singles, seen: Singles, m: Singles) -> _Signals
     s |= {name: _align(series.scale_series(x)) for name, x in raw.items()}
     s["plain"] = _align(series.whiten_series(c))
     s["squared"] = _align(series.whiten_series(series.centre_series(series.square_series(v), m)))
-    s["rest"], s["first"], s["second"] = series.remove_past(c, complete)
     return s
 
 
@@ -171,23 +168,22 @@ def _fill_correlations(pair: Singles, s: _Signals) -> None:
     alike = _make_array((1, n, n))
     _correlate(direction, direction, (0,), alike)
     pair[PAIR_GROUPS["raw"]] = alike[0] / np.maximum(both, 1), overlap
-    (e, e_lag, e_sum), (c, c_lag, c_sum), (g, _, g_sum) = (
+    (e, e_lag), (c, c_lag), (g, _) = (
         _summarise_lags(pair[PAIR_GROUPS[name]][first:], _CORRELATIONS[name][1][first:])
         for name, first in (("ee", 1), ("cc", 1), ("gg", 0))
     )
     pair[PAIR_GROUPS["tops"]] = e, e_lag, c, c_lag, g
-    pair[PAIR_GROUPS["net"]] = [x - x.T for x in (e, c, e_sum, c_sum, g_sum)]
 
 
-def _summarise_lags(x: Singles, lags: Sequence[int]) -> tuple[Singles, Singles, Singles]:
-    """Of correlations (L, n, n): the greatest, the mean place of its lag (0 to 1), and the sum."""
+def _summarise_lags(x: Singles, lags: Sequence[int]) -> tuple[Singles, Singles]:
+    """Of correlations (L, n, n): the greatest, and the mean place of its lag (0 to 1)."""
     weight = np.maximum(x, 0)
     weight *= weight
     weight *= weight * weight
     total, place = weight.sum(0) + np.float32(1e-9), np.zeros_like(x[0])
     for w, lag in zip(weight, lags, strict=True):
         place += np.float32(lag / lags[-1]) * w
-    return x.max(0), place / total, x.sum(0)
+    return x.max(0), place / total
 
 
 def _fill_shares(out: Singles, s: _Signals) -> None:
@@ -239,21 +235,6 @@ def _fill_blocks(out: Singles, s: _Signals) -> None:
             found.append((valid * np.maximum(0, 1 - square)).sum(0) / count)
         out[start : start + len(found)] = found
         start += len(found)
-
-
-def _fill_own_past(out: Singles, s: _Signals) -> None:
-    """Fill the partial correlations of i's velocity with j's 1 to 12 steps before, given i's own last two."""
-    n, lags, count = s["m"].shape[1], _LAGS[1:], len(_LAGS) - 1
-    rest, first, second, length = _make_array((4, count, n, n))
-    for x, name in ((rest, "rest"), (first, "first"), (second, "second")):
-        _correlate(s[name], s["velocity"], lags, x)
-    power = _align((s["velocity"] ** 2).sum(1, keepdims=True))
-    _correlate(s["complete"][:, None], power, lags, length)
-    left = np.maximum(length - first**2 - second**2, 0) + np.float32(1e-3) * length + np.float32(1e-5)
-    out[:count] = rest / np.sqrt(left)
-    top, place, _ = _summarise_lags(np.abs(out[:count]), lags)
-    gain = -np.log(np.maximum(1 - top**2, np.float32(1e-3))) * np.maximum(s["m"].sum(0), 4)[:, None]
-    out[count], out[count + 1], out[count + 2], out[count + 3] = top, place, top - top.T, np.log(gain + np.float32(0.5))
 
 
 def _fill_bearings(geo: Singles, force: Singles, s: _Signals) -> list[Singles]:

@@ -19,7 +19,7 @@ from usnet_env.config import ArgumentError, quote
 T = TypeVar("T")
 Weights = dict[str, Singles]  #: the arrays of :class:`detectors.reader.network.ReaderNetwork`, by their names
 
-_FAST = {"error_model": "numpy", "fastmath": {"contract", "reassoc"}}
+_FAST: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "reassoc"}}
 LARGEST, ROW_NOISE, _NORM_NOISE = np.float32(6.0), np.float32(1e-3), np.float32(1e-5)  #: the first of inputs
 _ONE, _HALF, _TANH_LIMIT = np.float32(1.0), np.float32(0.5), np.float32(7.905)
 _SLOPE, _CUBE = np.float32(math.sqrt(2.0 / math.pi)), np.float32(0.044715)

@@ -81,15 +81,6 @@ def square_series(v: Singles) -> Singles:
     return v[:, [0, 1, 2, 0, 1, 2]] * v[:, [0, 1, 2, 1, 2, 0]] * np.sqrt([[1], [1], [1], [2], [2], [2]]).astype("f4")
 
 
-def remove_past(c: Singles, complete: Singles) -> tuple[Singles, Singles, Singles]:
-    """Unit series (first, second) that span the last two velocities, and what they leave of the velocity (rest)."""
-    rest, first, second = (delay_series(c, k) * complete[:, None] for k in range(3))
-    first = scale_series(first)
-    second = scale_series(second - multiply_series(second, first) * first, 1e-3)
-    rest = rest - multiply_series(rest, first) * first
-    return scale_series(rest - multiply_series(rest, second) * second, 1e-3), first, second
-
-
 def regress_jointly(shared: Floats, alone: Floats, y: Floats, ridges: tuple[float, ...]) -> list[tuple[Floats, Floats]]:
     """Regress column i of ``y`` (R, n) on all columns of ``shared`` and on column i of ``alone``, both (R, n).
 

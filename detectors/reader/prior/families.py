@@ -6,7 +6,7 @@ import numpy as np
 
 from usnet_env.arrays import Floats
 
-PRIOR_VERSION = 4  # increases when a draw changes
+PRIOR_VERSION = 5  # increases when a draw changes
 
 MODELS = {  # follow strategies; flocks are the hardest, and come twice as often; two hold f1 to f6 as parts
     "random": 2.5,
@@ -14,27 +14,31 @@ MODELS = {  # follow strategies; flocks are the hardest, and come twice as often
     **dict.fromkeys(("frontness", "part_time", "partial_turns"), 1.0),
     **dict.fromkeys(("vicsek", "couzin", "predator"), 2.0),
     "informed": 3.5,
-    **dict.fromkeys(("shepherd", "reference", "independent", "shifted", "none"), 0.75),  # nobody leads
+    **dict.fromkeys(("shepherd", "reference", "independent", "shifted", "none"), 1.0),  # nobody leads
 }
 FAULTS = {  # what the sensor does to a swarm that follows by one of the models
     **dict.fromkeys(("fault:noise", "fault:correlated", "fault:mix"), 1.4),
     **dict.fromkeys(("fault:course", "fault:missed", "fault:bursts", "fault:partial"), 0.9),
-    **dict.fromkeys(("fault:jumps", "fault:rounding"), 0.5),
+    **dict.fromkeys(("fault:jumps", "fault:rounding"), 0.8),
     "fault:swaps": 2.0,
 }
 WORLDS = {  # without the simulator
-    "star": 4.0,
-    **dict.fromkeys(("path", "springs"), 3.0),
+    "star": 8.0,
+    "path": 3.5,
+    "springs": 5.0,
     **dict.fromkeys(("people", "initiators", "set_off"), 1.4),
-    **dict.fromkeys(("graded", "file", "cars", "boids_signed"), 1.0),
+    **dict.fromkeys(("graded", "file", "boids_signed"), 1.0),
+    "cars": 2.0,
     **dict.fromkeys(("changes", "fission", "convoy"), 0.7),
-    **dict.fromkeys(("driver", "route", "leaderless"), 4.0),  # in these and the next ones nobody leads
+    "driver": 5.0,  # in this and the next ones nobody leads
+    "route": 3.0,
+    "leaderless": 5.0,
     "herd": 2.0,
     **dict.fromkeys(("walkers", "ring_road", "springs_unseen"), 1.0),
 }
 #: How often a sensor spoils a world. With noise, an unseen driver can't be told from a leader, who is more likely.
-OBSERVED = {"star": 0.4, "path": 0.4, "driver": 0.1}  # the others: 0.25
-SHARES = (0.28, MODELS), (0.17, FAULTS), (0.33, WORLDS), (0.22, {"field": 1.0})  # the last: the field environment
+OBSERVED = {"star": 0.5, "path": 0.4, "driver": 0.1}  # the others: 0.25
+SHARES = (0.27, MODELS), (0.17, FAULTS), (0.36, WORLDS), (0.20, {"field": 1.0})  # the last: the field environment
 
 
 def draw_name(rng: np.random.Generator, weights: Mapping[str, float], without: Collection[str] = ()) -> str:

@@ -15,8 +15,8 @@ from usnet_env.swarm import SwarmConfig, SwarmState, advance, destroy, start
 from usnet_env.swarm.field_follow import Frontness, Links
 from usnet_env.swarm.field_kernels import DELAY
 
-_MOBILITY = {"gauss_markov": 4, "smooth_turn": 2, "waypoint": 1.5, "local_waypoint": 1.5, "iid": 1.5, "straight": 1.0}
-_KINEMATICS = {"unit": 6.5, **dict.fromkeys(("varied_speed", "lagged", "limited", "layered"), 0.875)}
+_MOBILITY = {"gauss_markov": 4, "smooth_turn": 2, "waypoint": 1.5, "local_waypoint": 1.5, "iid": 1.5, "straight": 1.5}
+_KINEMATICS = {"unit": 6.0, **dict.fromkeys(("varied_speed", "lagged", "limited", "layered"), 1.0)}
 _FORMATION = {"gathered": 0.6, "uniform": 0.25, "around": 0.15}
 _OTHERS = {"clutter": (0.1, 8), "traffic": (0.15, 7), "bystanders": (0.25, 12), "decoys": (0.35, 5)}  # how often, most
 
@@ -27,7 +27,8 @@ def draw_model_swarm(
     """Draw a swarm that follows by the model ``name``, seen by a sensor with the fault; without one, often by noise."""
     if not fault and rng.random() < 0.4:
         fault = "fault:noise"
-    uavs = draw_whole(rng, 6, min(60, most_uavs) if rng.random() < 0.98 else most_uavs)
+    fewest = 3 if rng.random() < 0.2 else 6
+    uavs = draw_whole(rng, fewest, min(60, most_uavs) if rng.random() < 0.98 else most_uavs)
     most_clusters = min(20 if rng.random() < 0.1 else 8, uavs // 3)
     arguments = {
         "follow": draw_strategy(rng, name),

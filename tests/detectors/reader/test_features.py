@@ -65,19 +65,6 @@ class Reference:
     def ee(self, i, j):
         return [self.correlate(self.innovate(i), self.innovate(j), lag) for lag in range(13)]
 
-    def pc(self, i, j):
-        c, found = self.c, []
-        past = np.stack([c[1:-1, i].ravel(), c[:-2, i].ravel()], 1)
-
-        def remove(x):
-            return x - past @ np.linalg.lstsq(past, x, rcond=None)[0]
-
-        for lag in range(1, 13):
-            x = np.concatenate([np.zeros((lag, 3)), c[:-lag, j]])[2:].ravel()
-            mine, other = remove(c[2:, i].ravel()), remove(x)
-            found.append(mine @ other / np.sqrt((mine @ mine) * (other @ other)))
-        return found
-
     def geo(self, i, j):
         gap, d = self.p[:-1:2, j] - self.p[:-1:2, i], self.far[:-1:2, i, j]
         ahead = (gap * self.mean[:, i]).sum(1) / d
@@ -125,7 +112,7 @@ class Reference:
         return found
 
 
-@pytest.mark.parametrize("name", ["cc", "ee", "pc", "geo", "force", "places", "joint"])
+@pytest.mark.parametrize("name", ["cc", "ee", "geo", "force", "places", "joint"])
 def test_pairs_agree_with_a_plain_reference(name):
     window = draw_window()
     reference, found = Reference(*window), group(make_features(*window), name)
@@ -202,9 +189,8 @@ def test_groups_follow_each_other(kind):
 def test_followers_are_told_from_leaders():
     told = make_features(*draw_window())
     assert (group(told, "ee")[1::2, ::2].argmax(2).diagonal() == 3).all()  # 1 follows 0, 3 follows 2, 5 follows 4
-    net = group(told, "net")[..., 0]
-    assert (net[1::2, ::2].diagonal() > 0.5).all()
-    assert (net[::2, 1::2].diagonal() < -0.5).all()
+    strongest = group(told, "tops")[..., 0]
+    assert (strongest[1::2, ::2] > strongest[::2, 1::2].T + 0.5).diagonal().all()
 
 
 def test_who_comes_later_to_the_same_places_is_told():

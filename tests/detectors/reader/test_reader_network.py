@@ -41,7 +41,7 @@ def test_answers_without_torch_are_those_of_torch(tmp_path, n, sizes):
     network, windows = draw_trained_network(sizes), [draw_features(n, seed) for seed in range(2)]
     path = write_weights(tmp_path / "reader.safetensors", network.state_dict(), {}, {})
     wanted, weights = answer(network, *windows), load_reader(str(path))
-    assert n == 1 or np.ptp(wanted.leader.numpy()) > 1
+    assert n == 1 or np.ptp(wanted.leader.numpy()) > 0.5
     for k, features in enumerate(windows):
         for name, got in read(weights, features)._asdict().items():
             assert got.dtype == np.float32

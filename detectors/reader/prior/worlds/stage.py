@@ -67,8 +67,8 @@ def draw_ways(rng: np.random.Generator, stage: Stage, steps: int, uavs: int, cal
 
 
 def draw_groups(rng: np.random.Generator, uavs: int, most: int) -> Indices:
-    """The leader ``(n,)`` of each UAV in 1 to ``most`` groups, whose leaders come first; each group has a follower."""
-    groups = int(rng.integers(1, min(most, uavs // 2) + 1))
+    """The leader ``(n,)`` of each UAV, the leaders first; one group in half of the draws, else 1 to ``most``."""
+    groups = 1 if rng.random() < 0.5 else int(rng.integers(1, min(most, uavs // 2) + 1))  # each has a follower
     return np.concatenate([np.arange(groups), np.arange(groups), rng.integers(groups, size=uavs - 2 * groups)])
 
 
