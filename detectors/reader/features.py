@@ -23,7 +23,7 @@ _LAGS = tuple(range(13))
 _PLACES = (1, 2, 4, 8, 16, 32)
 _CROWDS = {"near": 3, "far": 4}  # of the bank of radii, those in which UAVs are compared with their neighbours
 _BLOCK_LAGS, _BLOCK_FEATURES = (0, 1, 2, 3), 22
-_JOINT = (("p", "v", (1e-2, 1e-6)), ("v", "p", (1e-2,)))  # what of all UAVs, what of i alone, and ridges
+_JOINT = ((0, 1, (1e-2, 1e-6)), (1, 0, (1e-2,)))  # of places 0 and velocities 1: of all UAVs, of i alone; ridges
 _SHARES = (  # components of j (velocity, its squares), axes of i (innovations, velocity), lag
     ("plain", "innovation", 1), ("plain", "innovation", 2), ("plain", "innovation", 3), ("squared", "innovation", 1),
     ("squared", "innovation", 2), ("plain", "velocity", 0), ("plain", "velocity", 1), ("squared", "velocity", 1),
@@ -140,13 +140,10 @@ def _make_signals(p: Singles, v: Singles, seen: Singles, m: Singles) -> _Signals
 
 
 def _correlate(later: Singles, earlier: Singles, lags: Sequence[int], out: Singles) -> None:
-    """Out (L, n, n): the product of i's series with j's, each lag earlier; all lags are one product of matrices."""
-    (steps, axes, n), count = later.shape, len(lags)
-    stack = _make_array((steps, axes, count, n))
-    for k, lag in enumerate(lags):
-        stack[: max(steps - lag, 0), :, k] = later[lag:]
-    rows, columns = stack.reshape(steps * axes, count * n).T, earlier.reshape(steps * axes, earlier.shape[-1])
-    np.matmul(rows, columns, out=out[:count].reshape(count * n, columns.shape[1]))
+    """Out (L, n, n): the product of i's series with j's, each lag earlier."""
+    (steps, _, n), count = later.shape, len(lags)
+    for lag, product in zip(lags, out[:count], strict=True):
+        np.matmul(later[lag:].reshape(-1, n).T, earlier[: max(steps - lag, 0)].reshape(-1, n), out=product)
 
 
 def _fill_correlations(pair: Singles, s: _Signals) -> None:
@@ -195,45 +192,38 @@ def _fill_shares(out: Singles, s: _Signals) -> None:
             product = _make_array((3, n, p, n))
             later, earlier = y[lag:].reshape(-1, 3 * n).T, x[: steps - lag].reshape(-1, p * n)
             np.matmul(later, earlier, out=product.reshape(3 * n, p * n))
-            product *= product
-            out[k] = product.sum(0).sum(1) - np.float32(p / steps)
+            kernels.sum_squares(product, out[k])
+            out[k] -= np.float32(p / steps)
 
 
 def _cut_blocks(x: Singles, lag: int = 0) -> Singles:
-    """The series some steps later in blocks of 8 steps: (blocks, 8 p, n)."""
-    blocks = len(x) // _BLOCK
-    return series.delay_series(x, lag)[: blocks * _BLOCK].reshape(blocks, -1, x.shape[-1])
+    """Of a series (3 + T, p, n) that begins with 3 empty steps: some steps later, in blocks, (blocks, 8 p, n)."""
+    blocks, start = (len(x) - _BLOCK_LAGS[-1]) // _BLOCK, _BLOCK_LAGS[-1] - lag
+    return x[start : start + blocks * _BLOCK].reshape(blocks, -1, x.shape[-1])
 
 
 def _fill_blocks(out: Singles, s: _Signals) -> None:
     """Fill what is seen in blocks of 8 steps, for j's motion 0 to 3 steps before."""
     steps, n = s["m"].shape
-    blocks = steps // _BLOCK
+    blocks, first = steps // _BLOCK, _BLOCK_LAGS[-1]
     if blocks < 2:
         return
-    e, power = s["innovation"] * np.float32(np.sqrt(blocks)), (s["v"] ** 2).sum(1)
-    seen = s["m"] * series.delay_series(s["m"], 1)
-    change = ((s["v"] - series.delay_series(s["v"], 1)) ** 2).sum(1) * seen
+    (mine, theirs), e = _make_array((2, first + steps, 5, n)), _make_array((first + steps, 3, n))
+    v, m, power = s["v"], s["m"], (s["v"] ** 2).sum(1)
+    mine[first:, :3], mine[first:, 3], mine[first:, 4] = -2 * v, power, m
+    theirs[first:, :3], theirs[first:, 3], theirs[first:, 4] = v, m, power
+    np.multiply(s["innovation"], np.float32(np.sqrt(blocks)), out=e[first:])
+    seen, change = _make_array((2, first + steps, 1, n))
+    seen[first + 1 :, 0] = m[1:] * m[:-1]
+    change[first + 1 :, 0] = ((v[1:] - v[:-1]) ** 2).sum(1) * seen[first + 1 :, 0]
     persistence = _cut_blocks(change).sum(1) / np.maximum(_cut_blocks(seen).sum(1), 1)
-    both = np.concatenate([_cut_blocks(x) for x in (-2 * s["v"], power, s["m"])], 1)
-    mine = [_align(x).transpose(0, 2, 1) for x in (both, _cut_blocks(s["m"]), _cut_blocks(e))]
-    (square, overlap, product), start = _make_array((3, blocks, n, n)), 0
+    start = 0
+    square, overlap, product = products = _make_array((3, blocks, n, n))
     for lag in _BLOCK_LAGS:
-        v, m, p, x = (_cut_blocks(y, lag) for y in (s["v"], s["m"], power, e))
-        for y, left, right in zip((square, overlap, product), mine, (np.concatenate([v, m, p], 1), m, x), strict=True):
-            np.matmul(left, _align(right), out=y)
-        valid = overlap > 1.5
-        count = np.maximum(valid.sum(0), 1)
-        np.maximum(square, 0, out=square)
-        square /= np.maximum(overlap, 1, out=overlap)
-        square += np.float32(3e-3)
-        found = [(valid / (1 + (square * np.float32(1 / size)) ** 2)).sum(0) / count for size in (0.03, 0.2)]
-        found += [product.max(0), np.sqrt((np.maximum(product, 0, out=product) ** 2).sum(0))]
-        if lag:  # nobody's own change is compared with an undelayed copy
-            square /= persistence[..., None] + np.float32(3e-3)
-            found.append((valid / (1 + square**2 * square)).sum(0) / count)
-            found.append((valid * np.maximum(0, 1 - square)).sum(0) / count)
-        out[start : start + len(found)] = found
+        for y, left, right in zip(products, (mine, mine[:, 4:], e), (theirs, theirs[:, 3:4], e), strict=True):
+            np.matmul(_cut_blocks(left).transpose(0, 2, 1), _cut_blocks(right, lag), out=y)
+        found = out[start : start + (6 if lag else 4)]  # nobody's own change is compared with an undelayed copy
+        kernels.judge_blocks(square, overlap, product, persistence, found)
         start += len(found)
 
 
@@ -298,13 +288,9 @@ def _fill_joint(out: Singles, s: _Signals) -> None:
     change = series.change_series(s["v"], s["m"], 1)[:-1]
     size = np.sqrt((change**2).sum(1, keepdims=True))
     change *= size < 8 * size.mean(0, keepdims=True) + np.float32(1e-9)
-    now = {"p": s["p"][1:-1], "v": s["v"][:-1]}
-    flat = {name: (x - x.mean(0)).reshape(-1, x.shape[2]).astype(np.float64) for name, x in now.items()}
-    found = []
-    for shared, alone, ridges in _JOINT:
-        found += series.regress_jointly(
-            flat[shared], flat[alone], change.reshape(len(flat["v"]), -1).astype(float), ridges
-        )
+    now = [x - x.mean(0) for x in (s["p"][1:-1], s["v"][:-1])]
+    flat = np.stack([*now, change]).reshape(3, -1, change.shape[2]).astype(np.float64)
+    found = series.regress_jointly(flat, _JOINT)
     flying = max(np.count_nonzero(s["m"].sum(0)), 1)
     out[::2] = [np.arcsinh(sure) for sure, _ in found]
     out[1::2] = [part / (np.sqrt((part**2).sum(1, keepdims=True) / flying) + 1e-12) for _, part in found]

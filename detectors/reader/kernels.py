@@ -1,4 +1,7 @@
-"""Compiled loops. A series is ``(T, p, n)`` float32, the UAVs side by side; entry (i, j) of a pair: how i sees j."""
+"""Compiled loops. A series is ``(T, p, n)`` float32, the UAVs side by side; entry (i, j) of a pair: how i sees j.
+
+The innermost loops run over UAVs. Where they do much, their number is rounded up, so that no UAV is left to slow code.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +12,17 @@ from usnet_env.compiling import compiled
 RADII = np.array([6.0, 12.0, 25.0, 50.0, 100.0], np.float32)  # steps of flight at the typical speed of the window
 BANK = len(RADII)
 
+_FAST = {"error_model": "numpy", "fastmath": {"contract"}}
 _ZERO, _ONE, _TINY, _FAR = np.float32(0.0), np.float32(1.0), np.float32(1e-12), np.float32(1e6)
 _OUTER, _STEEP = np.float32(1.1), np.float32(5.0)  # a neighbour's weight falls from 1 to 0 between .9 and 1.1 radii
+_SLACK, _CLOSE, _SIMILAR = np.float32(3e-3), np.float32(1 / 0.03), np.float32(1 / 0.2)  # of squared differences
 _REACH = np.float32(1.0 / 9.0)  # repulsion halves at 3 steps of flight
+_LANES = 16  # numbers that a processor handles at once
 _W, _HALF = 128, 64  # rows of sums are a constant apart, known not to overlap, so that loops become vector code
 _ROWS = 7  # sums of a radius: weight, velocity, direction; one more radius holds the nearest distance and the repulsion
 
 
-@compiled(error_model="numpy")
+@compiled(**_FAST)
 def multiply_series(x, y, lag=0):
     """The sums over steps and axes of x(t + lag) y(t): (n,)."""
     total = np.zeros(x.shape[2], np.float32)
@@ -27,7 +33,7 @@ def multiply_series(x, y, lag=0):
     return total
 
 
-@compiled(error_model="numpy")
+@compiled(**_FAST)
 def multiply_columns(x, y):
     """The sums over rows of x (S, k, n) times y (S, q, n): (k, q, n)."""
     out = np.zeros((x.shape[1], y.shape[1], x.shape[2]), np.float32)
@@ -39,7 +45,7 @@ def multiply_columns(x, y):
     return out
 
 
-@compiled(error_model="numpy")
+@compiled(**_FAST)
 def solve_ridges(gram, right, relative, absolute, whiten=False):
     """Solve (gram + ridge) x = right for each UAV: ``gram`` (k, k, n) and ``right`` (k, r, n) are overwritten.
 
@@ -70,7 +76,15 @@ def solve_ridges(gram, right, relative, absolute, whiten=False):
             right[a, q] /= gram[a, a]
 
 
-@compiled(error_model="numpy")
+@compiled(**_FAST)
+def _pad(x):
+    """A series with UAVs added, all zeros, up to a multiple of what a processor handles at once."""
+    out = np.zeros((*x.shape[:-1], -(-x.shape[-1] // _LANES) * _LANES), np.float32)
+    out[..., : x.shape[-1]] = x
+    return out
+
+
+@compiled(**_FAST)
 def sum_neighbours(p, seen, v, m):
     """Weighted sums over the neighbours in each radius at the beginning of each step: (T, R + 1, 7, n)."""
     steps, _, n = v.shape
@@ -81,13 +95,14 @@ def sum_neighbours(p, seen, v, m):
         np.empty(3 * _HALF, np.float32),
     )
     last = BANK * _ROWS * _HALF
+    padded = _pad(p)
     for start in range(0, n, _HALF):
-        width = min(_HALF, n - start)
+        width = min(_HALF, padded.shape[2] - start)
         for t in range(1, steps):
             sums[:] = _ZERO
             sums[last : last + _HALF] = _FAR
             for a in range(3):
-                here[a * _HALF : a * _HALF + width] = p[t, a, start : start + width]
+                here[a * _HALF : a * _HALF + width] = padded[t, a, start : start + width]
             for j in range(n):
                 if seen[t, j] * m[t - 1, j] == _ZERO:
                     continue
@@ -95,7 +110,8 @@ def sum_neighbours(p, seen, v, m):
                 for i in range(width):
                     dx, dy, dz = x - here[i], y - here[_HALF + i], z - here[2 * _HALF + i]
                     d = np.sqrt(dx * dx + dy * dy + dz * dz) + _TINY
-                    one[i], one[_HALF + i], one[2 * _HALF + i], one[3 * _HALF + i] = d, dx / d, dy / d, dz / d
+                    near = _ONE / d
+                    one[i], one[_HALF + i], one[2 * _HALF + i], one[3 * _HALF + i] = d, dx * near, dy * near, dz * near
                 if start <= j < start + width:
                     one[j - start] = _FAR
                 for i in range(width):
@@ -115,11 +131,11 @@ def sum_neighbours(p, seen, v, m):
                         sums[k + 4 * _HALF + i] += w * one[_HALF + i]
                         sums[k + 5 * _HALF + i] += w * one[2 * _HALF + i]
                         sums[k + 6 * _HALF + i] += w * one[3 * _HALF + i]
-            out[t, :, start : start + width] = sums.reshape(-1, _HALF)[:, :width]
+            out[t, :, start : start + width] = sums.reshape(-1, _HALF)[:, : min(width, n - start)]
     return out.reshape(steps, BANK + 1, _ROWS, n)
 
 
-@compiled(error_model="numpy")
+@compiled(**_FAST)
 def measure_bearings(p, v, a, moving, turns):
     """Sum up over K instants where the others are, and whether i flies or accelerates there.
 
@@ -130,9 +146,11 @@ def measure_bearings(p, v, a, moving, turns):
     instants, _, n = p.shape
     sums, nearest = np.empty((19 + BANK, n, n), np.float32), np.full((2, instants, n), _FAR)
     total, now = np.empty((19 + BANK) * _W, np.float32), np.empty(2 * _W, np.float32)
+    p, v, moving, turns = _pad(p), _pad(v), _pad(moving), _pad(turns)
     for i in range(n):
         for start in range(0, n, _W):
-            end, width = min(start + _W, n), min(_W, n - start)
+            end = min(start + _W, p.shape[2])
+            width = end - start
             total[:] = _ZERO
             total[7 * _W : 8 * _W] = _FAR
             for k in range(instants):
@@ -150,17 +168,18 @@ def measure_bearings(p, v, a, moving, turns):
                     ux, uy, uz = (qx[j] - vx) * b, (qy[j] - vy) * b, (qz[j] - vz) * b
                     square = dx * dx + dy * dy + dz * dz
                     d = np.sqrt(square) + _TINY
-                    c, pull = (dx * vx + dy * vy + dz * vz) / d, ax * dx + ay * dy + az * dz
+                    near, pull = _ONE / d, ax * dx + ay * dy + az * dz
+                    c, along = (dx * vx + dy * vy + dz * vz) * near, pull * near
                     now[j], now[_W + j] = c, d + (_ONE - b) * _FAR
                     total[j] += c
                     total[_W + j] += abs(c)
-                    total[2 * _W + j] += pull / d
+                    total[2 * _W + j] += along
                     total[3 * _W + j] += d * b
                     total[4 * _W + j] += b
                     total[5 * _W + j] += late * d * b
                     total[6 * _W + j] += late * b
                     total[7 * _W + j] = min(total[7 * _W + j], now[_W + j])
-                    total[8 * _W + j] += abs(pull / d)
+                    total[8 * _W + j] += abs(along)
                     total[9 * _W + j] += pull
                     total[10 * _W + j] += square * turn
                     total[11 * _W + j] += power * b
@@ -175,15 +194,17 @@ def measure_bearings(p, v, a, moving, turns):
                     for j in range(width):
                         w = min(_ONE, max(_ZERO, np.float32(5.5) - steep * now[_W + j]))
                         total[row + j] += w
-                        total[(18 + BANK) * _W + j] += w * now[j] if r == BANK - 1 else _ZERO
                 for j in range(width):
+                    w = min(_ONE, max(_ZERO, np.float32(5.5) - _STEEP / RADII[BANK - 1] * now[_W + j]))
+                    total[(18 + BANK) * _W + j] += w * now[j]
+                for j in range(min(width, n - start)):
                     if now[_W + j] < nearest[0, k, i] and j + start != i:
                         nearest[0, k, i], nearest[1, k, i] = now[_W + j], now[j]
-            sums[:, i, start:end] = total.reshape(-1, _W)[:, :width]
+            sums[:, i, start:end] = total.reshape(-1, _W)[:, : min(width, n - start)]
     return sums, nearest
 
 
-@compiled(error_model="numpy")
+@compiled(**_FAST)
 def measure_places(p, seen, lags, stride, out):
     """How close i comes to where j was ``lags`` (L,) instants before, the first of them 0: into ``out`` (L + 3, n, n).
 
@@ -191,11 +212,13 @@ def measure_places(p, seen, lags, stride, out):
     for each lag; of the nearest of these places the mean distance, how often it is behind j, and its mean place in
     ``lags``, 0 to 1.
     """
-    instants, _, n = p.shape
-    last = len(lags) - 1
+    (instants, _, n), last = p.shape, len(lags) - 1
+    p, seen = _pad(p), _pad(seen)
+    width = p.shape[2]
+    nearest, best = np.empty(width, np.float32), np.empty(width, np.float32)
     for i in range(n):
-        total, count = np.zeros((last + 4, n), np.float32), np.zeros((last + 1, n), np.float32)
-        nearest, best, times = np.empty(n, np.float32), np.empty(n, np.float32), np.zeros(n, np.float32)
+        total, count = np.zeros((last + 4, width), np.float32), np.zeros((last + 1, width), np.float32)
+        times = np.zeros(width, np.float32)
         for t in range(0, instants, stride):
             if seen[t, i] == _ZERO:
                 continue
@@ -207,7 +230,7 @@ def measure_places(p, seen, lags, stride, out):
                     break
                 lag, sums, counts = np.float32(k) / np.float32(max(last, 1)), total[k], count[k]
                 px, py, pz, shown = p[t - lags[k], 0], p[t - lags[k], 1], p[t - lags[k], 2], seen[t - lags[k]]
-                for j in range(n):
+                for j in range(width):
                     dx, dy, dz, b = px[j] - x, py[j] - y, pz[j] - z, shown[j]
                     d = np.sqrt(dx * dx + dy * dy + dz * dz)
                     sums[j] += d * b
@@ -215,11 +238,55 @@ def measure_places(p, seen, lags, stride, out):
                     d += (_ONE - b) * _FAR
                     best[j] = lag if d < nearest[j] else best[j]
                     nearest[j] = min(d, nearest[j])
-            for j in range(n if t >= lags[last] else 0):
+            for j in range(width if t >= lags[last] else 0):
                 w = _ONE if nearest[j] < _FAR else _ZERO
                 total[last + 1, j] += nearest[j] * w
                 total[last + 2, j] += w if best[j] > _ZERO else _ZERO
                 total[last + 3, j] += best[j] * w
                 times[j] += w
         for k in range(last + 4):
-            out[k, i] = total[k] / np.maximum(count[k] if k <= last else times, _ONE)
+            out[k, i] = (total[k] / np.maximum(count[k] if k <= last else times, _ONE))[:n]
+
+
+@compiled(**_FAST)
+def judge_blocks(square, overlap, product, persistence, out):
+    """How i's motion in some of B blocks is j's: into ``out`` (6, n, n), or (4, n, n) where j's isn't delayed.
+
+    Of each block and pair, ``(B, n, n)``: the sum of squared differences of velocity, the steps in which both are seen,
+    the product of innovations; ``persistence`` ``(B, n)`` is the mean square of i's own change in a step. Rows: share
+    of the blocks with small differences, by two measures; the greatest product, and the root of the sum of squares of
+    all above 0; share of the blocks in which j foretells better than i's own last step, by two measures.
+    """
+    blocks, n, _ = square.shape
+    for i in range(n):
+        count, total = np.zeros(n, np.float32), np.zeros((6, n), np.float32)
+        total[2] = -_FAR
+        for b in range(blocks):
+            calm = _ONE / (persistence[b, i] + _SLACK)
+            apart, steps, alike = square[b, i], overlap[b, i], product[b, i]
+            for j in range(n):
+                valid = _ONE if steps[j] > np.float32(1.5) else _ZERO
+                d = max(apart[j], _ZERO) / max(steps[j], _ONE) + _SLACK
+                near, far, positive = d * _CLOSE, d * _SIMILAR, max(alike[j], _ZERO)
+                count[j] += valid
+                total[0, j] += valid / (_ONE + near * near)
+                total[1, j] += valid / (_ONE + far * far)
+                total[2, j] = max(total[2, j], alike[j])
+                total[3, j] += positive * positive
+                d *= calm
+                total[4, j] += valid / (_ONE + d * d * d)
+                total[5, j] += valid * max(_ZERO, _ONE - d)
+        for k in range(len(out)):
+            out[k, i] = total[k] / np.maximum(count, _ONE)
+        out[2, i], out[3, i] = total[2], np.sqrt(total[3])
+
+
+@compiled(**_FAST)
+def sum_squares(x, out):
+    """The sums of squares of x (a, n, b, n) over both axes: into ``out`` (n, n)."""
+    out[:] = _ZERO
+    for a in range(x.shape[0]):
+        for i in range(x.shape[1]):
+            for b in range(x.shape[2]):
+                for j in range(x.shape[3]):
+                    out[i, j] += x[a, i, b, j] * x[a, i, b, j]

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+from scipy import linalg
 
 from detectors.reader.kernels import multiply_columns, multiply_series, solve_ridges
 from usnet_env.arrays import Floats, Singles
@@ -81,29 +84,34 @@ def square_series(v: Singles) -> Singles:
     return v[:, [0, 1, 2, 0, 1, 2]] * v[:, [0, 1, 2, 1, 2, 0]] * np.sqrt([[1], [1], [1], [2], [2], [2]]).astype("f4")
 
 
-def regress_jointly(shared: Floats, alone: Floats, y: Floats, ridges: tuple[float, ...]) -> list[tuple[Floats, Floats]]:
-    """Regress column i of ``y`` (R, n) on all columns of ``shared`` and on column i of ``alone``, both (R, n).
+def regress_jointly(
+    series: Floats, models: Sequence[tuple[int, int, tuple[float, ...]]]
+) -> list[tuple[Floats, Floats]]:
+    """Regress column i of the last of some ``series`` (S, R, n) on all columns of a first one and column i of a second.
 
-    Columns have the length 1 in a ridge regression. Returns for each ridge, and for i and j, the t statistic of j's
-    column, and its coefficient in the units of the data, (n, n) each. All i have one inverse, which the column of their
-    own extends (Frisch and Waugh 1933).
+    Args:
+        series: columns of numbers; they have the length 1 in a ridge regression.
+        models: the first series, the second one, and ridges.
+
+    Returns:
+        For each model and ridge, and for i and j: the t statistic of j's column, and its coefficient in the units of
+        the data, (n, n) each. All i have one inverse, which the column of their own extends (Frisch and Waugh 1933).
     """
-    (x, scale), (own, _), (y, size) = (_scale_columns(part) for part in (shared, alone, y))
-    (rows, n), gram, across, target = x.shape, x.T @ x, x.T @ own, x.T @ y
-    fitted, found, free = (own * y).sum(0), [], max(rows - int((scale > 1e-8).sum()) - 1, rows / 4)
-    for ridge in ridges:
-        inverse = np.linalg.inv(gram + ridge * np.eye(n))
-        turned, plain = inverse @ across, inverse @ target
-        left = np.maximum(1.0 + ridge - (across * turned).sum(0), 1e-9)
-        drag = (fitted - (across * plain).sum(0)) / left
-        part = plain - turned * drag
-        rest = ((y - x @ part - own * drag) ** 2).sum(0) / free + 1e-12
-        spread = np.diag(inverse)[:, None] + turned**2 / left
-        found.append(((part / np.sqrt(rest * spread)).T, (part * size / scale[:, None]).T))
+    scale, found, (rows, n) = np.sqrt((series**2).sum(1)) + 1e-9, [], series.shape[1:]
+    series = series / scale[:, None]
+    y, size = series[-1], scale[-1]
+    for first, second, ridges in models:
+        x, own = series[first], series[second]
+        gram, across, target, fitted = x.T @ x, x.T @ own, x.T @ y, (own * y).sum(0)
+        free = max(rows - int((scale[first] > 1e-8).sum()) - 1, rows / 4)
+        for ridge in ridges:
+            inverse = linalg.lapack.dpotri(linalg.lapack.dpotrf(gram + ridge * np.eye(n))[0])[0]
+            inverse = np.triu(inverse) + np.triu(inverse, 1).T
+            turned, plain = inverse @ across, inverse @ target
+            left = np.maximum(1.0 + ridge - (across * turned).sum(0), 1e-9)
+            drag = (fitted - (across * plain).sum(0)) / left
+            part = plain - turned * drag
+            rest = ((y - x @ part - own * drag) ** 2).sum(0) / free + 1e-12
+            spread = np.diag(inverse)[:, None] + turned**2 / left
+            found.append(((part / np.sqrt(rest * spread)).T, (part * size / scale[first][:, None]).T))
     return found
-
-
-def _scale_columns(x: Floats) -> tuple[Floats, Floats]:
-    """Columns of length 1, and their lengths before; one without motion stays 0."""
-    size = np.sqrt((x**2).sum(0)) + 1e-9
-    return x / size, size
