@@ -6,7 +6,7 @@ A loop does all that happens to the vectors of pairs ``(n, n, w)`` between two p
 from __future__ import annotations
 
 import math
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -68,18 +68,25 @@ def read(weights: Weights, features: Features) -> Answer[Singles]:
     state = _apply_layers(weights, "enter_uav", np.hstack([state, np.broadcast_to(context, (n, len(context)))]))
     row, column = (state @ half.T for half in np.split(weights["ends.weight"], 2))
     row = row + _apply(weights, "context", context)
-    both, scaled = np.empty((n, n, 2 * width), np.float32), np.empty(features.pair.shape[1:], np.float32)
+    both, scaled = np.empty((n, n, 2 * width), np.float32), np.empty((len(weights["pair_mean"]), n), np.float32)
+    enter = np.ascontiguousarray(weights["enter.weight"].T)
     for pairs, out in zip(features.pair, both, strict=True):  # of one UAV each, which stay in the cache
-        _standardise(pairs, weights["pair_mean"], weights["pair_scale"], scaled)
-        np.matmul(scaled, weights["enter.weight"].T, out=out)
+        _standardise(pairs.T, weights["pair_mean"], weights["pair_scale"], scaled)
+        np.matmul(scaled.T, enter, out=out)
     entered = np.empty((n, n, width), np.float32)
     _meet(both, row, column, weights["itself"], entered)
     plain, ranked = np.split(weights["rows.weight"].T, 2)
-    change = (entered @ plain + _normalise(entered, ROW_NOISE) @ ranked + weights["rows.bias"]).reshape(n * n, width)
+    mean = entered.mean(axis=1, keepdims=True)
+    entered -= mean
+    scale = _ONE / np.sqrt(np.einsum("ijc,ijc->ic", entered, entered) / np.float32(n) + ROW_NOISE)
+    change = np.matmul(entered, plain + scale[:, :, None] * ranked)  # ranked: of the values with variance 1 in a row
+    change += mean @ plain + weights["rows.bias"]
+    change = change.reshape(n * n, width)
     pair, normed = np.zeros_like(change), np.empty_like(change)
     for block in range(sum(name.endswith(".attention.weight") for name in weights)):
         _add_and_normalise(pair, change, normed)
-        change, state = _update(weights, f"blocks.{block}", normed, state)
+        state = _update(weights, f"blocks.{block}", normed, state, both, entered)
+        np.matmul(entered.reshape(n * n, width), weights[f"blocks.{block}.out.weight"].T, out=change)
     _add_and_normalise(pair, change, normed)
     leader, root = np.ascontiguousarray(_apply(weights, "links", normed).T).reshape(2, n, n)
     state = _normalise(state)
@@ -88,25 +95,27 @@ def read(weights: Weights, features: Features) -> Answer[Singles]:
     return Answer(head, leader, root, silent[0], delay)
 
 
-def _update(weights: Weights, block: str, normed: Singles, state: Singles) -> tuple[Singles, Singles]:
-    """The change of pairs ``(n * n, w)``, and the new vectors of UAVs ``(n, w)``."""
+def _update(weights: Weights, block: str, normed: Singles, state: Singles, both: Singles, mixed: Singles) -> Singles:
+    """The new vectors of UAVs ``(n, w)``; those of pairs ``(n, n, w)`` go to ``mixed``; ``both`` is overwritten."""
     n, width = state.shape
-    given = (normed @ weights[f"{block}.attention.weight"].T).reshape(n, n, -1)
-    known, heads = _normalise(state), given.shape[2]
+    pair = normed.reshape(n, n, width)
+    given = np.matmul(weights[f"{block}.attention.weight"], pair.transpose(0, 2, 1))  # (n, heads, n)
+    given = np.exp(given - given.max(axis=2, keepdims=True))
+    given /= given.sum(axis=2, keepdims=True)
+    known, heads = _normalise(state), given.shape[1]
     vectors, seen = np.zeros((2, n, heads, width), np.float32), np.zeros_like(state)
-    _gather(given, normed.reshape(n, n, width), known, *vectors, seen)
+    _gather(given, pair, known, *vectors, seen)
     matrix = weights[f"{block}.gathered.weight"].reshape(heads, -1, 2, width).transpose(2, 0, 3, 1)  # (2, h, w, d)
     chosen, received = np.matmul(vectors.swapaxes(1, 2), matrix).swapaxes(1, 2).reshape(2, n, width)
     received = np.sign(received) * np.log1p(np.abs(received))
     whole = np.broadcast_to(state.mean(axis=0), state.shape)
-    gathered = [known, chosen, received, seen, whole, np.log1p(given.sum(axis=0))]
+    gathered = [known, chosen, received, seen, whole, np.log1p(given.sum(axis=0)).T]
     state = state + _apply_layers(weights, f"{block}.uav", np.hstack(gathered))
     row, column = (_normalise(state) @ half.T for half in np.split(weights[f"{block}.ends.weight"], 2))
     forth, back = np.split(weights[f"{block}.mix.weight"], 2, axis=1)
-    both = (normed @ np.vstack([forth, back]).T).reshape(n, n, 2 * width)
-    mixed = np.empty((n, n, width), np.float32)
+    np.matmul(pair, np.hstack([forth.T, back.T]), out=both)
     _meet(both, row + weights[f"{block}.mix.bias"], column, np.zeros(width, np.float32), mixed)
-    return mixed.reshape(n * n, width) @ weights[f"{block}.out.weight"].T, state
+    return state
 
 
 def _apply(weights: Weights, name: str, values: Singles) -> Singles:
@@ -119,11 +128,10 @@ def _apply_layers(weights: Weights, name: str, values: Singles) -> Singles:
     return _apply(weights, f"{name}.2", hidden)
 
 
-def _normalise(values: Singles, noise: Any = _NORM_NOISE) -> Singles:
-    """Values with mean 0 and variance 1 along axis 1."""
+def _normalise(values: Singles) -> Singles:
+    """Rows with mean 0 and variance 1."""
     centred = values - values.mean(axis=1, keepdims=True)
-    square = np.einsum("ij...,ij...->i...", centred, centred)[:, None] / np.float32(values.shape[1])
-    centred *= _ONE / np.sqrt(square + noise)
+    centred *= _ONE / np.sqrt((centred * centred).mean(axis=1, keepdims=True) + _NORM_NOISE)
     return centred
 
 
@@ -142,9 +150,9 @@ def _gelu(value):
 
 @compiled(**_FAST)
 def _standardise(values, mean, scale, out):
-    for pair in range(len(values)):
-        for k in range(len(mean)):
-            out[pair, k] = min(max((values[pair, k] - mean[k]) * scale[k], -LARGEST), LARGEST)
+    for k in range(len(mean)):
+        for pair in range(values.shape[1]):
+            out[k, pair] = min(max((values[k, pair] - mean[k]) * scale[k], -LARGEST), LARGEST)
 
 
 @compiled(**_FAST)
@@ -180,18 +188,13 @@ def _add_and_normalise(pair, change, normed):
 
 @compiled(**_FAST)
 def _gather(given, pair, state, chosen, received, seen):
-    """Turn logits ``given`` ``(n, n, heads)`` into attention over j, and add up what each head gathers by it."""
-    n, _, heads = given.shape
+    """Add up what each head gathers over j by its attention ``given`` ``(n, heads, n)``."""
+    n, heads, _ = given.shape
     part = state.shape[1] // heads
     for i in range(n):
         for h in range(heads):
-            largest, total = given[i, :, h].max(), np.float32(0.0)
             for j in range(n):
-                given[i, j, h] = math.exp(given[i, j, h] - largest)
-                total += given[i, j, h]
-            for j in range(n):
-                given[i, j, h] /= total
-                weight = given[i, j, h]
+                weight = given[i, h, j]
                 for c in range(pair.shape[2]):
                     chosen[i, h, c] += weight * pair[i, j, c]
                     received[j, h, c] += weight * pair[i, j, c]
