@@ -102,16 +102,20 @@ def regress_jointly(
     y, size = series[-1], scale[-1]
     for first, second, ridges in models:
         x, own = series[first], series[second]
-        gram, across, target, fitted = x.T @ x, x.T @ own, x.T @ y, (own * y).sum(0)
+        gram, across, target, fitted = x.T @ x, x.T @ own, x.T @ y, np.einsum("ri,ri->i", own, y)
         free = max(rows - int((scale[first] > 1e-8).sum()) - 1, rows / 4)
         for ridge in ridges:
-            inverse = linalg.lapack.dpotri(linalg.lapack.dpotrf(gram + ridge * np.eye(n))[0])[0]
-            inverse = np.triu(inverse) + np.triu(inverse, 1).T
+            half = linalg.lapack.dpotri(linalg.lapack.dpotrf(gram + ridge * np.eye(n))[0])[0].T
+            inverse = np.tril(half)
+            inverse += np.tril(half, -1).T
             turned, plain = inverse @ across, inverse @ target
             left = np.maximum(1.0 + ridge - (across * turned).sum(0), 1e-9)
             drag = (fitted - (across * plain).sum(0)) / left
             part = plain - turned * drag
-            rest = ((y - x @ part - own * drag) ** 2).sum(0) / free + 1e-12
+            left_over = x @ part
+            left_over -= y
+            left_over += own * drag
+            rest = np.einsum("ri,ri->i", left_over, left_over) / free + 1e-12
             spread = np.diag(inverse)[:, None] + turned**2 / left
             found.append(((part / np.sqrt(rest * spread)).T, (part * size / scale[first][:, None]).T))
     return found
