@@ -80,8 +80,7 @@ def read(weights: Weights, features: Features) -> Answer[Singles]:
     entered -= mean
     scale = _ONE / np.sqrt(np.einsum("ijc,ijc->ic", entered, entered) / np.float32(n) + ROW_NOISE)
     change = np.matmul(entered, plain + scale[:, :, None] * ranked)  # ranked: of the values with variance 1 in a row
-    change += mean @ plain + weights["rows.bias"]
-    change = change.reshape(n * n, width)
+    change = (change + (mean @ plain + weights["rows.bias"])).reshape(n * n, width)
     pair, normed = np.zeros_like(change), np.empty_like(change)
     for block in range(sum(name.endswith(".attention.weight") for name in weights)):
         _add_and_normalise(pair, change, normed)

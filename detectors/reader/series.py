@@ -89,13 +89,9 @@ def regress_jointly(
 ) -> list[tuple[Floats, Floats]]:
     """Regress column i of the last of some ``series`` (S, R, n) on all columns of a first one and column i of a second.
 
-    Args:
-        series: columns of numbers; they have the length 1 in a ridge regression.
-        models: the first series, the second one, and ridges.
-
-    Returns:
-        For each model and ridge, and for i and j: the t statistic of j's column, and its coefficient in the units of
-        the data, (n, n) each. All i have one inverse, which the column of their own extends (Frisch and Waugh 1933).
+    Columns have the length 1 in a ridge regression; a model is the first series, the second one, and ridges. Returns
+    for each model and ridge, and for i and j, the t statistic of j's column, and its coefficient in the units of the
+    data, (n, n) each. All i have one inverse, which the column of their own extends (Frisch and Waugh 1933).
     """
     scale, found, (rows, n) = np.sqrt((series**2).sum(1)) + 1e-9, [], series.shape[1:]
     series = series / scale[:, None]
@@ -105,15 +101,13 @@ def regress_jointly(
         gram, across, target, fitted = x.T @ x, x.T @ own, x.T @ y, np.einsum("ri,ri->i", own, y)
         free = max(rows - int((scale[first] > 1e-8).sum()) - 1, rows / 4)
         for ridge in ridges:
-            half = linalg.lapack.dpotri(linalg.lapack.dpotrf(gram + ridge * np.eye(n))[0])[0].T
-            inverse = np.tril(half)
-            inverse += np.tril(half, -1).T
+            half = np.tril(linalg.lapack.dpotri(linalg.lapack.dpotrf(gram + ridge * np.eye(n))[0])[0].T)
+            inverse = half + np.tril(half, -1).T
             turned, plain = inverse @ across, inverse @ target
             left = np.maximum(1.0 + ridge - (across * turned).sum(0), 1e-9)
             drag = (fitted - (across * plain).sum(0)) / left
             part = plain - turned * drag
-            left_over = x @ part
-            left_over -= y
+            left_over = x @ part - y
             left_over += own * drag
             rest = np.einsum("ri,ri->i", left_over, left_over) / free + 1e-12
             spread = np.diag(inverse)[:, None] + turned**2 / left
