@@ -6,7 +6,7 @@ A loop does all that happens to the vectors of pairs ``(n, n, w)`` between two p
 from __future__ import annotations
 
 import math
-from typing import Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
