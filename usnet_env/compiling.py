@@ -28,20 +28,20 @@ def _say_that_it_compiles() -> None:
         _tell.pop()("compiling loops for this machine; it keeps them, so the next start is faster …")
 
 
-def compiled(*, inner: bool = False, **options: Any) -> Callable[[Callable[..., Any]], Any]:
+def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Return a decorator that compiles a function at its first call; ``options`` are those of :func:`numba.njit`.
 
-    An ``inner`` function, which only compiled functions call, compiles faster. Where no folder can be written, a
-    function is compiled again in every process. Of several processes that need the same code, one compiles it, and the
-    others wait and load it (except on Windows): Numba's own cache mixes up the code of two processes that compile
-    different signatures of one function at the same time.
+    With ``inner=True`` it may be called by compiled functions only, and compiles faster. Where no folder can be
+    written, a function is compiled again in every process. Of several processes that need the same code, one compiles
+    it, and the others wait and load it (except on Windows): Numba's own cache mixes up the code of two processes that
+    compile different signatures of one function at the same time.
     """
     from numba import njit  # it takes a quarter of a second, also where nothing is compiled
 
     # They are always given: Numba compiles a function without options by those of its first caller.
     options = {"fastmath": False, "error_model": "python", **options}
     # Each wrapper holds the loop's machine code again: one for callers in C, which are none, and one for Python.
-    options |= {"no_cfunc_wrapper": True, "no_cpython_wrapper": inner}
+    options |= {"no_cfunc_wrapper": True, "no_cpython_wrapper": options.pop("inner", False)}
 
     def compile_function(function: Callable[..., Any]) -> Any:
         try:
