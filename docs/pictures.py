@@ -1,13 +1,18 @@
 """Draw a picture of each environment and game, docs/images/environments/*.webp: ``python docs/pictures.py``.
 
 Each shows the first window of an episode with the truth: heads as stars, followers in the colour of their head with a
-line to it. Names of environments may follow, to draw only these.
+line to it. Names of environments may follow, to draw only these. ``replay`` is none: it takes a picture of the replay
+in ``runs/demo``, docs/images/replay-answer.webp, in a viewer without a screen, which needs a driver of Vulkan.
 """
 
 from __future__ import annotations
 
 import importlib
+import io
+import subprocess
 import sys
+import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +24,7 @@ import usnet_env.envs  # noqa: F401  # registers the environments
 from usnet_env.drawing import draw_round, new_figure, pixels_of
 from usnet_env.envs import ENVIRONMENTS
 from usnet_env.multiagent import GAMES
+from usnet_env.replay.rerun import find_viewer
 
 IMAGES = Path(__file__).parent / "images"
 FOLDER = IMAGES / "environments"
@@ -66,8 +72,33 @@ def draw(name: str) -> Image.Image:
     return Image.fromarray(pixels_of(figure))
 
 
+def shoot_replay(replay: str = "runs/demo/replay.rrd", seconds: float = 7.0, port: int = 19876) -> Image.Image:
+    """The viewer with a replay at a time of it, without the viewer's own bar."""
+    from rerun.experimental import ViewerClient
+
+    words = ["--headless", "--hide-welcome-screen", "--window-size", "1440x760", "--bind", "127.0.0.1"]
+    until, client, shot = time.monotonic() + 300, None, None
+    with subprocess.Popen([find_viewer(), *words, "--port", str(port), replay]) as viewer:
+        while shot is None and time.monotonic() < until and viewer.poll() is None:
+            time.sleep(2)
+            with suppress(Exception):  # it doesn't listen, or hasn't drawn, yet
+                if client is None:
+                    client = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
+                client.set_time("time", duration=seconds, play_state="paused")
+                client.take_screenshot()
+                time.sleep(10)  # messages go
+                shot = client.take_screenshot()
+        viewer.terminate()
+    if shot is None:
+        raise SystemExit("the viewer took no picture; it needs a driver such as mesa-vulkan-drivers")
+    return Image.open(io.BytesIO(shot)).convert("RGB").crop((0, 37, 1440, 760))
+
+
 def main(names: list[str]) -> None:
     """Draw the pictures, and the wall of six that README.md shows."""
+    if names == ["replay"]:
+        shoot_replay().save(IMAGES / "replay-answer.webp", quality=80, method=6)
+        return
     FOLDER.mkdir(exist_ok=True)
     for name in names or [*(name.removeprefix("USNET/") for name in ENVIRONMENTS), *GAMES]:
         draw(name).save(FOLDER / f"{name}.webp", quality=80, method=6)
