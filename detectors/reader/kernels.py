@@ -255,7 +255,7 @@ def judge_blocks(square, overlap, product, persistence, out):
     Of each block and pair, ``(B, n, n)``: the sum of squared differences of velocity, the steps in which both are seen,
     the product of innovations; ``persistence`` ``(B, n)`` is the mean square of i's own change in a step. Rows: share
     of the blocks with small differences, by two measures; the greatest product, and the root of the sum of squares of
-    all above 0; share of the blocks in which j foretells better than i's own last step, by two measures.
+    all above 0; share of the blocks in which j predicts i better than i's own last step does, by two measures.
     """
     blocks, n, _ = square.shape
     for i in range(n):
