@@ -19,7 +19,7 @@ from usnet_env.multiagent.evasion import (
     select_decoys,
 )
 from usnet_env.swarm import FollowInputs, SwarmConfig, start
-from usnet_env.swarm.follow import FollowFunction, Lags, Network, StayInRange
+from usnet_env.swarm.follow import FollowFunction, Lags, StayInRange
 
 OBSERVER = "observer_0"
 TRUTHFUL = [0, 0, 0, 0]
@@ -75,16 +75,22 @@ def test_truthful_heads_fly_as_in_the_single_agent_game(follow, seed):
         over = terminated or truncated
 
 
+def pull_from_afar(inputs):
+    """f6."""
+    gap = inputs.head_position[:, 1] - inputs.own_position[:, 1]
+    distance = np.linalg.norm(gap, axis=1, keepdims=True)
+    return inputs.head_velocity[:, 0] + (distance > 60) * gap / np.maximum(distance, 1e-6)
+
+
 @pytest.mark.parametrize(
-    "strategy",
+    ("strategy", "direct"),
     [
-        Lags(3, square=True, noise=0.0),
-        StayInRange(noise=0.0),
-        Network(noise=0.0),
-        FollowFunction(lambda one: one.head_velocity[:, 1], noise=0.0),
+        (Lags(3, square=True, noise=0.0), lambda one: (one.head_velocity[:, :3] ** 2).sum(axis=1)),
+        (StayInRange(noise=0.0), pull_from_afar),
+        (FollowFunction(lambda one: one.head_velocity[:, 1], noise=0.0), lambda one: one.head_velocity[:, 1]),
     ],
 )
-def test_delayed_followers_see_the_past_of_their_head(strategy):
+def test_delayed_followers_see_the_past_of_their_head(strategy, direct):
     """Against equation (1) in NumPy, with the head's track shifted by the delay; f6 depends on the distance."""
     config, state, rngs = a_swarm(follow=strategy, formation="around", seed=3)
     heads = np.flatnonzero(state.head[0])
@@ -99,7 +105,7 @@ def test_delayed_followers_see_the_past_of_their_head(strategy):
                 head_position=np.repeat(place[t - 4 - late : t + 1 - late, head][::-1][None], len(followers), axis=0),
                 parameters=state.parameters[0],
             )
-            wanted = strategy.direction(inputs)
+            wanted = direct(inputs)
             wanted = wanted / np.linalg.norm(wanted, axis=1, keepdims=True)
             np.testing.assert_allclose(v[t, followers], wanted, atol=2e-3)
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from flights import fly, generators, unit
+from numpy_laws import slow
 
 from usnet_env import ArgumentError, register_follow_strategy
 from usnet_env.swarm import FOLLOW_STRATEGIES, FollowStrategy, SwarmConfig, advance, destroy, start
@@ -64,7 +65,9 @@ def test_compiled_flight_equals_the_general_loop(name):
         swarm = state.root, state.parameters, state.source, state.bystander, state.clock
         flights.append(TrajectoryBatch(position, velocity, noise, motion, *swarm))
     strategy.fly(flights[0])
-    FollowStrategy.fly(strategy, flights[1])
+    for b in range(2):  # each swarm has parameters of its own
+        arrays = {name: part[b : b + 1] for name, part in vars(flights[1]).items() if name != "craft"}
+        slow(strategy, state.parameters[b]).fly(TrajectoryBatch(**arrays))
     np.testing.assert_allclose(flights[0].velocity, flights[1].velocity, atol=2e-4)
     np.testing.assert_allclose(flights[0].position, flights[1].position, atol=5e-3)
 
@@ -138,9 +141,10 @@ def cosine(a, b):
 def test_random_strategies_are_none_of_the_seven():
     rng = np.random.default_rng(0)
     inputs = random_inputs(rng)
-    tables = [FOLLOW_STRATEGIES[name].direction(inputs) for name in NAMES[:6]]
+    tables = [slow(FOLLOW_STRATEGIES[name], np.empty(0)).direction(inputs) for name in NAMES[:6]]
     for _ in range(400):
-        wanted = random_follow_strategy(rng).direction(inputs)
+        law = random_follow_strategy(rng)
+        wanted = slow(law, law.pack()).direction(replace(inputs, parameters=law.pack()))
         assert max(cosine(wanted, table) for table in tables) < 0.995
 
 
@@ -149,8 +153,8 @@ def test_f7_depends_on_its_head():
     still = inputs.own_position[:, :1].repeat(5, axis=1)
     inputs = replace(inputs, own_position=still, parameters=Network().draw(np.random.default_rng(1)))
     turned = replace(inputs, head_velocity=-inputs.head_velocity)
-    assert cosine(Network().direction(inputs), Network().direction(turned)) < 0.2
-    saturated = Network(position_scale=1.0)
+    network, saturated = (slow(Network(**scale), inputs.parameters) for scale in ({}, {"position_scale": 1.0}))
+    assert cosine(network.direction(inputs), network.direction(turned)) < 0.2
     assert cosine(saturated.direction(inputs), saturated.direction(turned)) > 0.9
 
 

@@ -17,7 +17,7 @@ from usnet_env.arrays import Singles
 from usnet_env.swarm import field_kernels, kernels
 from usnet_env.swarm.field_kernels import ALWAYS
 from usnet_env.swarm.state import Roles
-from usnet_env.swarm.strategy import KAPPA, KAPPA_NOISE, KAPPA_RANGE, FollowInputs, FollowStrategy, TrajectoryBatch
+from usnet_env.swarm.strategy import KAPPA, KAPPA_NOISE, KAPPA_RANGE, FollowStrategy, TrajectoryBatch
 
 Pair = tuple[float, float]
 
@@ -56,10 +56,6 @@ class FieldStrategy(FollowStrategy):
     def draw_slots(self, rng: np.random.Generator, uavs: int) -> Singles:
         """Draw the slots ``(3, N)`` of a formation, metres along, across and above the course; here none."""
         return np.zeros((3, uavs), np.float32)
-
-    def direction(self, inputs: FollowInputs) -> Singles:
-        """Not defined: a field model depends on more than a follower and its head, and has a compiled loop."""
-        raise NotImplementedError(f"the field model {type(self).__name__} has no direction")
 
     def table(self, flight: TrajectoryBatch) -> Singles:
         """The tables ``(B, COLUMNS, N)``."""

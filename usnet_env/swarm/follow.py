@@ -1,8 +1,8 @@
 """Follow strategies: how a follower's next velocity depends on its head, equation (1) of the paper.
 
-f1 to f7 are the strategies of the paper's Table II. Each is defined in NumPy by :meth:`FollowStrategy.direction`; a new
-strategy needs only this method. f1 to f7 also have a compiled loop over the whole window, which is tested against the
-NumPy definition. The field models and controls of ``field_follow.py`` and ``flock_follow.py`` are registered here too.
+f1 to f7 are the strategies of the paper's Table II; each has a compiled loop over the whole window. A new one needs
+only :meth:`FollowStrategy.direction`, or a function. The field models and controls of ``field_follow.py`` and
+``flock_follow.py`` are registered here too.
 """
 
 from __future__ import annotations
@@ -44,11 +44,6 @@ class Lags(FollowStrategy):
         combination = f"Σ_{{τ=0}}^{{{self.lags - 1}}} κ_τ {term}" if self.lags > 1 else f"κ_0 {term.replace('-τ', '')}"
         return f"v_{{i,t+1}} = norm({combination} + κ_n n)"
 
-    def direction(self, inputs: FollowInputs) -> Singles:
-        """The sum over the lags."""
-        past = inputs.head_velocity[:, : self.lags]
-        return np.float32(self.kappa) * (past * past if self.square else past).sum(axis=1, dtype=np.float32)
-
     def fly(self, trajectories: TrajectoryBatch) -> None:
         """Compiled loop."""
         kappa, noise = np.full(self.lags, self.kappa, np.float32), np.float32(self.noise)
@@ -66,14 +61,6 @@ class StayInRange(FollowStrategy):
     pull: float = KAPPA
     reach: float = KAPPA_RANGE
     noise: float = KAPPA_NOISE
-
-    def direction(self, inputs: FollowInputs) -> Singles:
-        """Head velocity, plus ``pull`` times the unit vector towards the head if it is farther than ``reach``."""
-        gap = inputs.head_position[:, 1] - inputs.own_position[:, 1]
-        distance = np.sqrt((gap * gap).sum(axis=-1, keepdims=True, dtype=np.float32))
-        pull = np.where(distance > np.float32(self.reach), np.float32(self.pull), np.float32(0.0))
-        towards = gap * (pull / np.maximum(distance, np.float32(1e-6)))
-        return np.float32(self.kappa) * inputs.head_velocity[:, 0] + towards
 
     def fly(self, trajectories: TrajectoryBatch) -> None:
         """Compiled loop."""
@@ -107,21 +94,6 @@ class Network(FollowStrategy):
         bias = 0.1 * rng.standard_normal(kernels.MLP_HIDDEN)
         readout = rng.standard_normal((kernels.MLP_HIDDEN, 3)) / np.sqrt(kernels.MLP_HIDDEN)
         return np.concatenate([weights.ravel(), bias, readout.ravel()]).astype(np.float32)
-
-    def direction(self, inputs: FollowInputs) -> Singles:
-        """The output of the network."""
-        n, lags, units = len(inputs.own_position), kernels.MLP_LAGS, kernels.MLP_HIDDEN
-        inner = kernels.MLP_INPUTS * units
-        weights = inputs.parameters[:inner].reshape(kernels.MLP_INPUTS, units)
-        bias = inputs.parameters[inner : inner + units]
-        readout = inputs.parameters[inner + units :].reshape(units, 3)
-        offset = (inputs.own_position[:, 0] - inputs.head_position[:, lags]) / np.float32(self.position_scale)
-        own_velocity = inputs.own_position[:, :lags] - inputs.own_position[:, 1 : lags + 1]
-        features = np.concatenate(
-            [offset, own_velocity.reshape(n, -1), inputs.head_velocity[:, :lags].reshape(n, -1)], axis=1
-        )
-        output: Singles = np.tanh(features @ weights + bias) @ readout
-        return output
 
     def fly(self, trajectories: TrajectoryBatch) -> None:
         """Compiled loop."""

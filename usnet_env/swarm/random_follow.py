@@ -13,31 +13,21 @@ import numpy as np
 
 from usnet_env.arrays import Singles
 from usnet_env.swarm import kernels
-from usnet_env.swarm.strategy import KAPPA_NOISE, FollowInputs, FollowStrategy, TrajectoryBatch
+from usnet_env.swarm.strategy import KAPPA_NOISE, FollowStrategy, TrajectoryBatch
 
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """One summand: ``weight`` times a function ``kind`` of the head's velocity ``lag`` steps ago."""
+    """One summand: ``weight`` times a function of the head's velocity v, ``lag`` steps ago, on each axis.
+
+    The ``kind`` is ``"linear"``, ``"cube"`` 1.7 v³, ``"root"`` sign(v) √|v|, ``"product"`` 3 v' v'' of the other axes,
+    or ``"network"``.
+    """
 
     kind: str
     lag: int
     weight: float
     layer: tuple[Singles, Singles] | None = None  # of a network of that velocity and the one before it
-
-    def __call__(self, head_velocity: Singles) -> Singles:
-        """The summand ``(n, 3)`` for ``head_velocity (n, T_0, 3)``, newest first."""
-        v = head_velocity[:, self.lag]
-        if self.kind == "cube":
-            v = np.float32(1.7) * v * v * v
-        elif self.kind == "root":
-            v = np.sign(v) * np.sqrt(np.abs(v))
-        elif self.kind == "product":
-            v = np.float32(3.0) * v[:, [1, 2, 0]] * v[:, [2, 0, 1]]
-        elif self.kind == "network" and self.layer is not None:
-            both = head_velocity[:, self.lag : self.lag + 2].reshape(len(v), 6)
-            v = _multiply(np.tanh(_multiply(both, self.layer[0])), self.layer[1])
-        return np.float32(self.weight) * v
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,19 +46,6 @@ class RandomFollowStrategy(FollowStrategy):
     lags: int = 4
     noise: float = KAPPA_NOISE
     compiled = True
-
-    def direction(self, inputs: FollowInputs) -> Singles:
-        """The sum of the terms, saturated and rotated, plus the pull."""
-        total = sum((term(inputs.head_velocity) for term in self.terms), np.zeros_like(inputs.own_position[:, 0]))
-        if self.saturation is not None:
-            total = np.tanh(np.float32(self.saturation) * total) / np.float32(self.saturation)
-        if self.rotation is not None:
-            total = _multiply(total, self.rotation.T)
-        if self.offset is not None:
-            gap = inputs.head_position[:, 1] + self.offset - inputs.own_position[:, 1]
-            distance = np.sqrt((gap * gap).sum(axis=-1, keepdims=True, dtype=np.float32))
-            total = total + np.float32(self.pull) * gap / np.maximum(distance, np.float32(1.0))
-        return total
 
     def pack(self) -> Singles:
         """The law as numbers ``(LAW,)``, as :func:`kernels.fly_laws` reads them; those of a part left out are 0."""
@@ -101,34 +78,9 @@ class RandomLaw(FollowStrategy):
         """Draw the law."""
         return random_follow_strategy(rng).pack()
 
-    def direction(self, inputs: FollowInputs) -> Singles:
-        """That of the law."""
-        return _unpack(inputs.parameters).direction(inputs)
-
     def fly(self, flight: TrajectoryBatch) -> None:
         """Compiled loop."""
         kernels.fly_laws(flight.parameters, np.float32(self.noise), flight.root, *flight.flown)
-
-
-def _unpack(law: Singles) -> RandomFollowStrategy:
-    """The strategy of :meth:`RandomFollowStrategy.pack`."""
-    terms = [
-        Term(
-            kernels.LAW_KINDS[int(row[0])],
-            int(row[1]),
-            float(row[2]),
-            (row[3:51].reshape(6, 8), row[51:].reshape(8, 3)),
-        )
-        for row in law[: -kernels.LAW_END].reshape(-1, kernels.LAW_TERM)
-    ]
-    offset, pull = (law[-4:-1], float(law[-1])) if law[-1] else (None, 0.0)
-    return RandomFollowStrategy(tuple(terms), law[-14:-5].reshape(3, 3), float(law[-5]) or None, offset, pull)
-
-
-def _multiply(rows: Singles, matrix: Singles) -> Singles:
-    """The product ``(n, k)`` of ``(n, m)`` and ``(m, k)``; unlike BLAS's, a row's bits depend on no other row."""
-    parts = (rows[:, k, None] * row for k, row in enumerate(matrix))
-    return np.asarray(sum(parts, np.zeros((len(rows), matrix.shape[1]), np.float32)))
 
 
 def _draw_rotation(rng: np.random.Generator) -> Singles:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -82,10 +81,11 @@ class TrajectoryBatch:
         return int(self.velocity.shape[1] - self.steps)
 
 
-class FollowStrategy(ABC):
+class FollowStrategy:
     """A follow strategy f. A follower's next velocity is norm(direction + kappa_n n), n ~ N(0, I).
 
-    To add one, define :meth:`direction` in a subclass, or pass a function to :func:`register_follow_strategy`.
+    To add one, define :meth:`direction` in a subclass, or pass a function to :func:`register_follow_strategy`. The
+    strategies of this package have compiled loops, :meth:`fly`, in its place.
 
     Attributes:
         equation: the equation as text, for lists and documentation pages.
@@ -117,12 +117,12 @@ class FollowStrategy(ABC):
         """Give each UAV the UAV that it copies, and mark UAVs without a head; by default followers copy their head."""
         return roles
 
-    @abstractmethod
     def direction(self, inputs: FollowInputs) -> Singles:
         """Direction of flight ``(n, 3)`` before noise and normalisation; row i depends only on row i of the inputs."""
+        raise NotImplementedError(f"{type(self).__name__} must define direction(inputs).")
 
     def fly(self, trajectories: TrajectoryBatch) -> None:
-        """Simulate all followers: the general loop, which f1 to f7 override with compiled loops."""
+        """Simulate all followers: the general loop, which calls :meth:`direction` step by step."""
         lags = trajectories.start
         for b in range(trajectories.episodes):
             position, velocity = trajectories.position[b], trajectories.velocity[b]
