@@ -21,18 +21,6 @@ FORMAT_VERSION = 6
 _FORMAT = "usnet-episode"
 _LINKS = "communication_links"  # derived from ``root`` when a file is written, for readers without this class
 _KINDS = {"Singles": np.float32, "Floats": np.float64, "Indices": np.int64, "Mask": np.bool_}
-#: The axes of the arrays: R rounds, S instants, T velocities between them, N UAVs, K observers.
-_AXES = {
-    **dict.fromkeys(("head", "decoy"), "N"),
-    **dict.fromkeys(("objective", "over_budget", "seconds"), "R"),
-    **dict.fromkeys(("alive", "root", "candidates", "scores", "clusters", "leader_estimate", "probability"), "RN"),
-    "position": "RSN3",
-    "velocity": "RTN3",
-    "seen": "RSN",
-    "attention": "RNN",
-    "observers": "K4",
-    "intruders": "RSK3",
-}
 
 
 def _list_links(root: Indices, followers: Mask, heads: Mask) -> Indices:
@@ -124,21 +112,6 @@ class EpisodeRecord:
             elif kind is None and not isinstance(value, str):  # so that saving and loading changes nothing
                 value = json.loads(json.dumps(value))
             object.__setattr__(self, item.name, value)
-
-    def find_fault(self) -> str:
-        """What is impossible in the record, or contradicts itself; an empty text if nothing does."""
-        sizes = dict(zip("RSN", self.position.shape, strict=False))
-        sizes |= {"T": sizes.get("S", 0) - 1, "3": 3, "4": 4}
-        given = {name: value for name in _AXES if (value := getattr(self, name)) is not None}
-        for name, value in given.items():
-            if tuple(map(sizes.get, _AXES[name], value.shape)) != value.shape or value.ndim != len(_AXES[name]):
-                return f"{name} has the shape {value.shape}"
-            if not np.isfinite(value).all():
-                return f"{name} is not finite"
-            if name in ("root", "leader_estimate") and ((value < -1) | (value >= self.uavs)).any():
-                return f"{name} has indices of no UAV"
-        left = self.alive & ~self.destroyed
-        return "" if np.array_equal(self.alive[1:], left[:-1]) else "alive differs from what the round before left"
 
     @property
     def rounds(self) -> int:
@@ -237,13 +210,10 @@ class EpisodeRecord:
                 arrays: dict[str, Any] = {name: file[name] for name in file.files if name != _LINKS}
             words = json.loads(str(arrays.pop("metadata")))
             version = words.pop("version") if words.pop("format") == _FORMAT else None
-            fault = f"version {quote(version)} is not known, only {FORMAT_VERSION}"
-            if version == FORMAT_VERSION:
-                record = cls(**words, **arrays)
-                fault = record.find_fault()
+            if version != FORMAT_VERSION:
+                raise ValueError(f"version {quote(version)} is not known, only {FORMAT_VERSION}")
+            return cls(**words, **arrays)
         except Exception as error:  # a damaged file makes NumPy raise whatever Python's own tokenizer raises
             reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
             fault = " ".join(reason.split()).rstrip(".")
-        if fault:
-            raise ArgumentError(f"path must be an intact episode file, got {quote(str(place))}: {fault}.")
-        return record
+            raise ArgumentError(f"path must be an intact episode file, got {quote(str(place))}: {fault}.") from None
