@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -12,40 +12,39 @@ import numpy as np
 from usnet_env.detection import Detection
 from usnet_env.swarm import SwarmState
 
-AnswerT = TypeVar("AnswerT")  # it has ``candidates``, ``(N,)`` bool
-
 
 @dataclass(frozen=True)
-class PlayedRound(Generic[AnswerT]):
+class PlayedRound:
     """One round that has been played: what was answered how, the truth, and what the environment returned."""
 
     observation: Any
     truth: SwarmState  # in this window, before the destruction
-    answer: AnswerT
+    answer: Detection
+    seconds: float  # that the answer took
     info: dict[str, Any]
     left: SwarmState  # after the destruction and the re-merge
 
 
 def play_rounds(
-    env: gym.Env[Any, Any], answer: Callable[[Any, SwarmState], AnswerT], seed: int | None
-) -> Iterator[PlayedRound[AnswerT]]:
+    env: gym.Env[Any, Any], answer: Callable[[Any], tuple[Detection, float]], seed: int | None
+) -> Iterator[PlayedRound]:
     """Play an episode to its end, and yield each round after it has been played.
 
-    ``answer`` gets an observation, and the truth as well, to check the form of its answer.
+    ``answer`` gets an observation, and returns a detection and the seconds that it took.
     """
     game: Any = env.unwrapped
     observation, _ = env.reset(seed=seed)
     over = False
     while not over:
         truth = game.swarm
-        answered: Any = answer(observation, truth)
+        answered, seconds = answer(observation)
         following, _, terminated, truncated, info = env.step(answered.candidates.astype(np.int8))
         over = bool(terminated or truncated)
-        yield PlayedRound(observation, truth, answered, info, game.swarm)
+        yield PlayedRound(observation, truth, answered, seconds, info, game.swarm)
         observation = following
 
 
-def play_probe(env: gym.Env[Any, Any], prober: Any, seed: int) -> tuple[PlayedRound[Detection], float]:
+def play_probe(env: gym.Env[Any, Any], prober: Any, seed: int) -> tuple[PlayedRound, float]:
     """Play an episode of probing: the round in which the prober names its candidate, and the sum of the rewards."""
     game: Any = env.unwrapped
     observation, _ = env.reset(seed=seed)
@@ -55,4 +54,4 @@ def play_probe(env: gym.Env[Any, Any], prober: Any, seed: int) -> tuple[PlayedRo
         truth, action, seen = game.swarm, prober.act(observation), observation
         observation, reward, over, _, info = env.step(action)
         total += float(reward)
-    return PlayedRound(seen, truth, Detection(action["candidates"], prober.belief), info, game.swarm), total
+    return PlayedRound(seen, truth, Detection(action["candidates"], prober.belief), 0.0, info, game.swarm), total

@@ -5,40 +5,20 @@ from __future__ import annotations
 import copy
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError, named_values, quote
-from usnet_env.detection import ask
+from usnet_env.detection import Detection, ask
 from usnet_env.parts import named_parameters, parse_label
 from usnet_env.plugins import DETECTORS, detector_label, make_detector
 from usnet_env.window import Window
 
-
-@dataclass(frozen=True)
-class Answer:
-    """The answer of an agent to one observation.
-
-    Args:
-        candidates: ``(N,)`` bool, the UAVs to destroy.
-        scores: ``(N,)`` float64, higher for UAVs that are more likely heads.
-        clusters: ``(N,)`` int64, a cluster for each UAV, or ``None``.
-        seconds: wall time of the answer.
-    """
-
-    candidates: NDArray[np.bool_]
-    scores: NDArray[np.float64]
-    clusters: NDArray[np.int64] | None
-    seconds: float
-
-
 #: The trivial policies that every published table also shows: decision (l) of ``docs/game.md``.
 TRIVIAL = ("destroy-all", "none", "random", "one-per-round")
 
-#: What has the methods ``reset(seed)``, ``answer(observation)``, which returns an :class:`Answer`, and
+#: What has the methods ``reset(seed)``, ``answer(observation)``, which returns a detection and its seconds, and
 #: ``warm_up(observation)``, which answers without being timed, so that compiling does not count as time of an episode.
 Agent: TypeAlias = Any
 
@@ -53,10 +33,10 @@ class DetectorAgent:
         """Start an episode."""
         self.detector.reset(seed)
 
-    def answer(self, observation: Any) -> Answer:
-        """Return the detector's answer; only the call of ``detect`` is timed."""
-        detection, seconds = ask(self.detector, Window.from_observation(observation))
-        return Answer(detection.candidates, detection.scores, detection.clusters, seconds)
+    def answer(self, observation: Any) -> tuple[Detection, float]:
+        """Return what is scored of the detector's answer; only the call of ``detect`` is timed."""
+        found, seconds = ask(self.detector, Window.from_observation(observation))
+        return Detection(found.candidates, found.scores, found.clusters), seconds
 
     def warm_up(self, observation: Any) -> None:
         """Answer once with a copy of the detector."""
@@ -89,7 +69,7 @@ class PolicyAgent:
         self._state: Any = None
         self._start = True
 
-    def answer(self, observation: Any) -> Answer:
+    def answer(self, observation: Any) -> tuple[Detection, float]:
         """Return the policy's action; only the call of ``predict`` is timed."""
         seen = observation if self._normaliser is None else self._normaliser.normalize_obs(observation)
         given: dict[str, Any] = {}
@@ -106,7 +86,7 @@ class PolicyAgent:
         uavs = len(observation["alive"]) if isinstance(observation, Mapping) else values.size
         if values.shape != (uavs,) or not np.isin(values, (0, 1)).all():
             raise ArgumentError(f"predict must return an action of {uavs} values 0 and 1, got {quote(action)}.")
-        return Answer(values.astype(bool), values.astype(np.float64), None, seconds)
+        return Detection(values, values), seconds
 
     def warm_up(self, observation: Any) -> None:
         """Answer once and discard the state that ``predict`` returns."""

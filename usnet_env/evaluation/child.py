@@ -9,12 +9,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from typing import Any
 
-from usnet_env.evaluation.agents import Answer, as_agent
+from usnet_env.detection import Detection
+from usnet_env.evaluation.agents import as_agent
 from usnet_env.evaluation.tasks import EvaluationError, become_worker, describe_failure, dumps, loads
 
 _MEGABYTE = 1_000_000
@@ -54,11 +54,11 @@ class ChildDetector:
         """Start an episode."""
         self._exchange("reset", seed)
 
-    def answer(self, observation: Any) -> Answer:
-        """Return the answer to one observation."""
+    def answer(self, observation: Any) -> tuple[Detection, float]:
+        """Return the answer to one observation, and its seconds."""
         begin = time.perf_counter()
-        found: Any = self._exchange("answer", observation)
-        return replace(found, seconds=time.perf_counter() - begin)
+        found, _ = self._exchange("answer", observation)
+        return found, time.perf_counter() - begin
 
     def warm_up(self, observation: Any) -> None:
         """Answer once without being timed."""
@@ -71,8 +71,8 @@ class ChildDetector:
         self._process.wait()
         self._connection.close()
 
-    def _exchange(self, name: str, argument: Any) -> Answer | None:
-        """Call a method of the agent there, and return its answer, if it has one."""
+    def _exchange(self, name: str, argument: Any) -> Any:
+        """Call a method of the agent there, and return what it returns."""
         try:
             with contextlib.suppress(BrokenPipeError):  # it has ended: receiving says so
                 self._connection.send((name, argument))

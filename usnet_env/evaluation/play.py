@@ -12,12 +12,12 @@ import gymnasium as gym
 import numpy as np
 
 from usnet_env import objectives
+from usnet_env.detection import Detection
 from usnet_env.envs.play import PlayedRound, play_rounds
-from usnet_env.evaluation.agents import Agent, Answer, as_agent
+from usnet_env.evaluation.agents import Agent, as_agent
 from usnet_env.evaluation.tasks import EvaluationError, describe_failure
-from usnet_env.swarm import SwarmState
 
-__all__ = ["Agent", "Answer", "as_agent", "episode_seeds", "play_episode", "record_metrics"]
+__all__ = ["Agent", "as_agent", "episode_seeds", "play_episode", "record_metrics"]
 
 Row = dict[str, Any]
 
@@ -74,7 +74,7 @@ def play_episode(
     """
     number = count(1)
 
-    def answer(observation: Any, truth: SwarmState) -> Answer:
+    def answer(observation: Any) -> tuple[Detection, float]:
         with detector_step(label, f"round {next(number)}"):
             return agent.answer(observation)
 
@@ -95,7 +95,7 @@ def row_keys(cell: str, label: str, episode: int, seeds: tuple[int, int], head: 
     return dict(zip(KEYS, (cell, label, episode, *seeds, len(head), int(head.sum())), strict=True))
 
 
-def _episode_metrics(problem: str, rounds: Sequence[PlayedRound[Answer]]) -> dict[str, float | int | None]:
+def _episode_metrics(problem: str, rounds: Sequence[PlayedRound]) -> dict[str, float | int | None]:
     """A value for each name of :data:`METRICS`; no candidate of a round that is over the shot budget counts."""
     truth, answer = rounds[0].truth, rounds[0].answer
     fired = np.array([played.answer.candidates & (not played.info["over_budget"]) for played in rounds])
@@ -118,7 +118,7 @@ def _episode_metrics(problem: str, rounds: Sequence[PlayedRound[Answer]]) -> dic
         "recall_first": float(objectives.recall(head, first)),
         "f1_first": float(objectives.f1(head, first)),
         "ap_first": objectives.average_precision(head, answer.scores),
-        "seconds_per_round": float(np.mean([played.answer.seconds for played in rounds])),
+        "seconds_per_round": float(np.mean([played.seconds for played in rounds])),
         "purity_first": purity,
         "head_in_cluster_first": together,
     }
@@ -126,10 +126,13 @@ def _episode_metrics(problem: str, rounds: Sequence[PlayedRound[Answer]]) -> dic
 
 def record_metrics(record: Any) -> dict[str, float | int | None]:
     """Compute the metrics of an :class:`usnet_env.replay.EpisodeRecord`, or of an object with the same arrays."""
-    rounds: list[PlayedRound[Answer]] = []
+    rounds = []
     for number, candidates in enumerate(record.candidates):
         truth: Any = SimpleNamespace(head=record.head, decoy=record.decoy, root=record.root[number])
         clusters = None if record.clusters is None else record.clusters[number]
-        answer = Answer(candidates, record.scores[number], clusters, float(record.seconds[number]))
-        rounds.append(PlayedRound(None, truth, answer, {"over_budget": record.over_budget[number]}, truth))
+        answer, info = (
+            Detection(candidates, record.scores[number], clusters),
+            {"over_budget": record.over_budget[number]},
+        )
+        rounds.append(PlayedRound(None, truth, answer, record.seconds[number], info, truth))
     return _episode_metrics(record.problem, rounds)

@@ -18,7 +18,6 @@ from usnet_env.objectives import list_followers
 from usnet_env.plugins import DetectorLike, detector_label
 from usnet_env.provenance import versions
 from usnet_env.replay.episode import EpisodeRecord
-from usnet_env.swarm import SwarmState
 from usnet_env.window import Window
 
 
@@ -49,15 +48,8 @@ def record_episode(
     _check_environment(env)
     seed, detector_seed = optional_seed("seed", seed), optional_seed("detector_seed", detector_seed)
     detector.reset(detector_seed)
-    seconds: list[float] = []
-
-    def answer(observation: Any, truth: SwarmState) -> Detection:
-        detection, spent = ask(detector, Window.from_observation(observation))
-        seconds.append(spent)
-        return detection
-
-    rounds = list(play_rounds(env, answer, seed))
-    return _make_record(env, rounds, seconds, seed, detector_seed, label or detector_label(detector))
+    rounds = list(play_rounds(env, lambda seen: ask(detector, Window.from_observation(seen)), seed))
+    return _make_record(env, rounds, seed, detector_seed, label or detector_label(detector))
 
 
 def record_probe(env: gym.Env[Any, Any], prober: Prober, seed: int) -> EpisodeRecord:
@@ -69,7 +61,7 @@ def record_probe(env: gym.Env[Any, Any], prober: Prober, seed: int) -> EpisodeRe
     _check_environment(env)
     played, _ = play_probe(env, prober, seed)
     label = f"{detector_label(prober.detector)}, target {prober.target}"
-    return _make_record(env, [played], [0.0], seed, None, label)
+    return _make_record(env, [played], seed, None, label)
 
 
 def _check_environment(env: Any) -> None:
@@ -102,8 +94,7 @@ def _find_roots(answer: Detection) -> Indices:
 
 def _make_record(
     env: gym.Env[Any, Any],
-    rounds: Sequence[PlayedRound[Detection]],
-    seconds: Sequence[float],
+    rounds: Sequence[PlayedRound],
     seed: int | None,
     detector_seed: int | None,
     label: str,
@@ -132,7 +123,7 @@ def _make_record(
         decoy=truths[0].decoy if labelled else np.zeros(candidates.shape[1], bool),
         intruders=_stack([played.observation.get("intruders") for played in rounds]),
         over_budget=np.array([bool(played.info["over_budget"]) or not labelled for played in rounds]),
-        seconds=np.array(seconds),
+        seconds=np.array([played.seconds for played in rounds]),
         clusters=_stack([answer.clusters for answer in answers], absent=-1),
         leader_estimate=_stack([answer.leader for answer in answers], absent=-1),
         attention=_stack([answer.attention for answer in answers]),
