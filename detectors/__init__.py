@@ -1,5 +1,5 @@
 """Detectors: each takes a window of an observed swarm and names its cluster heads."""
 
-from detectors.base import Detector, DetectorPolicy
+from detectors.base import Detector
 
-__all__ = ["Detector", "DetectorPolicy"]
+__all__ = ["Detector"]

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from detectors.parameters import Parameters
-from usnet_env.arrays import Mask
 from usnet_env.config import optional_seed
-from usnet_env.detection import Detection, Tags, fit_window
+from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
 
@@ -65,39 +63,3 @@ class Detector(Parameters):
                 allow, or fewer UAVs than a given number of clusters.
         """
         raise NotImplementedError(f"{type(self).__name__} must define detect(window) -> Detection.")
-
-    def as_policy(self) -> DetectorPolicy:
-        """Return this detector as a policy with Stable-Baselines3's ``predict`` method."""
-        return DetectorPolicy(self)
-
-
-class DetectorPolicy:
-    """A detector with Stable-Baselines3's ``predict`` method, which takes an observation and returns an action.
-
-    Args:
-        detector: the detector to call. It is reset at the start of every episode.
-        seed: seed of the generator that draws the ``reset`` seed of each episode.
-    """
-
-    def __init__(self, detector: Detector, seed: int | None = None) -> None:
-        self.detector = detector
-        self._seeds = np.random.default_rng(optional_seed("seed", seed))
-        self._begun = False
-
-    def predict(
-        self,
-        observation: Any,
-        state: tuple[NDArray[Any], ...] | None = None,
-        episode_start: Mask | None = None,
-        deterministic: bool = False,
-    ) -> tuple[NDArray[np.int8], tuple[NDArray[Any], ...] | None]:
-        """Return the candidates for one observation, a mapping, as an action ``(N,)`` int8, and ``state`` unchanged.
-
-        The first call and a true ``episode_start`` start an episode. ``deterministic`` is ignored: a detector draws
-        from its own generator.
-        """
-        if not self._begun or (episode_start is not None and bool(np.any(episode_start))):
-            self.detector.reset(int(self._seeds.integers(2**31)))
-            self._begun = True
-        detection = self.detector.detect(fit_window(self.detector, Window.from_observation(observation)))
-        return detection.candidates.astype(np.int8), state

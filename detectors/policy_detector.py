@@ -1,4 +1,4 @@
-"""Wraps a policy as a detector; :meth:`detectors.Detector.as_policy` does the opposite."""
+"""Wraps a policy as a detector."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ class PolicyDetector(Detector):
 
     The attributes of the policy decide which of three interfaces is used:
 
-    * ``predict(observation, state, episode_start, deterministic)`` (Stable-Baselines3, and ``as_policy``): a binary
-      action ``(N,)`` marks the candidates, an integer is the index of the only one. Scores are the probabilities of
-      ``get_distribution``, if there is one, or the action. ``action_masks`` are passed if it takes them.
+    * ``predict(observation, state, episode_start, deterministic)`` (Stable-Baselines3): a binary action ``(N,)`` marks
+      the candidates, an integer is the index of the only one. Scores are the probabilities of ``get_distribution``, if
+      there is one, or the action. ``action_masks`` are passed if it takes them.
     * ``in_keys`` and ``out_keys`` (TorchRL): called with a ``TensorDict``; ``"action"`` is read as above, and scores
       come from ``"logits"``, ``"probs"``, ``"probability"``, ``"loc"`` or ``"scores"``.
     * any other callable, such as a ``torch.nn.Module``: it is called with the observation as tensors with a leading

@@ -7,7 +7,7 @@ import pytest
 from pydantic import Field
 from sklearn.base import clone
 
-from detectors import Detector, DetectorPolicy
+from detectors import Detector
 from usnet_env import ArgumentError, Detection, Window
 
 
@@ -68,13 +68,6 @@ def test_reset_starts_an_episode_and_its_seed_decides():
         detector.reset(-1)
 
 
-def test_the_policy_takes_an_observation():
-    observation = {name: getattr(window(), name) for name in ("position", "velocity", "seen", "alive")}
-    observation["round"] = np.ones(1)
-    policy = First().as_policy()
-    assert isinstance(policy, DetectorPolicy)
-    action, state = policy.predict(observation, state=None, episode_start=np.array([True]))
-    assert action.tolist() == [1, 1, 0, 0]
-    assert state is None
+def test_a_detector_defines_detect():
     with pytest.raises(NotImplementedError, match="Detector must define detect"):
         Detector().detect(window())
