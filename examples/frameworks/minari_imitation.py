@@ -14,12 +14,11 @@ import gymnasium as gym
 import minari
 import numpy as np
 import torch
-from comparison import compare_with_regression
 from minari.data_collector import EpisodeBuffer
 from torch import Tensor, nn
 
 from detectors.policy_detector import PolicyDetector
-from usnet_env import Window, make_detector
+from usnet_env import Window, evaluate, make_detector
 from usnet_env.plugins import DetectorLike
 
 ENV = "USNET/MultiCluster-v0"
@@ -126,8 +125,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(f"{dataset.total_episodes} games, {dataset.total_steps} rounds in {DATASET}")
         student, losses = imitate(dataset, asked.updates)
     print(f"loss: {losses[0]:.3f}, after {asked.updates} updates {losses[-1]:.3f}")
-    swarms = (ARGUMENTS, {**ARGUMENTS, **LARGER})
-    compare_with_regression(ENV, swarms, ("student", "teacher"), PolicyDetector(student), asked.episodes)
+    for swarm in (ARGUMENTS, {**ARGUMENTS, **LARGER}):
+        print(f"{swarm['uavs']} UAVs in {swarm['clusters']} clusters")
+        detectors = {"student": PolicyDetector(student), "teacher": f"lagged-regression(clusters={swarm['clusters']})"}
+        result = evaluate(ENV, detectors, episodes=asked.episodes, seed=2022, env_kwargs=swarm)
+        print(result.to_markdown(["f1_first", "J"]))
 
 
 if __name__ == "__main__":

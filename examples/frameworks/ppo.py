@@ -10,12 +10,12 @@ from collections.abc import Sequence
 import gymnasium as gym
 import numpy as np
 import torch
-from comparison import compare_detectors
 from torch import Tensor, nn
 from torch.distributions import Bernoulli, Independent
 
 from detectors.policy_detector import PolicyDetector
 from detectors.rl import PairNetwork
+from usnet_env import evaluate
 
 ENV, ARGUMENTS = "USNET/SingleCluster-v0", {"followers": 7, "observation_steps": 20}
 GAMES, ROUNDS = 64, 16  # games in the batch, rounds in a rollout
@@ -109,8 +109,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     asked = parser.parse_args(arguments)
     network, rewards = train(asked.steps, asked.seed)
     print("mean reward, rollout by rollout:", *(f"{value:.2f}" for value in rewards))
-    others = {"lagged-regression": "lagged-regression(clusters=1)", "random": "random(count=1)"}
-    compare_detectors(ENV, ARGUMENTS, {"PPO": PolicyDetector(Actor(network)), **others}, asked.episodes)
+    detectors = {
+        "PPO": PolicyDetector(Actor(network)),
+        "regression": "lagged-regression(clusters=1)",
+        "random": "random",
+    }
+    result = evaluate(ENV, detectors, episodes=asked.episodes, seed=2022, env_kwargs=ARGUMENTS)
+    print(result.to_markdown(["f1_first", "J"]))
 
 
 if __name__ == "__main__":

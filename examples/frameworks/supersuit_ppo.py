@@ -18,9 +18,9 @@ from stable_baselines3.common.vec_env import VecEnv
 from wrappers import MultiDiscreteVotes
 
 from detectors.policy_detector import PolicyDetector
-from usnet_env import Window, make_detector
+from usnet_env import Window
+from usnet_env.evaluation import evaluate_games
 from usnet_env.multiagent import usnet_observers_v0
-from usnet_env.multiagent.play import play_game
 from usnet_env.multiagent.policies import DetectorObserver
 
 UAVS = 12
@@ -76,14 +76,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=0)
     asked = parser.parse_args(arguments)
     model = train(asked.steps, seed=asked.seed)
-    game = usnet_observers_v0.parallel_env(**ARGUMENTS)
-    detectors = {"PPO": PolicyDetector(model.policy, observe=how_copied)}
-    detectors |= {"lagged-regression": make_detector("lagged-regression"), "random": make_detector("random(count=2)")}
-    for name, detector in detectors.items():
-        agents = {"observer": DetectorObserver(detector)}
-        played = [play_game(game, agents, seed=2022 + number) for number in range(asked.games)]
-        hit = sum(one.success for one in played)
-        print(f"{name:20} J_m: {np.mean([one.J for one in played]):.2f}   games in which all heads were hit: {hit}")
+    observers = {"PPO": DetectorObserver(PolicyDetector(model.policy, observe=how_copied))}
+    observers |= {"regression": "lagged-regression", "random": "random(count=2)"}
+    teams = {name: {"observer": observer} for name, observer in observers.items()}
+    result = evaluate_games("usnet_observers_v0", teams, game_kwargs=ARGUMENTS, episodes=asked.games, seed=2022)
+    print(result.to_markdown(["success", "J"]))
 
 
 if __name__ == "__main__":

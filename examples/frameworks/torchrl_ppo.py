@@ -8,7 +8,6 @@ import argparse
 from collections.abc import Sequence
 
 import torch
-from comparison import compare_detectors
 from tensordict.nn import TensorDictModule
 from torch.distributions import Bernoulli, Independent
 from torchrl.collectors import Collector
@@ -19,6 +18,7 @@ from torchrl.objectives.value import GAE
 
 from detectors.policy_detector import PolicyDetector
 from detectors.rl import PairNetwork
+from usnet_env import evaluate
 from usnet_env.frameworks.torchrl import SwarmEnv
 
 ENV, ARGUMENTS = "USNET/SingleCluster-v0", {"followers": 7, "observation_steps": 20}
@@ -91,8 +91,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print("mean reward, batch by batch:", *(f"{value:.2f}" for value in rewards))
     for swarm in (ARGUMENTS, LARGER):
         print(f"{swarm['followers']} followers")
-        others = {"lagged-regression": "lagged-regression(clusters=1)"}
-        compare_detectors(ENV, swarm, {"PPO": PolicyDetector(actor), **others}, asked.episodes)
+        detectors = {"PPO": PolicyDetector(actor), "regression": "lagged-regression(clusters=1)"}
+        result = evaluate(ENV, detectors, episodes=asked.episodes, seed=2022, env_kwargs=swarm)
+        print(result.to_markdown(["f1_first", "J"]))
 
 
 if __name__ == "__main__":
