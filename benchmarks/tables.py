@@ -98,7 +98,7 @@ def suite_block(name: str) -> str:
     percent = {name_detector(label): say for label, say in percent.items()}
     title = f"Exact in percent, cell by cell, of the first {BEST} lines"
     oracle = read_rows(RESULTS / "suites/ceilings.csv.gz")
-    oracle = oracle[(oracle.suite == name) & (oracle.bound == "exact")].groupby("cell").exact.agg(["mean", "size"])
+    oracle = oracle[oracle.suite == name].groupby("cell").exact.agg(["mean", "size"])
     if len(oracle):
         title += (
             ". The oracle knows the law and its constants, but no head, and nothing of how heads fly, so a detector "
@@ -227,11 +227,8 @@ def speed_block() -> str:
         [name, *(f"{1e9 * each:.0f}" for each in row["seconds_per_uav_step"])] for name, row in found["scaling"].items()
     ]
     parts.append(markdown(("ns of a UAV step", *(f"N = {uavs:,}" for uavs in sizes)), grown))
-    for part, title in (("detectors", "detector"), ("peers", "environment")):
-        lines = [
-            [name_detector(name), row["what"], _spread(row["ratios"])] for name, row in found.get(part, {}).items()
-        ]
-        parts += [markdown((title, "ratio", "median (range of the turns)"), lines)] if lines else []
+    lines = [[name_detector(name), row["what"], _spread(row["ratios"])] for name, row in found["detectors"].items()]
+    parts.append(markdown(("detector", "ratio", "median (range of the turns)"), lines))
     return "\n\n".join([*parts, f"1,000 swarms of 82 UAVs take {found['memory']['bytes'] / 2**30:.2f} GiB."])
 
 

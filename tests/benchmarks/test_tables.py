@@ -1,6 +1,5 @@
 """Published tables: they say what the rows say, and a page that differs is found."""
 
-import json
 import shutil
 
 import numpy as np
@@ -120,15 +119,6 @@ def test_the_paper_s_rates_are_rows_of_1000_runs():
     assert (len(paper), paper.hit.sum()) == (1000, 920)
     assert "| the paper | 98.0 % (" in paper_tables.paper_algorithms()
     assert "3.06–4.06; – |" in paper_tables.paper_algorithms()
-
-
-def test_the_speed_page_leaves_out_parts_that_were_not_measured(tmp_path, monkeypatch):
-    found = json.loads((RESULTS / "speed.json").read_text(encoding="utf-8"))
-    found.pop("peers")
-    (tmp_path / "speed.json").write_text(json.dumps(found), encoding="utf-8")
-    monkeypatch.setattr(tables, "RESULTS", tmp_path)
-    assert "simple_tag" not in tables.speed_block()
-    assert "| `follow-mixture` † | seconds of a window" in tables.speed_block()
 
 
 def test_equal_rows_give_equal_bytes(tmp_path):
