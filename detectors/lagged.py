@@ -12,9 +12,8 @@ from pydantic import Field
 from detectors.base import Detector
 from detectors.parameters import Count, Lags, check_clusters
 from detectors.series.designs import centre_columns, centre_past, check_pairs, count_lags, scale_to_unit, shift_in_time
-from detectors.series.evidence import Evidence, adjust_shares
 from detectors.series.regressions import correlate_over_lags, explain_beyond_own_past, explain_pairs, whiten
-from detectors.series.votes import detection_from_evidence, rank_uavs
+from detectors.series.votes import Evidence, adjust_shares, detection_from_evidence, rank_uavs
 from usnet_env.arrays import Mask
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from usnet_env import cli, evaluate, parts
-from usnet_env.cli import commands, main
+from usnet_env.cli import GROUP, main
 from usnet_env.cli.options import parse_pairs
 from usnet_env.replay import demo
 
@@ -288,7 +288,7 @@ def install(monkeypatch, module):
     module("foreign_command", source)
 
     def installer(**values):
-        points = [EntryPoint(name, value, commands.GROUP) for name, value in values.items()]
+        points = [EntryPoint(name, value, GROUP) for name, value in values.items()]
         monkeypatch.setattr(parts, "entry_points", lambda group: points)
         parts.find_entry_points.cache_clear()
 

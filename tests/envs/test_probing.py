@@ -11,7 +11,7 @@ from usnet_env.envs.probers import TARGETS, Prober
 from usnet_env.replay import EpisodeRecord, draw_episode
 from usnet_env.replay.record import record_probe
 from usnet_env.swarm import SwarmConfig, start
-from usnet_env.swarm.avoidance import Avoidance, find_push
+from usnet_env.swarm.kinematics import Avoidance, find_push
 from usnet_env.swarm.simulator import fly_steps
 
 PROBING = "USNET/Probing-v0"

@@ -13,7 +13,7 @@ from small_episode import DECOY, ROUNDS, SAMPLES, UAVS, large_episode, small_epi
 from usnet_env import ArgumentError
 from usnet_env.config import MissingExtraError
 from usnet_env.replay import rerun, write_recording
-from usnet_env.replay.recording import attention_sheet, find_groups, list_steps
+from usnet_env.replay.rerun import attention_sheet, find_groups, list_steps
 
 rr = pytest.importorskip("rerun")
 

@@ -12,24 +12,50 @@ import os
 import signal
 import sys
 import traceback
+import warnings
 from collections.abc import Sequence
+from typing import Any
 
 import click
 from click.shell_completion import shell_complete
 
 from usnet_env import compiling
-from usnet_env.cli.commands import CommandGroup
 from usnet_env.cli.detect import detect
 from usnet_env.cli.evaluation import evaluate, report
 from usnet_env.cli.list_parts import list_
 from usnet_env.cli.output import print_message
 from usnet_env.cli.replay import demo, replay
 from usnet_env.config import ArgumentError, MissingExtraError, missing_extra
-from usnet_env.parts import describe_error
+from usnet_env.parts import describe_error, find_entry_points
 
 __all__ = ["main"]
 
+GROUP = "usnet.commands"  # of entry points
 _REFUSED, _FAILED, _INTERRUPTED = 2, 1, 130
+
+
+class CommandGroup(click.Group):
+    """A group that also has the commands of entry points; each is imported when it is used or listed."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """List all commands, without those that can't be imported."""
+        names = set(self.commands)
+        for name in find_entry_points(GROUP):
+            try:
+                self.get_command(ctx, name)
+                names.add(name)
+            except Exception as error:  # importing a foreign module may raise anything
+                warnings.warn(f"command {name!r} cannot be used: {describe_error(error)}", stacklevel=2)
+        return sorted(names)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Return the command of this name, which is imported if another package has it."""
+        if cmd_name not in self.commands and cmd_name in find_entry_points(GROUP):
+            loaded: Any = find_entry_points(GROUP)[cmd_name].load()
+            if not isinstance(loaded, click.Command):
+                raise TypeError(f"the entry point {cmd_name!r} of {GROUP} must be a click.Command")
+            self.add_command(loaded, cmd_name)
+        return super().get_command(ctx, cmd_name)
 
 
 @click.group(cls=CommandGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})

@@ -12,7 +12,7 @@ from usnet_env.config import unknown_name
 from usnet_env.detection import ask
 from usnet_env.drawing import last_seen_position
 from usnet_env.envs.probing import ProbingArguments
-from usnet_env.swarm.avoidance import find_push
+from usnet_env.swarm.kinematics import find_push
 from usnet_env.window import Window
 
 REACTION = 3  # steps in which followers react

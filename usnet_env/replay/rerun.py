@@ -1,4 +1,4 @@
-"""The Rerun recording of an episode, with its layout."""
+"""The Rerun recording of an episode: the swarm, the answers, what the detector thought, texts, curves and layout."""
 
 from __future__ import annotations
 
@@ -6,24 +6,235 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from uuid import uuid4
 
 import numpy as np
+from numpy.typing import NDArray
 
+from usnet_env.arrays import Indices, Mask, Singles
 from usnet_env.config import MissingExtraError, how_to_install
-from usnet_env.drawing import MOST_LINKED
+from usnet_env.drawing import CLUSTER_COLORS, MOST_LINKED, NO_CLUSTER_COLOR, cluster_colors, last_seen_position
 from usnet_env.files import as_path, atomic_write
 from usnet_env.replay.episode import EpisodeRecord
 from usnet_env.replay.figure import find_least_side
-from usnet_env.replay.recording import EpisodeWriter
-from usnet_env.replay.story import explain_replay, name_round
+from usnet_env.replay.story import (
+    HIT,
+    LEADER,
+    MISSED,
+    OTHER,
+    REDUNDANT,
+    explain_replay,
+    mark_words,
+    name_round,
+    name_uav,
+    tell_round,
+)  # fmt: skip
 
 if TYPE_CHECKING:
+    import rerun as rr
     import rerun.blueprint as rrb
 
 _UNKNOWN, _BACKGROUND = [140, 148, 156], [16, 20, 24]
+_WATCH_SECONDS, _BEAT_SECONDS = 6.0, 2.0  # of the timeline "time": a window, and the pause after each beat
+_STAGES, _POINTS = 12, 41  # how often the tracks of a window grow, and the most points of a track
+_SMALL, _LARGE, _RING = 6.0, 14.0, 30.0  # metres: radii of a follower, of a head, and of a mark
+_USUAL_SPAN = 800.0  # metres: a swarm may be smaller or larger, and all sizes with it
+_MOST_LABELS = 16  # in a round with more marks, they have no labels
+_MARKS = {HIT: 0x1ED9A0FF, LEADER: 0x1ED9A0FF, REDUNDANT: 0xFF7A1AFF, MISSED: 0xF5F5F5FF, OTHER: 0x6A6A6AFF}
+_NAMED, _GONE, _OBSERVER, _DECOY = 0x35A7FFFF, 0x8A8A8AFF, 0x7CC7FFFF, "#FFE45C"
+_SERIES = 0x56B4E9FF  # of the curves
+
+
+def list_steps(record: EpisodeRecord) -> Indices:
+    """The simulated step of every sample, ``(R, T_ob + 1)``: ``memory`` unobserved steps, then a window, and so on."""
+    every, memory = int(record.config.get("sample_every", 1)), int(record.config.get("memory", 0))
+    samples = record.position.shape[1]
+    flown = memory + (samples - 1) * every
+    return flown * np.arange(record.rounds)[:, None] + memory + every * np.arange(samples)[None]
+
+
+def lighten(colors: Sequence[str] | NDArray[np.str_]) -> NDArray[np.uint8]:
+    """Lighten colours ``"#RRGGBB"`` made for white paper for a dark view: ``(n, 4)`` uint8."""
+    paper = np.array([[*bytes.fromhex(str(color)[1:])] for color in colors], np.float64).reshape(-1, 3)
+    return np.insert(90 + 0.65 * paper, 3, 255, axis=1).astype(np.uint8)
+
+
+def _fade(colors: NDArray[np.uint8], alpha: float) -> NDArray[np.uint8]:
+    return (colors * np.array([1, 1, 1, alpha])).astype(np.uint8)
+
+
+def find_groups(record: EpisodeRecord, r: int) -> Indices:
+    """``(N,)``: the number of the group that was found for each UAV in round ``r`` (from 0); -1: none."""
+    values = np.full(record.uavs, -1)
+    if record.clusters is not None and (record.clusters[r][record.alive[r]] >= 0).any():
+        values = record.clusters[r]
+    elif record.leader_estimate is not None:
+        values = np.where(record.candidates[r], np.arange(record.uavs), record.leader_estimate[r])
+    values = np.where(record.alive[r], values, -1)
+    labels, number = np.unique(values, return_inverse=True)
+    return np.where(values < 0, -1, number - int(labels[0] < 0))
+
+
+def attention_sheet(record: EpisodeRecord, r: int) -> NDArray[np.uint8]:
+    """The weights of round ``r`` (from 0) as a grey image; the largest weight of a row is white.
+
+    Rows and columns are the living UAVs, sorted by their found group, so that groups are blocks on the diagonal.
+    """
+    assert record.attention is not None
+    groups = find_groups(record, r)
+    order = np.lexsort((~record.candidates[r], np.where(groups < 0, record.uavs, groups)))
+    order = order[record.alive[r][order]]
+    weights = record.attention[r][np.ix_(order, order)]
+    weights /= np.maximum(weights.max(axis=1, keepdims=True), 1e-12)
+    return (255 * weights.clip(0, 1)).astype(np.uint8)
+
+
+class EpisodeWriter:
+    """Writes an episode into a stream; ``span`` is the side of the swarm in metres."""
+
+    def __init__(self, record: EpisodeRecord, stream: rr.RecordingStream, span: float) -> None:
+        import rerun
+
+        self.rr, self.record, self.stream, self.span, self.log = rerun, record, stream, span, stream.log
+        self.scale = span / _USUAL_SPAN
+        self.samples = record.position.shape[1]
+        self.answer, self.destroy, self.remerge = range(self.samples, self.samples + 3)
+        beats = np.minimum([0, 1, 2], int(record.config.get("memory", 0)))
+        self.steps = np.concatenate([steps := list_steps(record), steps[:, -1:] + beats], axis=1)
+        self.last = np.stack([last_seen_position(*each) for each in zip(record.position, record.seen, strict=True)])
+        self.names = [name_uav(record, i).removeprefix("UAV ") for i in range(record.uavs)]
+        self.colors = np.stack([lighten(cluster_colors(record.head, root)) for root in record.root])
+
+    def at(self, r: int, instant: int) -> None:
+        """Set the time of what is logged next: the samples of round ``r`` (from 0) are followed by three beats."""
+        self.stream.set_time("round", sequence=r + 1)
+        self.stream.set_time("step", sequence=int(self.steps[r, instant]))
+        watched = _WATCH_SECONDS * min(instant / (self.samples - 1), 1.0)
+        beats = 0.25 + _BEAT_SECONDS * (instant - self.answer) if instant >= self.answer else 0.0
+        round_seconds = _WATCH_SECONDS + 3 * _BEAT_SECONDS + 0.5
+        self.stream.set_time("time", duration=round_seconds * r + watched + beats)
+
+    def write(self) -> None:
+        """Write all of it."""
+        self.log("world", self.rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        self._write_observers()
+        for r in range(self.record.rounds):
+            self.at(r, 0)
+            known = self.record.position[r][self.record.seen[r]]
+            if len(known):  # a fixed camera shows all rounds
+                self.log("world", self.rr.Transform3D(translation=-(known.min(axis=0) + known.max(axis=0)) / 2))
+            for path in ("world/found", "world/verdict", "mind", "scores"):
+                self.log(path, self.rr.Clear(recursive=True))
+            texts = tell_round(self.record, r + 1, self.names)
+            for instant, text in zip((0, self.answer), texts, strict=True):
+                self.at(r, instant)
+                self.log("this_round", self.rr.TextDocument(text, media_type="text/markdown"))
+            self._write_window(r)
+            self._write_answer(r)
+            self._write_end(r)
+
+    def _write_window(self, r: int) -> None:
+        record, alive = self.record, self.record.alive[r]
+        for instant in range(self.samples):
+            self.at(r, instant)
+            self._log_uavs(r, record.position[r, instant], alive & record.seen[r, instant], self.colors[r])
+        for instant in np.linspace(0, self.samples - 1, min(_STAGES, self.samples)).astype(int).tolist():
+            self.at(r, instant)
+            kept = np.unique(np.linspace(0, instant, min(instant + 1, _POINTS)).astype(int))
+            seen, position = record.seen[r, kept], record.position[r, kept]
+            strips = [position[seen[:, i], i] for i in np.flatnonzero(alive)]
+            colors = _fade(self.colors[r][alive], 0.6)
+            self.log("world/swarm/tracks", self.rr.LineStrips3D(strips, colors=colors, radii=0.9 * self.scale))
+            place = last_seen_position(record.position[r, : instant + 1], record.seen[r, : instant + 1])
+            self._log_links(place, np.where(alive, record.root[r], -1), self.colors[r])
+
+    def _log_uavs(self, r: int, place: Singles, shown: Mask, colors: NDArray[np.uint8]) -> None:
+        decoys = self.record.decoys[r]
+        colors = np.where(decoys[:, None], lighten([_DECOY]), colors)[shown]
+        radii = np.where(self.record.head | decoys, _LARGE, _SMALL)[shown] * self.scale
+        look: dict[str, Any] = {"labels": [self.names[i] for i in np.flatnonzero(shown)], "show_labels": False}
+        self.log("world/swarm/uavs", self.rr.Points3D(place[shown], colors=colors, radii=radii, **look))
+
+    def _log_links(self, place: Singles, root: Indices, colors: NDArray[np.uint8]) -> None:
+        both = np.isfinite(place[:, 0] + place[root, 0])
+        linked = np.flatnonzero((root >= 0) & (root != np.arange(len(root))) & both)
+        strips = place[np.stack([linked, root[linked]], axis=1)]
+        links = self.rr.LineStrips3D(strips, colors=_fade(colors[linked], 0.3), radii=0.5 * self.scale)
+        self.log("world/swarm/links", links)
+
+    def _write_answer(self, r: int) -> None:
+        record, rr, place = self.record, self.rr, self.last[r]
+        self.at(r, self.answer)
+        seen = np.isfinite(place[:, 0])
+        groups, living = find_groups(record, r), np.flatnonzero(record.alive[r] & seen)
+        palette = np.array([*CLUSTER_COLORS, NO_CLUSTER_COLOR])
+        colors = lighten(palette[np.where(groups < 0, len(CLUSTER_COLORS), groups % len(CLUSTER_COLORS))])
+        scores = np.maximum(record.scores[r], 0)
+        sure = scores / max(float(scores.max()), 1e-300) if record.probability is None else record.probability[r]
+        radii = _SMALL * self.scale * (0.9 + 1.8 * sure)
+        labels = [f"{name}: score {score:.3g}" for name, score in zip(self.names, record.scores[r], strict=True)]
+        look: dict[str, Any] = {"radii": radii[living], "labels": [labels[i] for i in living], "show_labels": False}
+        self.log("world/found/uavs", rr.Points3D(place[living], colors=colors[living], **look))
+        pairs = record.hierarchy(r + 1)
+        if pairs is not None:
+            pairs = pairs[seen[pairs].all(axis=1)]
+            links = rr.LineStrips3D(place[pairs], colors=_fade(colors[pairs[:, 0]], 0.35), radii=0.6 * self.scale)
+            self.log("world/found/links", links)
+        self._log_rings("world/found/candidates", r, record.candidates[r] & seen, _NAMED, labels)
+        words = mark_words(record, r + 1)
+        for word in [word for word in _MARKS if (words == word).any()]:
+            if word != OTHER:
+                texts = [f"{word} {name}" for name in self.names]
+                self._log_rings(f"world/verdict/{word}", r, (words == word) & seen, _MARKS[word], texts)
+            who = np.flatnonzero((words == word) & record.alive[r])
+            self.log(f"scores/{word}", rr.BarChart(record.scores[r, who], color=_MARKS[word], abscissa=who))
+        if record.attention is not None:
+            self.log("mind/attention", rr.Image(attention_sheet(record, r)))
+
+    def _log_rings(self, path: str, r: int, who: Mask, color: int, labels: Sequence[str]) -> None:
+        rings = np.flatnonzero(who).tolist()
+        half = np.full((len(rings), 3), self.scale * _RING, np.float32)
+        kind, width = (self.rr.Boxes3D, "radii") if path.endswith(REDUNDANT) else (self.rr.Ellipsoids3D, "line_radii")
+        frame = self.rr.components.FillMode.MajorWireframe
+        look: dict[str, Any] = {"colors": color, width: 0.6 * self.scale, "fill_mode": frame}
+        look |= {"labels": [labels[i] for i in rings], "show_labels": len(rings) <= _MOST_LABELS}
+        self.log(path, kind(centers=self.last[r][who], half_sizes=half * (0.8 if width == "radii" else 1.0), **look))
+
+    def _write_end(self, r: int) -> None:
+        record, rr = self.record, self.rr
+        left, orphans = record.alive[r] & ~record.destroyed[r], record.orphans[r]
+        grey = np.where(orphans[:, None], lighten([NO_CLUSTER_COLOR]), self.colors[r])
+        following = min(r + 1, record.rounds - 1)
+        for instant, root, colors in (
+            (self.destroy, np.where(orphans, -1, record.root[r]), grey),
+            (self.remerge, record.root[following], self.colors[following]),
+        ):
+            self.at(r, instant)
+            self._log_uavs(r, self.last[r], left & np.isfinite(self.last[r, :, 0]), colors)
+            self._log_links(self.last[r], np.where(left & (root >= 0) & left[root], root, -1), colors)
+        self.at(r, self.destroy)
+        place = record.last_position(r + 1)[~left]
+        gone = rr.Points3D(place[np.isfinite(place[:, 0])], colors=_GONE, radii=_SMALL * self.scale)
+        self.log("world/swarm/destroyed", gone)
+        if not record.recorded:
+            for name, value in (("J", record.objective[r]), ("heads_left", record.heads_left[r])):
+                look: dict[str, Any] = {"colors": _SERIES, "names": name}
+                self.log(f"game/{name}", rr.SeriesPoints(marker_sizes=5, **look), rr.SeriesLines(**look), static=True)
+                self.log(f"game/{name}", rr.Scalars(value))
+
+    def _write_observers(self) -> None:
+        if self.record.observers is None:
+            return
+        place, ranges = self.record.observers[:, None, :3], self.record.observers[:, 3]
+        angle = np.linspace(0, 2 * np.pi, 65)
+        circle = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+        names = [f"observer {k}, range {each:g} m" for k, each in enumerate(ranges)]
+        look: dict[str, Any] = {"colors": _OBSERVER, "labels": names, "radii": 1.2 * self.scale}
+        rings = self.rr.LineStrips3D((place + ranges[:, None, None] * circle).astype(np.float32), **look)
+        self.log("world/observers", rings, static=True)
 
 
 def _space(writer: EpisodeWriter, name: str, truth: bool) -> rrb.Spatial3DView:
@@ -89,7 +300,7 @@ def write_recording(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path
 
     One view shows what the detector sees and answers, another one the truth and the verdict. The timelines are
     ``time``, seconds of the replay with a pause after each answer, destruction and re-merge; ``step``, see
-    :func:`usnet_env.replay.recording.list_steps`; and ``round``.
+    :func:`list_steps`; and ``round``.
 
     Raises:
         ArgumentError: the place can't be written to.

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from detectors.series.evidence import Evidence
-from detectors.series.votes import choose_heads, count_votes, cover_voters, detection_from_evidence
+from detectors.series.votes import Evidence, choose_heads, count_votes, cover_voters, detection_from_evidence
 
 
 @pytest.mark.parametrize("seed", range(5))
