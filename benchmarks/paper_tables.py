@@ -122,7 +122,6 @@ def purity_block() -> str:
         "seconds": median("seconds"),
     }
     rows = read_rows(RESULTS / "paper" / "purity.csv.gz")
-    rows = rows[~rows.features.isin(["gru-mean", "gru-series"]) & (rows["count"] != "gap-one-se")]  # former options
     rows = rows.sort_values("count", key=lambda counts: counts != "given", kind="stable")
     return pivot(rows, {"clusterer": "clusterer", "M": "count", "features": "features"}, columns)
 

@@ -30,8 +30,8 @@ from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation.play import episode_seeds
 from usnet_env.objectives import head_in_cluster, purity
 
-#: The clusterers and their estimators of M: the gap statistic, the eigengap, or their own.
-CLUSTERERS = dict.fromkeys(("snmf", "spectral", "agglomerative"), "eigengap") | {"kmeans": "gap", "hdbscan": "own"}
+#: The clusterers and their estimators of M: the gap statistic or the eigengap.
+CLUSTERERS = {"snmf": "eigengap", "spectral": "eigengap", "kmeans": "gap"}
 SWARM = ("follow", "clusters", "uavs", "mobility", "head_jitter")
 FEATURES = ("raw", "scaled", "velocities", "gru-single")
 #: The algorithms of the paper's picture: clusterer, features, label, marker. Metric learning is GRU and K-Means.
@@ -111,7 +111,6 @@ def main(argv: list[str] | None = None) -> None:
         | {"follow": follow, "clusters": 5, "uavs": 82, "mobility": "iid", "head_jitter": False, "episode": episode}
         for follow, clusterer, features, count in product(given.follow, given.clusterer, given.features, given.count)
         for episode in range(given.episodes)
-        if (clusterer, count) != ("hdbscan", "given")  # it takes no M
     ]
     draw(shared.measure(given, games, partial(play, seed=given.seed)), given.images)
 

@@ -11,8 +11,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from sklearn.cluster import HDBSCAN, AgglomerativeClustering, spectral_clustering
 from sklearn.cluster import KMeans as SklearnKMeans
+from sklearn.cluster import spectral_clustering
 
 from detectors.clustering.counts import estimate_count_by_eigengap, estimate_count_by_gap
 from detectors.clustering.features import (
@@ -115,19 +115,17 @@ class Clusterer(Parameters):
             labels[living.index] = 0
             return Clustering(labels, n, extras={"estimate": 1} if n else {})
         estimate = self._estimate_count(living, rng)
-        found = self.partition(living, min(estimate or n, n), rng)
+        found = self.partition(living, min(estimate, n), rng)
         used, labels[living.index] = np.unique(found, return_inverse=True)
         widen = partial(spread, members=living.index, uavs=window.uavs)
         affinity = widen(living.affinity, pairs=True) if "affinity" in vars(living) else None  # if it was computed
-        return Clustering(labels, len(used), widen(living.features), affinity, {"estimate": estimate or len(used)})
+        return Clustering(labels, len(used), widen(living.features), affinity, {"estimate": estimate})
 
-    def _estimate_count(self, living: Living, rng: np.random.Generator) -> int | None:
+    def _estimate_count(self, living: Living, rng: np.random.Generator) -> int:
         count = living.arguments.count
         if count == "gap":
             return estimate_count_by_gap(living.flat, rng)
-        if count == "eigengap":
-            return estimate_count_by_eigengap(living.affinity)
-        return None if count == "own" else count
+        return estimate_count_by_eigengap(living.affinity) if count == "eigengap" else count
 
     @abstractmethod
     def partition(self, living: Living, count: int, rng: np.random.Generator) -> NDArray[np.integer[Any]]:
@@ -207,50 +205,10 @@ def factorise_affinity(affinity: Floats, rank: int, rng: np.random.Generator, st
     return factor, losses
 
 
-class Agglomerative(Clusterer):
-    """Agglomerative clustering of the distances 1 - affinity.
-
-    The ``linkage`` is ``"average"``, ``"complete"`` or ``"single"``; other arguments are those of :class:`Clusterer`.
-    """
-
-    linkage: Literal["average", "complete", "single"] = "complete"
-
-    def partition(self, living: Living, count: int, rng: np.random.Generator) -> Indices:
-        """Return labels ``(n,)``."""
-        model = AgglomerativeClustering(count, metric="precomputed", linkage=self.linkage)
-        return model.fit_predict(1.0 - living.affinity)
-
-
-class Hdbscan(Clusterer):
-    """HDBSCAN on the distances 1 - affinity, which also finds the number of clusters: ``count`` is ``"own"``.
-
-    A cluster has at least ``least`` members. A UAV that HDBSCAN labels as noise joins the cluster of the UAV that it is
-    most similar to; if all are noise, they are one cluster. Other arguments are those of :class:`Clusterer`.
-    """
-
-    count: Literal["own"] = "own"  # type: ignore[assignment]  # one value of the base's
-    least: Annotated[int, Field(ge=2, le=100_000)] = 3
-
-    def partition(self, living: Living, count: int, rng: np.random.Generator) -> Indices:
-        """Return labels ``(n,)``."""
-        n = len(living.index)
-        found: Indices = np.full(n, -1)
-        if n >= self.least:
-            model = HDBSCAN(min_cluster_size=self.least, min_samples=1, metric="precomputed", copy=True)
-            found = model.fit_predict(1.0 - living.affinity).astype(np.int64)
-        clustered = found >= 0
-        if not clustered.any():
-            return np.zeros(n, np.int64)
-        found[~clustered] = found[clustered][living.affinity[~clustered][:, clustered].argmax(axis=1)]
-        return found
-
-
 _BUILT_IN: dict[str, Callable[..., Clusterer]] = {
     "kmeans": KMeans,
     "spectral": Spectral,
     "snmf": SymmetricNMF,
-    "agglomerative": Agglomerative,
-    "hdbscan": Hdbscan,
 }
 
 #: All clusterers by name.

@@ -17,7 +17,7 @@ from detectors.clustering.features import (
 from usnet_env import ArgumentError, Window
 from usnet_env.objectives import head_in_cluster, purity
 
-NAMES = ["agglomerative", "hdbscan", "kmeans", "snmf", "spectral"]
+NAMES = ["kmeans", "snmf", "spectral"]
 
 
 def cluster(name, window, seed=0, **arguments):
@@ -31,7 +31,7 @@ def test_all_are_registered_and_store_their_arguments():
         assert vars(clusterer) == clusterer.get_params()
 
 
-@pytest.mark.parametrize("name", ["agglomerative", "hdbscan", "snmf", "spectral"])
+@pytest.mark.parametrize("name", ["snmf", "spectral"])
 def test_clusters_of_linear_followers_are_found_and_counted(name):
     for seed in range(2):
         window, truth = swarm_window(seed, follow="f1", uavs=60, clusters=5, cluster_sizes=(11,) * 5)
@@ -63,7 +63,7 @@ def test_any_window_gets_labels_from_0(name, uavs, count, still, seed):
     seen &= alive
     velocity *= (seen[1:] & seen[:-1])[..., None]
     window = Window(np.zeros((13, 10, 3)), velocity, seen, alive)
-    clustering = cluster(name, window, seed, **({} if name == "hdbscan" else {"count": count}))
+    clustering = cluster(name, window, seed, count=count)
     assert clustering.count <= uavs
     assert np.array_equal(np.unique(clustering.labels[alive]), np.arange(clustering.count))
     assert (clustering.labels[~alive] == -1).all()
@@ -76,7 +76,7 @@ def test_features_and_affinity_may_be_functions():
     assert purity(leader, clustering.labels) == 1.0
     assert clustering.features.shape == (45, 3)
     same = leader[:, None] == leader
-    clustering = cluster("agglomerative", window, count=3, affinity=lambda _: same.astype(float))
+    clustering = cluster("spectral", window, count=3, affinity=lambda _: same.astype(float))
     assert purity(leader, clustering.labels) == 1.0
 
 
@@ -86,11 +86,9 @@ def test_features_and_affinity_may_be_functions():
         ("kmeans", {"count": "most"}, "count"),
         ("kmeans", {"count": 0}, "count"),
         ("kmeans", {"count": "own"}, "count"),
-        ("hdbscan", {"count": 3}, "count"),
         ("spectral", {"features": "gru"}, "features"),
         ("spectral", {"affinity": "cosine"}, "affinity"),
         ("spectral", {"affinity": "lag", "features": "raw"}, "affinity"),
-        ("agglomerative", {"linkage": "ward"}, "linkage"),
     ],
 )
 def test_a_bad_argument_is_named(name, arguments, argument):
