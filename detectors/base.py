@@ -23,7 +23,7 @@ class Detector(Parameters):
     it, also without a :meth:`reset`.
 
     Attributes:
-        tags: what the detector needs and uses; :func:`usnet_env.plugins.list_detectors` shows it and
+        tags: what the detector needs and uses; ``usnet list detectors`` shows it and
             :func:`detectors.checks.check_detector` chooses its windows by it.
     """
 

@@ -250,14 +250,6 @@ def test_however_a_command_ends_it_is_one_sentence(run, monkeypatch, error, stat
     assert run("list") == (status, "", f"usnet: {sentence}\n")
 
 
-def test_a_current_folder_that_was_removed_is_one_sentence(run, tmp_path, monkeypatch):
-    folder = tmp_path / "gone"
-    folder.mkdir()
-    monkeypatch.chdir(folder)
-    folder.rmdir()
-    refused(run, ["list", "envs"], "the current folder must exist")
-
-
 @pytest.mark.parametrize("command", ["list follow", pytest.param(" ".join(QUICK), marks=pytest.mark.slow)])
 def test_a_reader_that_goes_away_ends_a_command_silently(command):
     words = [sys.executable, "-m", "usnet_env", *command.split()]

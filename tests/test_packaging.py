@@ -47,13 +47,13 @@ import gymnasium as gym
 import numpy as np
 import usnet_env
 from usnet_env.envs.wrappers import BoxMasks
-from usnet_env.plugins import detector_names
+from usnet_env.plugins import DETECTORS
 
 swarm = {"clusters": 2, "uavs": 8, "observation_steps": 40}
 env = BoxMasks(gym.make("USNET/MultiCluster-v0", **swarm))
 env.reset(seed=0)
 env.step(np.eye(1, 8, dtype=np.int8)[0])
-assert {"gassl", "mc-gassl", "lagged-regression"} <= set(detector_names())
+assert {"gassl", "mc-gassl", "lagged-regression"} <= set(DETECTORS)
 detectors = ["lagged-regression(clusters=2)", "destroy-all"]
 result = usnet_env.evaluate("USNET/MultiCluster-v0", detectors, episodes=2, env_kwargs=swarm)
 assert [entry["episodes"] for entry in result.summary] == [2, 2]

@@ -9,14 +9,13 @@ import sys
 import numpy as np
 import pytest
 
-from usnet_env import ArgumentError, Detection, parts, plugins
+from usnet_env import ArgumentError, Detection, parts
+from usnet_env.cli import main
 from usnet_env.detection import Tags
 from usnet_env.plugins import (
     DETECTORS,
     DetectorLike,
     detector_label,
-    detector_names,
-    list_detectors,
     make_detector,
     register_detector,
 )
@@ -77,7 +76,7 @@ def stranger(monkeypatch, tmp_path):
 
 
 def test_the_built_in_detectors_are_found_and_made():
-    assert set(BUILT_IN) <= set(detector_names())
+    assert set(BUILT_IN) <= set(DETECTORS)
     for name in BUILT_IN:
         detector = make_detector(name)
         assert isinstance(detector, DetectorLike)
@@ -85,14 +84,18 @@ def test_the_built_in_detectors_are_found_and_made():
         detector.reset(0)
 
 
-def test_every_detector_has_a_line_and_its_tags():
-    entries = {entry.name: entry for entry in list_detectors()}
-    assert list(entries) == detector_names()
-    assert all(entries[name].description.endswith(".") for name in BUILT_IN)
-    assert entries["one-per-round"].tags.needs_unit_speed
+def list_lines(capsys):
+    assert main(["list", "detectors"]) == 0
+    return {line.split()[0]: line.partition(" ")[2].strip() for line in capsys.readouterr().out.splitlines()}
+
+
+def test_every_detector_has_a_line_and_its_tags(capsys):
     register_detector("mine", Mine)
-    (mine,) = [entry for entry in list_detectors() if entry.name == "mine"]
-    assert (mine.description, mine.tags.uses_positions) == ("Names the first few.", False)
+    lines = list_lines(capsys)
+    assert list(lines) == sorted(DETECTORS)
+    assert all(". (" in lines[name] for name in BUILT_IN)
+    assert "made for 1 m per step" in lines["one-per-round"]
+    assert lines["mine"] == "Names the first few. (velocities only)"
 
 
 def test_arguments_in_brackets_and_beside_them():
@@ -132,7 +135,7 @@ def test_each_mistake_has_its_sentence(name, arguments, sentence):
 def test_a_detector_is_registered_by_a_class_or_a_function():
     register_detector("mine", Mine)
     register_detector("five", lambda extra=0: Mine(count=5))
-    assert {"mine", "five"} <= set(detector_names())
+    assert {"mine", "five"} <= set(DETECTORS)
     assert make_detector("mine(count=4)").count == 4
     assert make_detector("five(extra=1)").count == 5
     with pytest.raises(ArgumentError, match=r"^factory must be a class or a function"):
@@ -151,11 +154,11 @@ def test_labels():
     assert detector_label(NeedsOne(7)) == "NeedsOne(count=7)"
 
 
-def test_an_installed_detector_is_found_and_a_broken_one_does_not_affect_others(stranger):
+def test_an_installed_detector_is_found_and_a_broken_one_does_not_affect_others(stranger, capsys):
     assert detector_label(make_detector("stranger(count=9)")) == "stranger(count=9)"
     assert type(make_detector("random")).__name__ == "RandomDetector"
-    lines = {entry.name: entry.description for entry in list_detectors()}
-    assert lines["stranger"] == "Names the first few."
+    lines = list_lines(capsys)
+    assert lines["stranger"].startswith("Names the first few.")
     assert lines["broken"] == "not available: detector 'broken' can't be loaded: OSError: no licence."
     with pytest.raises(ArgumentError, match=r"^detector 'broken' can't be loaded: OSError: no licence\.$"):
         make_detector("broken")
@@ -187,6 +190,5 @@ def test_without_torch_its_extra_is_named(tmp_path):
 
 
 def test_names_are_listed_without_importing_any_detector():
-    program = "import sys, usnet_env.plugins as p; p.detector_names(); sys.exit('detectors' in sys.modules)"
+    program = "import sys, usnet_env.plugins as p; sorted(p.DETECTORS); sys.exit('detectors' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], timeout=600).returncode == 0
-    assert "destroy-all" in plugins.detector_names()

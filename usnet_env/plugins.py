@@ -7,14 +7,13 @@ point in the group ``usnet.detectors``; or ``module:Class``. Python literals may
 
 from __future__ import annotations
 
-import inspect
 import sys
 from importlib import import_module
 from operator import attrgetter
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
-from usnet_env.config import ArgumentError, MissingExtraError, quote, unknown_name
-from usnet_env.detection import Detection, Tags, read_tags
+from usnet_env.config import ArgumentError, quote, unknown_name
+from usnet_env.detection import Detection
 from usnet_env.parts import Registry, are_equal, check_call, check_factory, format_label, named_parameters, parse_label
 from usnet_env.window import Window
 
@@ -35,31 +34,6 @@ DETECTORS = Registry("detector", "detector", "usnet.detectors", __name__, check_
 
 #: Register a class, or a function that returns a detector; see :meth:`usnet_env.parts.Registry.register`.
 register_detector = DETECTORS.register
-
-
-def detector_names() -> list[str]:
-    """Return the names of all registered and installed detectors in alphabetical order, without importing any."""
-    return sorted(DETECTORS)
-
-
-class DetectorEntry(NamedTuple):
-    """A detector's name, the first line of its docstring (or why it is not available), and its tags."""
-
-    name: str
-    description: str
-    tags: Tags
-
-
-def list_detectors() -> list[DetectorEntry]:
-    """Import all detectors and list them in alphabetical order."""
-    entries = []
-    for name in detector_names():
-        try:
-            factory = DETECTORS[name]
-            entries.append(DetectorEntry(name, (inspect.getdoc(factory) or "").partition("\n")[0], read_tags(factory)))
-        except (ArgumentError, MissingExtraError) as error:
-            entries.append(DetectorEntry(name, f"not available: {error}", Tags()))
-    return entries
 
 
 def make_detector(name: str, /, **arguments: Any) -> DetectorLike:

@@ -87,8 +87,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (KeyboardInterrupt, EOFError):
         if argv is None:  # this process ends now: a second Ctrl-C must not break the sentence
             signal.signal(signal.SIGINT, signal.SIG_IGN)
-        hint = context.obj if context else None  # a text, or a function that returns it
-        print_message(f"interrupted. {(hint() if callable(hint) else hint) or ''}".rstrip())
+        print_message(f"interrupted. {(context and context.obj) or ''}".rstrip())
         return _INTERRUPTED
     except click.exceptions.Exit as end:
         return int(end.exit_code)
@@ -117,12 +116,8 @@ def _prepare_process() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
-    try:
-        folder = os.getcwd()
-    except FileNotFoundError:
-        raise ArgumentError("the current folder must exist, got one that was removed; change to another one.") from None
-    if "" not in sys.path and folder not in sys.path:
-        sys.path.append(folder)  # `module:Class` is often there
+    if "" not in sys.path and os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())  # `module:Class` is often there
 
 
 def _report_failure(error: Exception) -> int:

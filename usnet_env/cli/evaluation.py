@@ -7,7 +7,6 @@ import re
 import sys
 from collections.abc import Sequence
 from contextlib import closing, nullcontext, redirect_stdout
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -86,7 +85,7 @@ def evaluate(
     if record is not None and (out is None or (record != "worst" and not _EVERY.match(record))):
         raise click.UsageError("--record must be every=NUMBER or worst, and needs --out.")
     if out is not None:
-        ctx.find_root().obj = partial(_tell_what_is_kept, out)
+        ctx.find_root().obj = f"Finished episodes are kept in {out}; the same command resumes."
     from usnet_env import evaluation
 
     given = {name: value for name, value in how.items() if value is not None}
@@ -122,16 +121,6 @@ def _show_result(result: EvaluationResult, form: str) -> None:
     if form == "all" and len(result.cells) > 1:
         show(result.table("exact"))
     click.echo(result.conclusion())
-
-
-def _tell_what_is_kept(out: str) -> str:
-    """What an interrupted run has left."""
-    try:
-        with Path(out, "rows.csv").open("rb") as file:
-            kept = file.readline() and file.readline()  # more than the header
-    except OSError:
-        kept = b""
-    return f"Finished episodes are kept in {out}; the same command resumes." if kept else "No episode was finished."
 
 
 @click.command(short_help="Print the tables of a run, and compare detectors.")

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import inspect
-from typing import TYPE_CHECKING
 
 import click
 
 from usnet_env.cli.output import show
 from usnet_env.config import ArgumentError, MissingExtraError
+from usnet_env.detection import Tags, read_tags
 from usnet_env.parts import REGISTRIES, find_entry_points
-
-if TYPE_CHECKING:
-    from usnet_env.detection import Tags
 
 _REGISTRIES = ("follow", "mobility", "kinematics", "formation", "placement", "fusion", "clusterer", "format")
 _WORDS = {  # the paper's strategies; field models tell which assumption they break
@@ -45,10 +42,6 @@ def list_(part: str | None) -> None:
 
 def _describe_parts(part: str) -> dict[str, str]:
     """A description of one line for each part of this type."""
-    if part == "detectors":
-        from usnet_env.plugins import list_detectors
-
-        return {entry.name: f"{entry.description} {_format_tags(entry.tags)}".rstrip() for entry in list_detectors()}
     if part == "suites":
         from usnet_env.evaluation import list_suites
 
@@ -58,28 +51,30 @@ def _describe_parts(part: str) -> dict[str, str]:
         from usnet_env.evaluation.environments import describe_environments
 
         return dict(describe_environments())
-    rows = _describe_registry(part)
+    rows = _describe_registry("detector" if part == "detectors" else part)
     return rows | {"none": "no UAV follows: followers fly like heads (a control)"} if part == "follow" else rows
 
 
 def _describe_registry(argument: str) -> dict[str, str]:
-    """In words, or else by equation or docstring, all parts that an argument selects."""
+    """In words, by equation or by docstring, all parts that an argument selects, and the tags of detectors."""
     import usnet_env.multiagent.sensors
-    import usnet_env.tracks.readers  # noqa: F401  # both create registries
+    import usnet_env.plugins
+    import usnet_env.tracks.readers  # noqa: F401  # they create registries
 
     if argument in (modules := find_entry_points("usnet.registries")):
         modules[argument].load()
     (registry,) = [registry for registry in REGISTRIES.values() if registry.argument == argument]
-    rows = {}
-    for name in registry:
+    rows, words = {}, _WORDS if argument == "follow" else {}
+    for name in sorted(registry) if argument == "detector" else registry:
         try:
             part = registry[name]
-            known = (_WORDS.get(name), getattr(part, "breaks", ""), getattr(part, "description", ""))
+            known = (words.get(name), getattr(part, "breaks", ""), getattr(part, "description", ""))
             text = next(filter(None, (*known, getattr(part, "equation", ""))), inspect.getdoc(part) or "")
             text = f"breaks the assumption: {text}" if text == getattr(part, "breaks", None) else text
+            line, _, _ = text.partition("\n")
+            rows[name] = f"{line} {_format_tags(read_tags(part))}".rstrip()
         except (ArgumentError, MissingExtraError) as error:
-            text = f"not available: {error}"
-        rows[name] = text.partition("\n")[0]
+            rows[name] = f"not available: {error}"
     return rows
 
 

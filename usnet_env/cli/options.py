@@ -21,7 +21,7 @@ def complete_names(context: click.Context, option: click.Parameter, begun: str) 
     """The names that an option of this name takes and that begin so, for a shell's completion."""
     from usnet_env.envs import ENVIRONMENTS
     from usnet_env.evaluation.suites import list_suites
-    from usnet_env.plugins import detector_names
+    from usnet_env.plugins import DETECTORS
     from usnet_env.swarm import FOLLOW_STRATEGIES
 
     if option.name == "env_id":
@@ -29,7 +29,7 @@ def complete_names(context: click.Context, option: click.Parameter, begun: str) 
     elif option.name == "suite":
         names = list(list_suites())
     else:
-        names = list(FOLLOW_STRATEGIES) if option.name == "follow" else detector_names()
+        names = list(FOLLOW_STRATEGIES) if option.name == "follow" else sorted(DETECTORS)
     return [CompletionItem(name) for name in names if name.startswith(begun)]
 
 
