@@ -49,9 +49,8 @@ class EvidenceDetector(Detector):
         """Name the heads of one window.
 
         Returns:
-            Candidates (at least one if a UAV is alive), scores (sums of weighted votes), clusters, leader, attention
-            (the evidence, clipped at 0) and in ``extras``: ``vote`` and ``weight`` ``(N,)``; ``threshold``, above which
-            a vote is significant; ``heads_found``, the number of heads by the rule for unknown M.
+            Candidates (at least one if a UAV is alive), scores (sums of weighted votes), clusters, leader, and
+            attention (the evidence, clipped at 0).
         """
         self.check_arguments()
         check_pairs(window.uavs)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Annotated, Any, Literal
 
@@ -41,7 +41,6 @@ class Clustering:
     count: int  #: the number of clusters; 0 if no UAV is alive
     features: Floats | None = None  #: ``(N, d)`` or ``(N, T, d)``, 0 for destroyed UAVs
     affinity: Floats | None = None  #: ``(N, N)``, similarities from 0 to 1, or ``None`` if they were not computed
-    extras: Mapping[str, Any] = field(default_factory=dict)  #: ``"estimate"``: the number that was given or estimated
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,13 +112,12 @@ class Clusterer(Parameters):
         labels = np.full(window.uavs, -1, np.int64)
         if n < 2:
             labels[living.index] = 0
-            return Clustering(labels, n, extras={"estimate": 1} if n else {})
-        estimate = self._estimate_count(living, rng)
-        found = self.partition(living, min(estimate, n), rng)
+            return Clustering(labels, n)
+        found = self.partition(living, min(self._estimate_count(living, rng), n), rng)
         used, labels[living.index] = np.unique(found, return_inverse=True)
         widen = partial(spread, members=living.index, uavs=window.uavs)
         affinity = widen(living.affinity, pairs=True) if "affinity" in vars(living) else None  # if it was computed
-        return Clustering(labels, len(used), widen(living.features), affinity, {"estimate": estimate})
+        return Clustering(labels, len(used), widen(living.features), affinity)
 
     def _estimate_count(self, living: Living, rng: np.random.Generator) -> int:
         count = living.arguments.count

@@ -72,8 +72,7 @@ class NeuralGranger(Detector):
             Candidates (``top_k`` of them; none if the gate is closed), scores (the attention that a UAV receives from
             the others, divided by the number n of living UAVs), ``leader`` (the other UAV to which each UAV attends
             most), attention alpha, and in ``extras``: ``choice`` ``(N,)``, as ``leader``, but a UAV's own index if it
-            attends most to its own past; ``explained`` ``(N,)``, the fraction of the squared velocity that the fit
-            explains on held-out times; ``gain`` ``(N,)``, which the gate compares with its threshold; ``followed``
+            attends most to its own past; ``gain`` ``(N,)``, which the gate compares with its threshold; ``followed``
             (bool), whether it reaches it. With fewer than 3 living UAVs, or where no velocity was seen, ``top_k``
             living UAVs are named at random (none with the gate) and all scores are 0.
         """
@@ -88,7 +87,7 @@ class NeuralGranger(Detector):
         generator = torch.Generator(device).manual_seed(int(self.rng.integers(2**63)))
         fit = fit_networks(build_samples(window, living, self.memory, device), settings, generator)
         second = fit.held_out_gain.sort(dim=0, descending=True).values[1]
-        attention, gain, explained = (part.double().cpu().numpy() for part in (fit.attention, second, fit.explained))
+        attention, gain = (part.double().cpu().numpy() for part in (fit.attention, second))
         choice, other = choose_heads(attention, False, self.rng), choose_heads(attention, True, self.rng)
         c = np.where(np.eye(len(living), dtype=bool), 0.0, attention).sum(axis=0) / len(living)
         followed = bool(gain[fit.winner] >= self.gate_threshold)
@@ -96,6 +95,6 @@ class NeuralGranger(Detector):
         if not self.gate or followed:
             named[select_top(c, self.top_k, self.rng)] = True
         wide = partial(spread, members=living, uavs=window.uavs)
-        extras = {"choice": wide(living[choice], fill=-1), "gain": wide(gain), "explained": wide(explained)}
+        extras = {"choice": wide(living[choice], fill=-1), "gain": wide(gain)}
         leader, whole = wide(living[other], fill=-1), wide(attention, pairs=True)
         return Detection(wide(named), wide(c), leader=leader, attention=whole, extras={**extras, "followed": followed})

@@ -210,7 +210,6 @@ class Fit(NamedTuple):
     held_out_gain: Tensor  #: ``(n, n)`` log ratio of the null model's error for UAV i and that of candidate j's network
     attention: Tensor  #: ``(n, n)`` alpha_ij; the diagonal is the weight of the null model
     winner: int  #: the candidate whose network predicts best
-    explained: Tensor  #: ``(n,)`` fraction of UAV i's squared velocity that its choice explains on held-out times
 
 
 def fit_networks(samples: Samples, settings: Any, generator: torch.Generator) -> Fit:
@@ -233,8 +232,8 @@ def fit_networks(samples: Samples, settings: Any, generator: torch.Generator) ->
         better = (gains[0] + 2.0 * gains[2]).clamp(min=0).sum(0)
         ties = better == better.max()  # all candidates if none beats the null model
         winner = int((ties * (1.0 - torch.rand(ties.shape, generator=generator, device=device))).argmax())
-        likelihood, explained = _attend(problem, network, winner, held)
-    return Fit(gains[1], torch.softmax(likelihood, dim=1), winner, explained)
+        attention = torch.softmax(_compare_leaders(problem, network, winner), dim=1)
+    return Fit(gains[1], attention, winner)
 
 
 def _train(problem: Problem, network: AdditiveNetwork, used: Tensor, generator: torch.Generator) -> None:
@@ -261,17 +260,9 @@ def _train(problem: Problem, network: AdditiveNetwork, used: Tensor, generator: 
         schedule.step()
 
 
-def _attend(problem: Problem, network: AdditiveNetwork, winner: int, held: Tensor) -> tuple[Tensor, Tensor]:
-    """Log-likelihoods ``(n, n)`` of all pairs by the winner's network, and the explained fractions ``(n,)``."""
-    samples, floor = problem.samples, problem.settings.floor
-
-    def measure(times: Tensor) -> Tensor:
-        errors = problem.compute_all_errors(lambda columns: network.select(torch.full_like(columns, winner)), times)
-        errors.diagonal().copy_(_weighted_mean(problem.null_error[:, times], samples.weight[:, times]))
-        return errors
-
-    errors = measure(torch.arange(samples.times, device=held.device))
-    likelihood = -1.5 * samples.weight.sum(-1).unsqueeze(1) * torch.log(errors + floor)
-    power = _weighted_mean((samples.target[:, held] ** 2).sum(-1), samples.weight[:, held])
-    chosen = measure(held).gather(1, likelihood.argmax(1, keepdim=True)).squeeze(1)
-    return likelihood, 1.0 - chosen / power.clamp(min=1e-12)
+def _compare_leaders(problem: Problem, network: AdditiveNetwork, winner: int) -> Tensor:
+    """Log-likelihoods ``(n, n)`` of all pairs by the winner's network."""
+    samples, times = problem.samples, torch.arange(problem.samples.times, device=problem.null.device)
+    errors = problem.compute_all_errors(lambda columns: network.select(torch.full_like(columns, winner)), times)
+    errors.diagonal().copy_(_weighted_mean(problem.null_error, samples.weight))
+    return -1.5 * samples.weight.sum(-1).unsqueeze(1) * torch.log(errors + problem.settings.floor)

@@ -177,15 +177,12 @@ def detection_from_evidence(
     """
     uavs = len(alive)
     living = np.flatnonzero(alive)
-    scores, weight, attention = np.zeros(uavs), np.zeros(uavs), np.zeros((uavs, uavs))
-    vote, label, leader = np.full((3, uavs), -1, np.int64)
+    scores, attention = np.zeros(uavs), np.zeros((uavs, uavs))
+    label, leader = np.full((2, uavs), -1, np.int64)
     found: list[int] = []
-    threshold = np.inf
     if evidence is not None:
-        threshold = evidence.threshold
-        vote[living] = living[evidence.pairs.argmax(axis=1)]
-        weight[living] = np.maximum(evidence.pairs.max(axis=1) - evidence.chance, 0.0)
-        np.add.at(scores, vote[living], weight[living])
+        weight = np.maximum(evidence.pairs.max(axis=1) - evidence.chance, 0.0)
+        scores += np.bincount(living[evidence.pairs.argmax(axis=1)], weight, uavs)
         attention[np.ix_(living, living)] = np.maximum(evidence.pairs, 0.0)
         found = cover_voters(evidence, clusters)
 
@@ -198,11 +195,4 @@ def detection_from_evidence(
         label[living] = attention[np.ix_(living, heads)].argmax(axis=1)
         label[heads] = np.arange(len(heads))
         leader[living] = heads[label[living]]
-    return Detection(
-        candidates=np.isin(np.arange(uavs), heads),
-        scores=scores,
-        clusters=label,
-        leader=leader,
-        attention=attention,
-        extras={"vote": vote, "weight": weight, "threshold": threshold, "heads_found": len(found)},
-    )
+    return Detection(np.isin(np.arange(uavs), heads), scores, label, leader, attention)
