@@ -176,7 +176,8 @@ def _draw_tracks(axes: Axes, position: Singles, seen: Mask, colors: NDArray[np.s
         axes.add_collection(LineCollection(lines, colors=shades, linewidths=0.9, capstyle="round", zorder=2))
 
 
-def _set_up_axes(axes: Axes, limits: Limits, title: str) -> None:
+def set_up_axes(axes: Axes, limits: Limits, title: str) -> None:
+    """Give a map its square, grid, ticks and title."""
     x, y, half = limits
     axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half), aspect="equal", facecolor="#FBFBFB")
     axes.set(xlabel="x in m", ylabel="y in m")
@@ -256,7 +257,7 @@ def draw_round(
     gone = marks[DESTROYED_MARK]
     everywhere = place if destroyed_at is None else np.asarray(np.where(gone[:, None], destroyed_at, place))
     # The limits come first: otherwise they are computed anew for everything that is drawn.
-    _set_up_axes(axes, limits_around(everywhere) if limits is None else limits, title)
+    set_up_axes(axes, limits_around(everywhere) if limits is None else limits, title)
     colors = cluster_colors(head, root, number)
     linked = marks[LINK_MARK]
     links = list(np.stack([place[linked, :2], place[root[linked], :2]], axis=1))

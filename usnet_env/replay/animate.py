@@ -68,6 +68,18 @@ class Painter:
         names = {mark: mark for mark in marks} if record.labelled else drawing.TRACK_WORDS
         place = {"loc": "center", "bbox_to_anchor": (0.5, 0.35), "ncols": 4, "labelspacing": 0.5, "markerscale": 0.6}
         drawing.draw_legend(bottom, names, **place)
+        self._draw_once(bottom)
+
+    def _draw_once(self, bottom: Any) -> None:
+        """Replace the ticks, grids and the legend by a picture of them: to draw them anew takes longest in a frame."""
+        for axes in (self.observed, self.truth):
+            drawing.set_up_axes(axes, self.limits, "")
+            axes.set(xlabel="", ylabel="")
+        pixels = drawing.pixels_of(self.figure)
+        bottom.remove()
+        for axes in (self.observed, self.truth):
+            axes.axis("off")
+        self.figure.figimage(pixels, zorder=-1)
 
     def _describe(self, scene: Scene) -> dict[str, Any]:
         """What a scene shows, as arguments of ``draw_round``."""
@@ -96,10 +108,9 @@ class Painter:
         left = window | {"candidates": named, "truth": False, "title": "What the detector sees"}
         right["title"] = "The truth" if record.labelled else "What it found"
         for axes, picture in ((self.observed, left), (self.truth, right)):
-            for artist in (*axes.collections, *axes.lines):  # the ticks stay: to make them takes longest
+            for artist in (*axes.collections, *axes.lines):
                 artist.remove()
             drawing.draw_round(**picture, axes=axes, **look)
-            axes.set(xlabel="", ylabel="")
         words = f"{name_round(record)} {scene.round} of {record.rounds}: {scene.text}"
         self.header.set_text(drawing.escape_math(words))
 
