@@ -137,8 +137,8 @@ def readme_block() -> str:
     title = f"best of {len(detectors)} settings of {names} detectors"
     rows = rows[rows.detector.isin(SHORT_LIST)]
     rows = rows.sort_values("detector", key=lambda labels: labels.map(SHORT_LIST.index), kind="stable")
-    columns = across("suite", SUITES, rate("exact"), "`{}`: exact")
-    columns |= across("suite", SUITES, mean("J"), "`{}`: J_m")
+    columns = across("suite", SUITES, lambda part: f"{100 * part.exact.mean():.1f}", "`{}`: % exact")
+    columns |= across("suite", SUITES, lambda part: f"{part.J.mean():.2f}", "`{}`: J_m")
     return "\n\n".join(
         [
             "In a [frozen suite](docs/suites.md) all detectors meet the same swarms. They are not given the number of "
@@ -146,8 +146,7 @@ def readme_block() -> str:
             markdown(("suite", "swarms", "cells × episodes = n", title, "exact"), best),
             "*Exact*: round 1 names all heads and no other UAV. J_m: the number of rounds, plus the redundant "
             "candidates divided by N; lower is better, 1 is best. A name without arguments means the default settings. "
-            "Intervals are 95 %; at 0 % or 100 % they use the number of seeds as n, so they can be wider than those of "
-            "other rates. [All detectors and cells](docs/results/suites.md).",
+            "[All detectors and cells, with 95 % intervals](docs/results/suites.md).",
             pivot(rows, DETECTOR, columns),
             "GASSL plays P1, MC-GASSL plays P2; iid heads, f1 to f7, seed 2022, n after the semicolon. A *decoy* flies "
             "like a head, and no UAV follows it. The paper's J_m follows from the rounds and redundant candidates that "
