@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import sys
+from contextlib import suppress
+from functools import cached_property
 from importlib.metadata import metadata
 from importlib.metadata import version as installed_version
 from pathlib import Path
@@ -11,6 +14,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent))
 
+from docutils import nodes
 from pages import write_pages
 
 project = "USNET"
@@ -21,6 +25,7 @@ release = version = installed_version("usnet")
 extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
     "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
     "sphinx.ext.mathjax",
@@ -28,7 +33,8 @@ extensions = [
 ]
 # Parts that docs/field.md and docs/probing.md include; they are no pages.
 PARTS = ("field_models", "controls", "kinematics", "probing")
-exclude_patterns = ["_build", *(f"generated/{part}.md" for part in PARTS)]
+templates_path = ["_templates"]
+exclude_patterns = ["_build", "_templates", *(f"generated/{part}.md" for part in PARTS)]
 
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 3
@@ -36,10 +42,28 @@ myst_heading_anchors = 3
 autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
 python_use_unqualified_type_names = True
-autodoc_type_aliases = {name: name for name in ("Floats", "Singles", "Mask", "Indices")}  # arrays; docs/api.md
+# Arrays; docs/api.md
+autodoc_type_aliases = {name: name for name in ("Floats", "Singles", "Mask", "Indices", "ArrayLike", "Observation")}
 autodoc_member_order = "bysource"
-autodoc_default_options = {"members": True, "show-inheritance": False}
+autodoc_default_options = {"members": True}
 napoleon_numpy_docstring = False
+
+_ARRAY = "https://numpy.org/doc/stable/reference/generated/numpy.ndarray.html"
+#: Where the classes of other packages are documented, by the beginnings of their names.
+ELSEWHERE = {
+    **dict.fromkeys(("numpy.ndarray", "Floats", "Singles", "Mask", "Indices"), _ARRAY),
+    "ArrayLike": "https://numpy.org/doc/stable/reference/typing.html#numpy.typing.ArrayLike",
+    "numpy.random": "https://numpy.org/doc/stable/reference/random/generator.html",
+    "gymnasium.core.Env": "https://gymnasium.farama.org/api/env/",
+    "gymnasium.spaces": "https://gymnasium.farama.org/api/spaces/",
+    "pandas": "https://pandas.pydata.org/docs/reference/api/pandas.DataFrame.html",
+    "torch.Tensor": "https://docs.pytorch.org/docs/stable/tensors.html",
+    "torch.nn": "https://docs.pytorch.org/docs/stable/generated/torch.nn.Module.html",
+    "Figure": "https://matplotlib.org/stable/api/figure_api.html#matplotlib.figure.Figure",
+    "collections.abc": "https://docs.python.org/3/library/collections.abc.html#{}",
+    "os.PathLike": "https://docs.python.org/3/library/os.html#{}",
+    "pathlib.Path": "https://docs.python.org/3/library/pathlib.html#{}",
+}
 
 html_theme = "furo"
 html_title = f"USNET {release}"
@@ -62,13 +86,59 @@ def _keep_bars(_app: Any, _what: str, _name: str, _obj: Any, _options: Any, line
         lines[number] = "".join(parts)
 
 
-def _drop_limits(_app: Any, _what: str, _name: str, _obj: Any, _options: Any, signature: str | None, back: str) -> Any:
-    """Write ``float`` for ``Annotated[float, Field(ge=0)]``; the docstring has the limits."""
-    return signature and re.sub(r"Annotated\[(.*?), Field\([^)]*\)\]", r"\1", signature), back
+class _PlainTypes(ast.NodeTransformer):
+    """Writes ``float`` for ``Annotated[float, Field(ge=0)]``: docstrings have limits, shapes and types of arrays."""
+
+    def visit_Subscript(self, node: ast.Subscript) -> Any:
+        self.generic_visit(node)
+        name = ast.unparse(node.value).rpartition(".")[2]
+        if name == "Annotated" and isinstance(node.slice, ast.Tuple):
+            return node.slice.elts[0]
+        return node.value if name == "ndarray" else node
+
+    def visit_UnaryOp(self, node: ast.UnaryOp) -> Any:  # Sphinx marks a name that it shortens by ~
+        self.generic_visit(node)
+        return node.operand if isinstance(node.operand, ast.BinOp) else node
+
+    def visit_BinOp(self, node: ast.BinOp) -> Any:
+        like = ast.unparse(node).partition(" | ")[0].endswith("_Buffer")
+        return ast.Name("ArrayLike") if like else self.generic_visit(node)
+
+    def visit_Call(self, node: ast.Call) -> Any:
+        self.generic_visit(node)
+        return ast.Name(ast.literal_eval(node.args[0])) if ast.unparse(node.func) == "TypeAliasForwardRef" else node
+
+    def visit_Name(self, node: ast.Name) -> Any:
+        return ast.Name({"Count": "int", "Lags": "int", "Seconds": "float"}.get(node.id, node.id))
+
+
+def _shorten(_app: Any, _what: str, _name: str, _obj: Any, _options: Any, signature: str | None, back: Any) -> Any:
+    """Shorten the types of a signature, if it can be read."""
+    with suppress(SyntaxError):
+        given = re.sub("<[^<>]*>", "...", signature or "()")  # defaults without a literal
+        plain = _PlainTypes().visit(ast.parse(f"def f{given} -> {back or None}: ..."))
+        written, _, returned = ast.unparse(plain).partition("\n")[0].rpartition(" -> ")
+        return signature and written.removeprefix("def f"), back and returned.removesuffix(":")
+    return signature, back
+
+
+def _link_elsewhere(_app: Any, _env: Any, node: Any, shown: nodes.TextElement) -> nodes.reference | None:
+    """A link to the documentation of another package; intersphinx would fetch its inventory from the network."""
+    target = node.get("reftarget", "")
+    place = next((url for name, url in ELSEWHERE.items() if target == name or target.startswith(f"{name}.")), None)
+    return place and nodes.reference("", "", shown, internal=False, refuri=place.format(target))
+
+
+def _skip_fields(_app: Any, what: str, _name: str, obj: Any, skip: bool, _options: Any) -> bool:
+    """Fields are in the docstring of their class."""
+    shown = callable(obj) or isinstance(obj, property | cached_property | classmethod)
+    return skip or (what == "class" and not shown)
 
 
 def setup(app: Any) -> None:
     """Write the generated pages before Sphinx looks for them."""
     app.connect("builder-inited", lambda app: write_pages(Path(app.srcdir)))
     app.connect("autodoc-process-docstring", _keep_bars)
-    app.connect("autodoc-process-signature", _drop_limits)
+    app.connect("autodoc-skip-member", _skip_fields)
+    app.connect("autodoc-process-signature", _shorten)
+    app.connect("missing-reference", _link_elsewhere)
