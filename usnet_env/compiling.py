@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import threading
 from collections.abc import Callable, Iterator
@@ -61,7 +62,7 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
                 timer.daemon = True
                 timer.start()
             try:
-                with _one_process_at_a_time(lock):
+                with _one_process_at_a_time(lock), _no_garbage_collection():
                     return compile_signature(signature)
             finally:
                 if timer is not None:
@@ -71,6 +72,18 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         return loop
 
     return compile_function
+
+
+@contextmanager
+def _no_garbage_collection() -> Iterator[None]:
+    """A compilation makes many objects that stay: looking for garbage among them takes a seventh of its time."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 @contextmanager
