@@ -73,6 +73,8 @@ def test_reasons_are_the_detectors():
     assert {i: word for i, (word, _) in marked.items()} == {0: "hit", 3: "redundant", 5: "missed"}
     assert marked[3][1].endswith(": Adds 2 nats.")
     assert marked[5][1] == f"p 0.90, score {episode.scores[0, 5]:.3g}"
+    together = small_episode(clusters=np.zeros((ROUNDS, UAVS), int))
+    assert {i: why for i, _, why in list_marked(together, 1)}[5].endswith(": found in the group of UAV 0, UAV 3")
     assert list_marked(small_episode(reasons=None, probability=None), 2)[0][2].startswith("score ")
     assert "… and 30 more" in tell(large_episode(candidates=np.ones((1, 60), bool)))
 

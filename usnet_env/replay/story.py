@@ -84,13 +84,23 @@ def mark_words(record: EpisodeRecord, number: int) -> NDArray[np.object_]:
     return words
 
 
+def _find_reason(record: EpisodeRecord, r: int, uav: int) -> str:
+    """The detector's reason in round ``r`` (from 0), or which candidate is in the group that it found for the UAV."""
+    if record.reasons is not None and str(uav) in record.reasons[r]:
+        return record.reasons[r][str(uav)]
+    if record.clusters is None or record.candidates[r, uav] or record.clusters[r, uav] < 0:
+        return ""
+    named = np.flatnonzero(record.candidates[r] & (record.clusters[r] == record.clusters[r, uav])).tolist()
+    return f"found in the group of {', '.join(name_uav(record, i) for i in named)}" if named else ""
+
+
 def list_marked(record: EpisodeRecord, number: int) -> list[tuple[int, str, str]]:
     """The candidates and missed heads of a round (from 1), highest score first: index, mark, and the reason."""
     r, words = number - 1, mark_words(record, number)
     marked = []
     for i in [i for i in np.argsort(-record.scores[r], kind="stable").tolist() if words[i] != OTHER][:_MOST_LISTED]:
         sure = "" if record.probability is None else f"p {record.probability[r, i]:.2f}, "
-        reason = "" if record.reasons is None else record.reasons[r].get(str(i), "")
+        reason = _find_reason(record, r, i)
         marked.append((i, words[i], f"{sure}score {record.scores[r, i]:.3g}{': ' * bool(reason)}{reason}"))
     return marked
 
