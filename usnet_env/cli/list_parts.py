@@ -26,7 +26,7 @@ _NAMES = ("envs", "detectors", *_REGISTRIES, "suites")
 
 
 @click.command(name="list", short_help="List envs, detectors, follow strategies and other parts.")
-@click.argument("part", type=click.Choice(_NAMES), required=False)
+@click.argument("part", metavar="[PART]", type=click.Choice(_NAMES), required=False)
 def list_(part: str | None) -> None:
     """List the available parts of a kind, with one line about each; without a word, what can be listed."""
     from rich.table import Table
