@@ -104,6 +104,9 @@ def test_bad_arguments_of_a_batch_are_named():
     games = batch_of("evasion", 2)
     with pytest.raises(ArgumentError, match="num_envs must"):
         batch_of("evasion", 0)
+    for game in GAMES:
+        with pytest.raises(ArgumentError, match="parallel_env draws pictures"):
+            batch_of(game, 2, render_mode="rgb_array")
     with pytest.raises(ArgumentError, match="games must"):
         games.reset(games=[True, False])
     games.reset(seed=[1, 2])

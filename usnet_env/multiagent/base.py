@@ -45,8 +45,10 @@ class RoundRecord:
     metrics: dict[str, int | float]  # those of ``info``
 
 
-class GameArguments(game.RenderArguments, game.RoundArguments, SizeArguments, SwarmArguments):
-    """The arguments that both games take."""
+class GameArguments(game.RoundArguments, SizeArguments, SwarmArguments):
+    """The arguments that the batches of both games take."""
+
+    instead: ClassVar = {"render_mode": "parallel_env draws pictures"}
 
     max_cycles: Count | None = Field(None, description="most steps; `usnet_evasion_v0` has one more than rounds")
 

@@ -31,17 +31,21 @@ from usnet_env.swarm.flock_follow import Flock
 HEAD = "head"
 
 
-class EvasionArguments(base.GameArguments, SensorArguments, Manoeuvres):
-    """The arguments of :class:`parallel_env`."""
+class BatchArguments(base.GameArguments, SensorArguments, Manoeuvres):
+    """The arguments of :class:`batch_env`."""
 
     memory: Steps = Field(8, description="T_0; at least the lags of the follow strategy + ``most_delay``")
+
+
+class EvasionArguments(game.RenderArguments, BatchArguments):
+    """The arguments of :class:`parallel_env`."""
 
 
 class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
     """``num_envs`` games of :class:`parallel_env` in one batch; the roles are ``observer`` and ``head``."""
 
     def __init__(self, num_envs: int, **arguments: Any) -> None:
-        given = EvasionArguments(**arguments)
+        given = BatchArguments(**arguments)
         self.manoeuvres, rules = given.part(Manoeuvres), given.make_rules(opening=1)
         config = given.part(SwarmConfig, mobility=given.mobilities[0])
         uavs, most_delay, strategy = config.uavs, given.most_delay, config.follow_strategy
@@ -229,7 +233,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
 
     @takes_arguments(EvasionArguments)
     def __init__(self, arguments: EvasionArguments) -> None:
-        super().__init__(batch_env(1, **dict(arguments)), arguments.render_mode)
+        super().__init__(batch_env(1, **dict(arguments.part(BatchArguments))), arguments.render_mode)
 
     def describe_action(self, agent: str, action: Any) -> str:
         """Describe the choice of a head in words; empty for the observer."""

@@ -21,17 +21,21 @@ from usnet_env.swarm import SwarmConfig, SwarmState, advance
 from usnet_env.swarm.config import MobilityArguments
 
 
-class ObserversArguments(base.GameArguments, MobilityArguments, SensorConfig):
-    """The arguments of :class:`parallel_env`."""
+class BatchArguments(base.GameArguments, MobilityArguments, SensorConfig):
+    """The arguments of :class:`batch_env`."""
 
     fusion: str = Field("union", description="``union``, ``majority``, ``scores``, or a registered rule")
+
+
+class ObserversArguments(game.RenderArguments, BatchArguments):
+    """The arguments of :class:`parallel_env`."""
 
 
 class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
     """``num_envs`` games of :class:`parallel_env` in one batch, with its arguments; the role is ``observer``."""
 
     def __init__(self, num_envs: int, **arguments: Any) -> None:
-        given = ObserversArguments(**arguments)
+        given = BatchArguments(**arguments)
         self.fusion, self.sensor_config = FUSIONS.find(given.fusion), given.part(SensorConfig)
         rules = given.make_rules()
         config = given.part(SwarmConfig, position_noise=0.0, miss_rate=0.0)  # the observers have their own
@@ -163,7 +167,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
 
     @takes_arguments(ObserversArguments)
     def __init__(self, arguments: ObserversArguments) -> None:
-        super().__init__(batch_env(1, **dict(arguments)), arguments.render_mode)
+        super().__init__(batch_env(1, **dict(arguments.part(BatchArguments))), arguments.render_mode)
 
     def list_observers(self) -> Floats:
         """``(K, 4)``, position and sensing range of each observer in metres."""
