@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
+from gymnasium.spaces import flatten, flatten_space
 from pettingzoo import ParallelEnv
 from pettingzoo.utils import BaseParallelWrapper
 
@@ -24,6 +25,31 @@ class ParallelBoxMasks(BaseParallelWrapper):
     def observation_space(self, agent: str) -> spaces.Dict:
         """The observation space of an agent; the same object every time."""
         return self._observations[agent]
+
+
+class FlatObservations(BaseParallelWrapper):
+    """Flatten the observation of each agent to one ``Box``, as Gymnasium's ``FlattenObservation`` does."""
+
+    def __init__(self, env: ParallelEnv) -> None:
+        super().__init__(env)
+        self._observations = {agent: flatten_space(env.observation_space(agent)) for agent in env.possible_agents}
+
+    def observation_space(self, agent: str) -> spaces.Box:
+        """The observation space of an agent; the same object every time."""
+        return self._observations[agent]
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict[str, Any], Any]:
+        """Start a game."""
+        observations, infos = self.env.reset(seed=seed, options=options)
+        return self._flatten(observations), infos
+
+    def step(self, actions: dict[str, Any]) -> tuple[Any, ...]:
+        """Make a step."""
+        observations, *rest = self.env.step(actions)
+        return self._flatten(observations), *rest
+
+    def _flatten(self, observations: dict[str, Any]) -> dict[str, np.ndarray]:
+        return {agent: flatten(self.env.observation_space(agent), seen) for agent, seen in observations.items()}
 
 
 class MultiDiscreteVotes(BaseParallelWrapper):

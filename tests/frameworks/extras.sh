@@ -22,11 +22,12 @@ ray|ray|tests/evaluation
 torch|torch|tests/frameworks tests/detectors/gassl tests/detectors/mc_gassl tests/detectors/test_policy_detector.py
 rl|stable_baselines3 sb3_contrib|tests/frameworks tests/detectors/test_policy_detector.py
 torchrl|torchrl tensordict pettingzoo|tests/frameworks
+benchmarl|benchmarl torchrl pettingzoo|tests/frameworks
 tianshou|tianshou|tests/frameworks
 minari|minari h5py torch|tests/frameworks
 supersuit|supersuit stable_baselines3 pettingzoo|tests/frameworks
 "
-foreign="matplotlib minari pettingzoo ray rerun sb3_contrib stable_baselines3 supersuit tensordict tianshou torch torchrl"
+foreign="benchmarl matplotlib minari pettingzoo ray rerun sb3_contrib stable_baselines3 supersuit tensordict tianshou torch torchrl"
 
 # field NAME 2|3: the modules or the tests of an extra
 field() {

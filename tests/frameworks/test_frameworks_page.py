@@ -11,6 +11,7 @@ NEEDED = {
     "Stable-Baselines3": ["sb3_contrib"],
     "Networks for raw windows": ["stable_baselines3"],
     "TorchRL": ["torchrl", "pettingzoo"],
+    "BenchMARL": ["benchmarl"],
     "Tianshou": ["tianshou"],
     "Minari": ["minari", "torch"],
     "SuperSuit": ["supersuit", "stable_baselines3"],
@@ -20,6 +21,8 @@ QUICK, SLOW = "Stable-Baselines3", ([], [pytest.mark.slow])  # each framework ta
 
 @pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL is tested using version:UserWarning")
 @pytest.mark.filterwarnings("ignore:Creating .* which inherits from WeightUpdaterBase:DeprecationWarning")
+@pytest.mark.filterwarnings("ignore:SyncDataCollector has been deprecated:DeprecationWarning")  # by BenchMARL
+@pytest.mark.filterwarnings("ignore:size_average and reduce args:UserWarning")
 @pytest.mark.parametrize("heading", [pytest.param(name, marks=SLOW[name != QUICK]) for name in NEEDED])
 def test_a_snippet_runs(heading, monkeypatch):
     for module in NEEDED[heading]:

@@ -6,7 +6,7 @@ import pytest
 pytest.importorskip("pettingzoo")
 
 from gymnasium import spaces
-from wrappers import DiscreteActions, MultiDiscreteVotes, ParallelBoxMasks
+from wrappers import DiscreteActions, FlatObservations, MultiDiscreteVotes, ParallelBoxMasks
 
 from usnet_env.multiagent import usnet_evasion_v0, usnet_observers_v0
 
@@ -32,6 +32,22 @@ def test_a_wrapped_game_is_the_same_game(game, wrapper):
         step = wrapped.step(actions)
         np.testing.assert_equal(plain.step(actions), step)
         assert all(wrapped.observation_space(agent).contains(seen) for agent, seen in step[0].items())
+
+
+@pytest.mark.parametrize("game", GAMES)
+def test_flat_observations_are_boxes_with_the_mask_of_the_actions(game):
+    numbered = DiscreteActions(game.parallel_env(**SMALL))
+    flat = FlatObservations(DiscreteActions(game.parallel_env(**SMALL)))
+    seen, boxes = numbered.reset(seed=0)[0], flat.reset(seed=0)[0]
+    for _ in range(2):
+        for agent, box in boxes.items():
+            assert isinstance(flat.observation_space(agent), spaces.Box)
+            assert flat.observation_space(agent).contains(box)
+            np.testing.assert_equal(spaces.unflatten(numbered.observation_space(agent), box), seen[agent])
+        actions = {
+            agent: int(flat.action_space(agent).sample(mask=seen[agent]["action_mask"])) for agent in flat.agents
+        }
+        seen, boxes = numbered.step(actions)[0], flat.step(actions)[0]
 
 
 @pytest.mark.slow

@@ -1,18 +1,57 @@
-"""The batch of games as an ``EnvBase`` of TorchRL (extra ``torchrl``)."""
+"""The batches of games as ``EnvBase`` of TorchRL (extra ``torchrl``)."""
 
 from __future__ import annotations
 
+import importlib
 from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
 import torch
+from gymnasium.spaces.utils import flatdim
+from numpy.typing import NDArray
 from tensordict import TensorDict
-from torchrl.data import Binary, Composite, Unbounded
+from torchrl.data import Binary, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from usnet_env.arrays import Indices, Mask
 
-class SwarmEnv(EnvBase):  # type: ignore[misc]  # TorchRL is an extra
+
+class _Batch(EnvBase):  # type: ignore[misc]  # TorchRL is an extra
+    """``num_envs`` games that are seeded together and restarted one by one."""
+
+    def __init__(self, num_envs: int) -> None:
+        super().__init__(batch_size=torch.Size([num_envs]), device="cpu")
+        flags = {name: Binary(1, shape=(num_envs, 1), dtype=torch.bool) for name in ("done", "terminated", "truncated")}
+        self.done_spec = Composite(flags, shape=self.batch_size)
+        self._first: int | None = None  # the seed of the next reset
+
+    def _reset(self, tensordict: TensorDict | None = None, **_: Any) -> TensorDict:
+        mask = None if tensordict is None else tensordict.get("_reset", None)
+        observation = self._begin(self._first, None if mask is None else mask.reshape(-1).numpy())
+        self._first = None
+        return self._pack(observation, np.zeros(self.batch_size, bool), np.zeros(self.batch_size, bool))
+
+    def _begin(self, seed: int | None, games: Mask | None) -> dict[str, Any]:
+        """Start games, and return the observations of all."""
+        raise NotImplementedError
+
+    def _pack(self, parts: dict[str, Any], terminated: Mask, truncated: Mask) -> TensorDict:
+        flags = {"terminated": terminated, "truncated": truncated, "done": terminated | truncated}
+        packed = TensorDict({name: torch.from_numpy(one)[:, None] for name, one in flags.items()}, self.batch_size)
+        for name, part in parts.items():
+            if isinstance(part, dict):  # a group of agents
+                shape = self.observation_spec[name].shape
+                packed[name] = TensorDict({key: torch.from_numpy(one) for key, one in part.items()}, shape)
+            else:
+                packed[name] = torch.from_numpy(part)
+        return packed
+
+    def _set_seed(self, seed: int | None) -> None:
+        self._first = seed
+
+
+class SwarmEnv(_Batch):
     """``num_envs`` games of one environment, simulated in one batch; ``batch_size`` is ``(B,)``.
 
     The actions are candidates ``(B, N)``. All arrays of an observation are entries of the same name.
@@ -24,38 +63,87 @@ class SwarmEnv(EnvBase):  # type: ignore[misc]  # TorchRL is an extra
     """
 
     def __init__(self, id: str, num_envs: int, **arguments: Any) -> None:
-        super().__init__(batch_size=torch.Size([num_envs]), device="cpu")
+        super().__init__(num_envs)
         self.envs = cast(Any, gym.make_vec(id, num_envs, autoreset_mode="Disabled", **arguments).unwrapped)
         parts = {name: _make_spec(space) for name, space in self.envs.observation_space.items()}
         self.observation_spec = Composite(parts, shape=self.batch_size)
         shape = self.envs.action_space.shape
         self.action_spec = Binary(shape[1], shape=shape, dtype=torch.int8)
         self.reward_spec = Unbounded((num_envs, 1), dtype=torch.float32)
-        flags = {name: Binary(1, shape=(num_envs, 1), dtype=torch.bool) for name in ("done", "terminated", "truncated")}
-        self.done_spec = Composite(flags, shape=self.batch_size)
-        self._first: int | None = None  # the seed of the next reset
 
-    def _reset(self, tensordict: TensorDict | None = None, **_: Any) -> TensorDict:
-        mask = None if tensordict is None else tensordict.get("_reset", None)
-        options = None if mask is None else {"reset_mask": mask.reshape(-1).numpy()}
-        observation, _ = self.envs.reset(seed=self._first, options=options)
-        self._first = None
-        return self._pack(observation, np.zeros(self.batch_size, bool), np.zeros(self.batch_size, bool))
+    def _begin(self, seed: int | None, games: Mask | None) -> dict[str, Any]:
+        return self.envs.reset(seed=seed, options=None if games is None else {"reset_mask": games})[0]
 
     def _step(self, tensordict: TensorDict) -> TensorDict:
         observation, reward, terminated, truncated, _ = self.envs.step(tensordict["action"].numpy())
-        packed = self._pack(observation, terminated, truncated)
-        return packed.set("reward", torch.from_numpy(reward).float()[:, None])
+        return self._pack(observation | {"reward": reward.astype(np.float32)[:, None]}, terminated, truncated)
 
-    def _pack(self, observation: dict[str, Any], terminated: Any, truncated: Any) -> TensorDict:
-        flags = {"terminated": terminated, "truncated": truncated, "done": terminated | truncated}
-        parts = {name: torch.from_numpy(values) for name, values in observation.items()}
-        parts |= {name: torch.from_numpy(values)[:, None] for name, values in flags.items()}
-        return TensorDict(parts, batch_size=self.batch_size)
 
-    def _set_seed(self, seed: int | None) -> None:
-        self._first = seed
+class GamesEnv(_Batch):
+    """``num_envs`` games of several agents in one batch, with flat observations and a number as action of an agent.
+
+    Each role is a group of n agents, which keep their rows until their game is over. Its entries are ``observation``
+    ``(B, n, F)``, ``action`` ``(B, n)``, ``action_mask`` ``(B, n, A)``, ``active`` ``(B, n, 1)``, which agents play,
+    and ``reward`` ``(B, n, 1)``. An observer names one UAV by its index, or nobody by N. The choices of a head are
+    numbered together, the last one varying fastest. ``state`` ``(B, S)`` is Markov, for critics.
+
+    Args:
+        game: ``usnet_observers_v0`` or ``usnet_evasion_v0``.
+        num_envs: B, number of games.
+        arguments: the arguments of the game.
+    """
+
+    def __init__(self, game: str, num_envs: int, **arguments: Any) -> None:
+        super().__init__(num_envs)
+        make = importlib.import_module(f"usnet_env.multiagent.{game}").batch_env
+        self.games, one = make(num_envs, **arguments), make(1, **arguments)
+        one.reset(seed=0)
+        seen = Composite(state=Unbounded((num_envs, one.state().shape[1])), shape=self.batch_size)
+        acts, rewards = Composite(shape=self.batch_size), Composite(shape=self.batch_size)
+        self._numbered: dict[str, tuple[NDArray[Any], Indices]] = {}
+        for role, count in self.games.roles.items():
+            space, sees = self.games.action_spaces[role], self.games.observation_spaces[role]
+            self._numbered[role] = _number_actions(space, flatdim(sees["legal"]))
+            number, shape = len(self._numbered[role][0]), (num_envs, count)
+            parts = {
+                "observation": Unbounded((*shape, flatdim(sees))),
+                "action_mask": Binary(number, shape=(*shape, number), dtype=torch.bool),
+                "active": Binary(1, shape=(*shape, 1), dtype=torch.bool),
+            }
+            seen[role] = Composite(parts, shape=shape)
+            acts[role] = Composite(action=Categorical(number, shape=shape), shape=shape)
+            rewards[role] = Composite(reward=Unbounded((*shape, 1)), shape=shape)
+        self.observation_spec, self.action_spec, self.reward_spec = seen, acts, rewards
+
+    def _begin(self, seed: int | None, games: Mask | None) -> dict[str, Any]:
+        return self._describe(self.games.reset(seed=seed, games=games)[0])
+
+    def _step(self, tensordict: TensorDict) -> TensorDict:
+        actions = {role: table[tensordict[role, "action"].numpy()] for role, (table, _) in self._numbered.items()}
+        seen, rewards, *ends, _ = self.games.step(actions)
+        parts = self._describe(seen)
+        for role, reward in rewards.items():
+            parts[role]["reward"] = reward.astype(np.float32)[..., None]
+        return self._pack(parts, *(end["observer"].any(axis=1) for end in ends))
+
+    def _describe(self, seen: dict[str, Any]) -> dict[str, Any]:
+        parts: dict[str, Any] = {"state": self.games.state()}
+        for role, flat in self.games.flatten(seen).items():
+            legal = np.pad(seen[role]["legal"].astype(bool), ((0, 0), (0, 0), (0, 1)), constant_values=True)
+            mask, active = legal[..., self._numbered[role][1]].all(axis=-1), self.games.active[role]
+            parts[role] = {"observation": flat, "action_mask": mask, "active": active[..., None]}
+        return parts
 
 
 def _make_spec(space: Any) -> Unbounded:
     return Unbounded(space.shape, dtype=torch.from_numpy(np.zeros(0, space.dtype)).dtype)
+
+
+def _number_actions(space: Any, legal: int) -> tuple[NDArray[Any], Indices]:
+    """The action ``(A, ...)`` of each number, and the places ``(A, K)`` of ``legal`` and a last 1 that must be 1."""
+    if isinstance(space, gym.spaces.MultiDiscrete):
+        choices = np.indices(tuple(space.nvec)).reshape(len(space.nvec), -1).T
+        return choices, choices + np.cumsum(space.nvec) - space.nvec
+    named = np.eye(legal + 1, *space.shape)
+    named[-1] = 0  # nobody; a message is 0
+    return named, np.arange(legal + 1)[:, None]
