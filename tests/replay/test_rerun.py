@@ -156,6 +156,15 @@ def test_observers_are_shown(tmp_path):
     np.testing.assert_allclose(np.linalg.norm(ring, axis=1), 300.0, rtol=1e-5)
 
 
+def test_intruders_fly_with_their_tracks(tmp_path):
+    flown = np.random.default_rng(0).normal(0, 50, (ROUNDS, SAMPLES, 2, 3)).astype(np.float32)
+    found = read(write_recording(small_episode(intruders=flown), tmp_path / "e.rrd"))
+    places = column(found, "/world/observers/intruders", "Points3D:positions")
+    np.testing.assert_array_equal(places, flown.reshape(-1, 2, 3))
+    tracks = column(found, "/world/observers/flown", "LineStrips3D:strips")
+    np.testing.assert_array_equal(tracks[SAMPLES - 1], flown[0].swapaxes(0, 1))
+
+
 @pytest.mark.parametrize("drift", [0, -5000])
 def test_every_round_is_moved_to_the_middle_of_the_view(tmp_path, drift):
     small = small_episode()

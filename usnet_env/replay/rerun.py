@@ -45,6 +45,7 @@ _USUAL_SPAN = 800.0  # metres: a swarm may be smaller or larger, and all sizes w
 _MOST_LABELS = 16  # in a round with more marks, they have no labels
 _MARKS = {HIT: 0x1ED9A0FF, LEADER: 0x1ED9A0FF, REDUNDANT: 0xFF7A1AFF, MISSED: 0xF5F5F5FF, OTHER: 0x6A6A6AFF}
 _NAMED, _GONE, _OBSERVER, _DECOY = 0x35A7FFFF, 0x8A8A8AFF, 0x7CC7FFFF, "#FFE45C"
+_INTRUDER = 0xFF7A1AFF
 _SERIES = 0x56B4E9FF  # of the curves
 
 
@@ -141,6 +142,11 @@ class EpisodeWriter:
         for instant in range(self.samples):
             self.at(r, instant)
             self._log_uavs(r, record.position[r, instant], alive & record.seen[r, instant], self.colors[r])
+            if record.intruders is not None:
+                flown = record.intruders[r, : instant + 1].swapaxes(0, 1)
+                now = self.rr.Points3D(flown[:, -1], colors=_INTRUDER, radii=_LARGE * self.scale)
+                self.log("world/observers/intruders", now)
+                self.log("world/observers/flown", self.rr.LineStrips3D(flown, colors=_INTRUDER, radii=self.scale))
         for instant in np.linspace(0, self.samples - 1, min(_STAGES, self.samples)).astype(int).tolist():
             self.at(r, instant)
             kept = np.unique(np.linspace(0, instant, min(instant + 1, _POINTS)).astype(int))
