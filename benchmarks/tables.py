@@ -16,6 +16,7 @@ from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
 
+import evasion
 import numpy as np
 import pandas as pd
 import peers
@@ -37,6 +38,7 @@ PAGES = (
     "docs/leaderboard.md",
     "docs/reader.md",
     "docs/probing.md",
+    "docs/multiagent.md",
     *(f"docs/results/{name}.md" for name in ("suites", "paper", "tracks", "speed")),
 )
 SUITES = {  # those of README.md; `reader` solves the others
@@ -250,7 +252,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "scenarios": _report("scenarios", scenarios.report),
     **{name: _report(name, lambda rows, name=name: reader.report(rows, name)) for name in READER_STUDIES},
     "peers": _report("peers", peers.report),
-    "probing": lambda: probing.report(read_rows(probing.ROWS)),
+    **{one.ROWS.name.partition(".")[0]: lambda one=one: one.report(read_rows(one.ROWS)) for one in (probing, evasion)},
     "leaks": leaks_block,
     "leaderboard": leaderboard_block,
     "table2": table2_block,
