@@ -13,6 +13,17 @@ from pivot import Say, across, markdown, mean, median, pivot, rate, size
 from usnet_env.evaluation import TRIVIAL
 
 DATA = Path(__file__).parent / "paper" / "data"
+DECOYS = (("no decoy", 0), ("one decoy", 1))
+SMALL = (2, 5)  # followers of the clusters of short tables
+LEARNING = {  # what is learned, by detector
+    "gassl(steps=0)": "attention to contents, untrained",
+    "gassl": "the same, trained",
+    "neural-granger(steps=1)": "attention to predictions, one step of training",
+    "neural-granger": "the same, trained",
+    "lagged-regression(clusters=1)": "predictions alone, no network and no attention",
+    "track-outlier(threshold=1000)": "nothing, each track alone",
+    "central-most(reach=100)": "nothing, the places at one instant",
+}
 
 
 @cache
@@ -46,6 +57,17 @@ def table2_block() -> str:
     chosen = rows[(rows.heads == "iid") & (rows.decoys == 0)].sort_values("follow", kind="stable")
     columns = across("followers", sorted(set(chosen.followers)), _short_rate, "m={}")
     return f"{overview}\n\n{pivot(chosen, {'f': 'follow', 'detector': 'detector'}, columns)}"
+
+
+def learning_block() -> str:
+    """What of the rates of small clusters comes from attention and its training, without and with a decoy."""
+    rows = read_table2()
+    rows = rows[(rows.heads == "iid") & rows.followers.isin(SMALL) & rows.detector.isin(list(LEARNING))]
+    rows = rows.assign(learns=rows.detector.map(LEARNING))
+    rows = rows.sort_values("detector", key=lambda names: names.map(list(LEARNING).index), kind="stable")
+    say = rate("hit", count=True)
+    columns = {f"{name}: head alone named; n": lambda part, n=n: say(part[part.decoys == n]) for name, n in DECOYS}
+    return pivot(rows, {"detector": "detector", "what it learns": "learns"}, columns)
 
 
 def _cell_rates(rows: pd.DataFrame) -> pd.Series:
@@ -149,9 +171,8 @@ def losses_block() -> str:
 def paper_algorithms() -> str:
     """The paper's algorithms: its own numbers, and those of the printed algorithms here."""
     rows = read_table2()
-    iid = rows[rows.heads == "iid"]
-    cells = {"no decoy": iid[(iid.decoys == 0) & (iid.followers == 2)]}
-    cells["1 decoy"] = iid[(iid.decoys == 1) & iid.followers.isin([2, 15])]
+    iid = rows[(rows.heads == "iid") & rows.followers.isin(SMALL)]
+    cells = {name: iid[iid.decoys == decoys] for name, decoys in DECOYS}
     games = read_rounds()
     games = games[(games.clusters == 5) & (games.uavs == 82)]
     words = pd.read_csv(DATA / "multi_cluster_in_words.csv", index_col="study").loc["follow"]
@@ -173,7 +194,5 @@ def paper_algorithms() -> str:
         ["`random`, one UAV a round", *chance, cost("random")],
         ["`destroy-all`", "0 %, computed", "0 %, computed", cost("destroy-all")],
     ]
-    single = [
-        f"P1, m = {sizes}, {name}: head alone named" for name, sizes in zip(cells, ("2", "2 and 15"), strict=True)
-    ]
+    single = [f"P1, m = 2 and 5, {name}: head alone named" for name in cells]
     return markdown(("the paper's algorithms", *single, "P2, M = 5, N = 82: J_m"), body)

@@ -19,12 +19,12 @@ from pathlib import Path
 import evasion
 import numpy as np
 import pandas as pd
+import paper_tables
 import peers
 import probing
 import reader
 import scenarios
 from paper.shared import RESULTS, ROOT, parse, read_rows
-from paper_tables import leaks_block, losses_block, paper_algorithms, purity_block, rounds_block, table2_block
 from pivot import Say, across, markdown, mean, median, name_detector, pivot, rate, size
 
 from usnet_env.evaluation import list_suites
@@ -153,7 +153,7 @@ def readme_block() -> str:
             "GASSL plays P1, MC-GASSL plays P2; iid heads, f1 to f7, seed 2022, n after the semicolon. A *decoy* flies "
             "like a head, and no UAV follows it. The paper's J_m follows from the rounds and redundant candidates that "
             "its text reports.",
-            paper_algorithms(),
+            paper_tables.paper_algorithms(),
         ]
     )
 
@@ -253,12 +253,13 @@ BLOCKS: dict[str, Callable[[], str]] = {
     **{name: _report(name, lambda rows, name=name: reader.report(rows, name)) for name in READER_STUDIES},
     "peers": _report("peers", peers.report),
     **{one.ROWS.name.partition(".")[0]: lambda one=one: one.report(read_rows(one.ROWS)) for one in (probing, evasion)},
-    "leaks": leaks_block,
+    "leaks": paper_tables.leaks_block,
     "leaderboard": leaderboard_block,
-    "table2": table2_block,
-    "rounds": rounds_block,
-    "purity": purity_block,
-    "losses": losses_block,
+    "table2": paper_tables.table2_block,
+    "learning": paper_tables.learning_block,
+    "rounds": paper_tables.rounds_block,
+    "purity": paper_tables.purity_block,
+    "losses": paper_tables.losses_block,
     "tracks": tracks_block,
     "speed": speed_block,
 }

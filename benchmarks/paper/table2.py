@@ -58,10 +58,9 @@ def play(game: Game, seed: int) -> list[dict[str, Any]]:
 def draw(rows: pd.DataFrame, folder: Path) -> None:
     """Draw what training is worth, and the rates of the paper's setting against m, by follow strategy."""
     rows = rows[(rows.mobility == "iid") & ~rows.head_jitter]
-    draw_training(rows[rows.detector.isin(COMPARED)], folder)
-    rows = rows[rows.decoys == 0]
-    paper, names = pd.read_csv(PAPER), list(dict.fromkeys(rows.detector))
-    looks = shared.make_looks(names, 4)
+    draw_training(rows[rows.detector.isin(COMPARED) & (rows.decoys <= 1)], folder)
+    rows = rows[(rows.decoys == 0) & rows.detector.isin(DETECTORS)]
+    paper, looks = pd.read_csv(PAPER), shared.make_looks(DETECTORS, 4)
     figure, grid = shared.panels(13.2, 7.2, 2, 4, sharey=True)
     grid[1, 3].set_visible(False)
     for axes, follow in zip(grid.ravel(), FOLLOW, strict=False):

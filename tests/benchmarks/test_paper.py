@@ -74,6 +74,13 @@ def test_single_tracks_tell_the_heads_of_f2_and_nothing_in_paper_hard(run, monke
     assert abs(found["paper-hard"] - 0.5) < 0.15
 
 
+def test_no_cell_of_paper_hard_is_told_by_single_tracks():
+    rows = shared.read_rows(shared.RESULTS / "paper" / "leaks.csv.gz")
+    found = rows.groupby("cell").auc.mean()
+    assert set(found.index) == set(shared.load_suite("paper-hard").cells)
+    assert found.max() < 0.6
+
+
 def test_rounds_are_those_that_evaluate_plays(run, tmp_path):
     import rounds
 
