@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import combinations, permutations
 from statistics import NormalDist
 from typing import Any
@@ -14,14 +14,13 @@ from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.window import Window
 
 _LAGS = 4  # steps; the step of resampled tracks puts delays at 1 to 4 of them
-_BLOCKS = 8
+_BLOCKS, _SURROGATES = 8, 40  # the fewest blocks of a window; how often half of them are reversed
 LEAST_STEPS = 2 * _BLOCKS
 LEVEL = 0.05  # of a group and window: how often a leaderless group gets a leader
 _LEVEL_OUTSIDE = 0.5
 _NEAREST, _SHIFTS, _DEVIATIONS = 5, 9, 3.0
 _LEAST_SHIFT = 3 * _LAGS  # a smaller shift leaves a part of the likeness at some lag
-_SHORT = 48  # steps; in shorter windows, trends hide who is first, and changes of velocity count as much
-_DEVIATION_OF_BOTH = 1.7  # of the sum of two scores with a correlation of 0.45
+_DEVIATION_OF_BOTH = 1.8  # of the sum of two scores with a correlation of 0.6, as in scenarios without leaders
 _LONGEST, _THIRD = 30.0, 3  # seconds, and part of a window, in which a place is reached later
 _SAME_HEADING = 0.8  # the cosine of headings at one place
 _SAME_WAY = 0.03  # squared distances to the way of a leader, as a share of those to where it is
@@ -41,7 +40,7 @@ def confirm_leaders(
     """
     kept = [keep_group(window, int(leader), members) for leader, members in zip(leaders, followers, strict=True)]
     leads = [confirm_lead(window, int(leader), members) for leader, members in zip(leaders, kept, strict=True)]
-    confirmed = np.array(leads, bool) & ~find_followers(window, leaders, kept)
+    confirmed = np.array(leads, bool) & ~find_followers(window, leaders, followers)
     for c in np.flatnonzero(~confirmed).tolist():
         if behind := follow_places(window, int(leaders[c]), followers[c]):
             confirmed[c], kept[c] = True, behind
@@ -170,9 +169,10 @@ def confirm_lead(window: Window, leader: int, followers: Sequence[int]) -> bool:
     """Whether the mean velocity of the followers repeats that of the leader later, more than the reverse.
 
     The lead is max_τ C(τ) - max_τ C(-τ), τ = 1, ..., 4, where C is the correlation of the followers' mean velocity with
-    the leader's velocity τ steps earlier, both centred over the window. It is compared with the leads of 35 surrogates
-    in which time is reversed in 4 of 8 blocks: these keep what both do at the same time, and cancel leads. It must
-    exceed their standard deviation z times; z is the quantile of a normal distribution at 0.05 / n, because the leader
+    the leader's velocity τ steps earlier, both centred over the window. Its score is the lead in standard deviations of
+    those of 40 surrogates, in which time is reversed in half of the blocks, of about 8 steps each: these keep what both
+    do at the same time, and cancel leads. The scores of the velocities and of their changes must exceed 1, and their
+    sum z times its standard deviation, 1.8; z is the quantile of a normal distribution at 0.05 / n, because the leader
     was chosen from the n members of its group. It is false without followers, and true in a window of fewer than 16
     steps, which is too short for the test.
     """
@@ -232,45 +232,38 @@ def find_alike(window: Window, uavs: Indices, half: slice) -> list[list[int]]:
 
 
 def _is_ahead(group: Floats, ahead: Floats, both: Mask, level: float) -> bool:
-    """Whether ``group`` ``(T, 3)`` repeats ``ahead`` later; ``both`` ``(T,)``: where both are seen.
+    """Whether ``group`` ``(T, 3)`` repeats ``ahead`` later: by the sum of the scores of both and of their changes.
 
-    Its changes must do so as well, by more than one standard deviation at a strict level; in a window of fewer than 48
-    steps, the sum of both scores counts.
+    ``both`` ``(T,)``: where both are seen. At a strict level, each score must exceed 1, too.
     """
     group, ahead = _centre(group, both), _centre(ahead, both)
-    limit = max(0.0, -NormalDist().inv_cdf(level))
-    changes = _measure_score(np.diff(group, axis=0), np.diff(ahead, axis=0), 1.0)
     velocity = _measure_score(group, ahead, -1.0)
-    if len(group) < _SHORT:
-        return velocity + changes > _DEVIATION_OF_BOTH * limit
-    return velocity > limit and (limit == 0.0 or changes > min(limit, 1.0))
+    changes = _measure_score(np.diff(group, axis=0), np.diff(ahead, axis=0), 1.0)
+    limit = max(0.0, -NormalDist().inv_cdf(level))
+    return velocity + changes > _DEVIATION_OF_BOTH * limit and (limit == 0.0 or min(velocity, changes) > 1.0)
 
 
 def _measure_score(group: Floats, ahead: Floats, sign: float) -> float:
-    """The lead in standard deviations of those with time reversed in blocks, where values have this ``sign``."""
-    by_chance = [
-        _measure_lead(group[order] * turn, ahead[order] * turn) for order, turn in _reversals(len(group), sign)
-    ]
-    deviation = float(np.sqrt(np.mean(np.square(by_chance))))
-    return _measure_lead(group, ahead) / deviation if deviation else 0.0
+    """The lead in standard deviations of those with time reversed in half of the blocks, with this ``sign`` there."""
+    blocks = max(_BLOCKS, 2 * (len(group) // (4 * _LAGS)))
+    parts = np.array_split(np.arange(len(group)), blocks)
+    mirror, block = np.concatenate([part[::-1] for part in parts]), np.repeat(np.arange(blocks), [*map(len, parts)])
+    halves = np.tile(np.arange(blocks) < blocks // 2, (1 + _SURROGATES, 1))
+    reverse = np.random.default_rng(0).permuted(halves, axis=1)[:, block]
+    reverse[0] = False
+    order, turn = np.where(reverse, mirror, np.sort(mirror)), np.where(reverse, sign, 1.0)[..., None]
+    lead, *by_chance = _measure_leads(group[order] * turn, ahead[order] * turn)
+    deviation = np.sqrt(np.mean(np.square(by_chance)))
+    return float(lead / deviation) if deviation else 0.0
 
 
-def _reversals(steps: int, sign: float) -> Iterator[tuple[NDArray[np.intp], Floats]]:
-    """Orders ``(T,)`` of the steps, with time reversed in 4 of 8 blocks, and ``sign`` there, 1 elsewhere."""
-    parts = np.array_split(np.arange(steps), _BLOCKS)
-    for chosen in combinations(range(1, _BLOCKS), _BLOCKS // 2):  # the other 35 choices are these, reversed
-        order = np.concatenate([part[::-1] if b in chosen else part for b, part in enumerate(parts)])
-        turn = np.repeat([sign if b in chosen else 1.0 for b in range(_BLOCKS)], [len(part) for part in parts])
-        yield order, turn[:, None]
-
-
-def _measure_lead(group: Floats, ahead: Floats) -> float:
-    size = float(np.sqrt((group**2).sum() * (ahead**2).sum()))
+def _measure_leads(group: Floats, ahead: Floats) -> Floats:
+    """How much better each of ``(n, T, 3)`` agrees with what is ``ahead`` before than with that later; ``(n,)``."""
     later, earlier = (
-        max(float((behind[lag:] * first[:-lag]).sum()) for lag in range(1, _LAGS + 1))
+        np.max([np.einsum("ntk,ntk->n", behind[:, lag:], first[:, :-lag]) for lag in range(1, _LAGS + 1)], axis=0)
         for behind, first in ((group, ahead), (ahead, group))
     )
-    return (later - earlier) / size if size else 0.0
+    return np.asarray(later - earlier)
 
 
 def _centre(values: Floats, seen: Mask) -> Floats:
