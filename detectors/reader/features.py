@@ -23,18 +23,15 @@ _LAGS = tuple(range(13))
 _PLACES = (1, 2, 4, 8, 16, 32)
 _CROWDS = {"near": 3, "far": 4}  # of the bank of radii, those in which UAVs are compared with their neighbours
 _BLOCK_LAGS, _BLOCK_FEATURES = (0, 1, 2, 3), 22
+_WAYS, _WAY_LAGS = (4, 16), (0, 1, 2, 4, 6, 8, 12, 16, 24, 32)  # steps of a way, delays between two ways
 _JOINT = ((0, 1, (1e-2, 1e-6)), (1, 0, (1e-2,)))  # of places 0 and velocities 1: of all UAVs, of i alone; ridges
 _SHARES = (  # components of j (velocity, its squares), axes of i (innovations, velocity), lag
     ("plain", "innovation", 1), ("plain", "innovation", 2), ("plain", "innovation", 3), ("squared", "innovation", 1),
     ("squared", "innovation", 2), ("plain", "velocity", 0), ("plain", "velocity", 1), ("squared", "velocity", 1),
 )  # fmt: skip
-_CORRELATIONS: Mapping[str, tuple[tuple[str, ...], tuple[int, ...]]] = {  # series of the later i and the earlier j
-    "cc": (("velocity",), _LAGS),
-    "ee": (("innovation",), _LAGS),
-    "gg": (("turn",), (0, 2, 4, 6, 8, 10, 12)),
-    "long": (("slow", "slow_innovation"), (4, 8, 16, 24, 32)),
-}
-_CORRELATION_LENGTHS = {name: len(names) * len(lags) for name, (names, lags) in _CORRELATIONS.items()}
+_CORRELATIONS: Mapping[str, tuple[str, tuple[int, ...]]] = {  # series of the later i and the earlier j, and lags
+    "cc": ("velocity", _LAGS[::2]), "ee": ("innovation", _LAGS), "gg": ("turn", _LAGS[::2])
+}  # fmt: skip
 
 
 def _slice_groups(lengths: Mapping[str, int]) -> dict[str, slice]:
@@ -44,10 +41,14 @@ def _slice_groups(lengths: Mapping[str, int]) -> dict[str, slice]:
 
 
 PAIR_GROUPS = _slice_groups({
-    **_CORRELATION_LENGTHS, "raw": 2, "tops": 5, "shares": len(_SHARES),
+    **{name: len(lags) for name, (_, lags) in _CORRELATIONS.items()}, "raw": 2, "tops": 5, "shares": len(_SHARES),
     "local": _BLOCK_FEATURES, "geo": 6 + kernels.BANK, "force": 5, "places": 13, "joint": 6,
+    "ways": len(_WAYS) * (1 + len(_WAY_LAGS)),
 })  # fmt: skip
-UAV_GROUPS = _slice_groups({"track": 20, "nearest": 4, "neighbours": 26, "rule": 13})
+UAV_GROUPS = _slice_groups({
+    "track": 20, "nearest": 4, "neighbours": 26, "rule": 13,
+    "companions": len(_WAYS) * (1 + len(_WAY_LAGS)), "pulls": 8,
+})  # fmt: skip
 CONTEXT_GROUPS = _slice_groups({"size": 3, "motion": 6})
 PAIR_FEATURES, UAV_FEATURES, CONTEXT_FEATURES = (
     list(groups.values())[-1].stop for groups in (PAIR_GROUPS, UAV_GROUPS, CONTEXT_GROUPS)
@@ -77,9 +78,9 @@ def make_features(position: Singles, velocity: Singles, seen: Mask) -> Features:
     _fill_shares(pair[PAIR_GROUPS["shares"]], s)
     _fill_blocks(pair[PAIR_GROUPS["local"]], s)
     _fill_places(pair[PAIR_GROUPS["places"]], s)
-    _fill_joint(pair[PAIR_GROUPS["joint"]], s)
     own = _fill_bearings(pair[PAIR_GROUPS["geo"]], pair[PAIR_GROUPS["force"]], s)
-    uav = _describe_uavs(s, own)
+    companions, pulls = _fill_ways(pair[PAIR_GROUPS["ways"]], s), _fill_joint(pair[PAIR_GROUPS["joint"]], s)
+    uav = np.stack([*_describe_uavs(s, own), *companions, *pulls]).astype(np.float32)
     for x in pair:
         np.fill_diagonal(x, 0)
     never = s["m"].sum(0) == 0
@@ -125,8 +126,6 @@ def _make_signals(p: Singles, v: Singles, seen: Singles, m: Singles) -> _Signals
     bank, count, nearest = flock.survey_neighbours(p, seen, v, m)
     rule = flock.fit_flock(v, complete, bank)
     raw = {"velocity": c, "innovation": e, "turn": series.change_series(smooth, enough, 5),
-           "slow": series.average_series(c, m, 4)[0],
-           "slow_innovation": series.average_series(e, complete, 4)[0],
            "residual": rule["residual"]}  # fmt: skip
     s = {"p": p, "v": v, "seen": seen, "m": m, "complete": complete, "nearest": nearest, **rule}
     for name, k in _CROWDS.items():
@@ -149,13 +148,8 @@ def _correlate(later: Singles, earlier: Singles, lags: Sequence[int], out: Singl
 def _fill_correlations(pair: Singles, s: _Signals) -> None:
     """Fill all groups of lagged products, and what is seen in their lags."""
     steps, n = s["m"].shape
-    for group, (names, lags) in _CORRELATIONS.items():
-        start, used = (
-            PAIR_GROUPS[group].start,
-            [lag for lag in lags if lag <= (steps // 3 if group == "long" else steps)],
-        )
-        for k, name in enumerate(names):
-            _correlate(s[name], s[name], used, pair[start + k * len(lags) : start + (k + 1) * len(lags)])
+    for group, (name, lags) in _CORRELATIONS.items():
+        _correlate(s[name], s[name], [lag for lag in lags if lag <= steps], pair[PAIR_GROUPS[group]])
     both = _make_array((n, n))
     np.matmul(s["m"].T, s["m"], out=both)
     share = np.maximum(s["m"].mean(0), np.float32(0.02))
@@ -277,23 +271,58 @@ def _fill_places(out: Singles, s: _Signals) -> None:
     out[last + 6] = near[k + 1] - near[k + 1].T
 
 
-def _fill_joint(out: Singles, s: _Signals) -> None:
+def _fill_ways(out: Singles, s: _Signals) -> list[Singles]:
+    """Fill who flies like i, and how j's ways resemble those of i's companions later; return what they say of a UAV.
+
+    With noise, a way of many steps tells more than velocities do, and the mean of companions more than a UAV.
+    """
+    (steps, n), size = s["m"].shape, 1 + len(_WAY_LAGS)
+    if steps < 3 or n < 2:
+        return [np.zeros(n, np.float32)] * (len(_WAYS) * size)
+    found = list[Singles]()
+    for rows, longest in zip(out.reshape(len(_WAYS), size, n, n), _WAYS, strict=True):
+        width = min(longest, steps // 3)
+        way, known, weight = flock.find_companions(s["p"], s["seen"], width)
+        found += flock.compare_companions(way, known, weight, _WAY_LAGS)
+        rows[0] = _log(weight, 1e-3)
+        both = weight.max(1, keepdims=True) * np.eye(n, dtype=np.float32) + weight
+        share, stride = known @ both.T, max(width // 4, 1)
+        mean, given = way @ both.T / np.maximum(share, np.float32(0.1))[:, None], np.minimum(share, 1)
+        powers = (mean**2).sum(1), (way**2).sum(1)
+        for row, lag in zip(rows[1:], (lag for lag in _WAY_LAGS if 2 * lag < len(way)), strict=False):
+            later, earlier = slice(lag, None, stride), slice(0, len(way) - lag, stride)
+            square = (powers[0][later].T @ known[earlier]) * (given[later].T @ powers[1][earlier])
+            product = mean[later].reshape(-1, n).T @ way[earlier].reshape(-1, n)
+            row[:] = _log(1 - np.minimum(np.maximum(product, 0) ** 2 / (square + np.float32(1e-9)), 1))
+        rows[2:] -= rows[1] * (rows[2:] != 0)
+    return found
+
+
+def _fill_joint(out: Singles, s: _Signals) -> list[Singles]:
     """Fill how the places of all UAVs at once, or their velocities, explain i's change of velocity: j's part of it.
 
     Changes much larger than their mean, as at a wall, are left out. Of each regression, the t statistic of j, and its
-    coefficient relative to those of all UAVs.
+    coefficient relative to those of all UAVs. Returns standard scores of the UAVs: of the mean and the least of these
+    parts in regressions on places.
     """
     if len(s["v"]) < 3:
-        return
+        return [np.zeros(out.shape[1], np.float32)] * 8
     change = series.change_series(s["v"], s["m"], 1)[:-1]
     size = np.sqrt((change**2).sum(1, keepdims=True))
     change *= size < 8 * size.mean(0, keepdims=True) + np.float32(1e-9)
     now = [x - x.mean(0) for x in (s["p"][1:-1], s["v"][:-1])]
     flat = np.stack([*now, change]).reshape(3, -1, change.shape[2]).astype(np.float64)
     found = series.regress_jointly(flat, _JOINT)
-    flying = max(np.count_nonzero(s["m"].sum(0)), 1)
+    flying = s["m"].sum(0) > 0
     out[::2] = [np.arcsinh(sure) for sure, _ in found]
-    out[1::2] = [part / (np.sqrt((part**2).sum(1, keepdims=True) / flying) + 1e-12) for _, part in found]
+    size = max(np.count_nonzero(flying), 1)
+    out[1::2] = [part / (np.sqrt((part**2).sum(1, keepdims=True) / size) + 1e-12) for _, part in found]
+    others = flying[:, None] & ~np.eye(len(flying), dtype=bool)
+    mean = out[:4].sum(1, where=others) / np.maximum(others.sum(0), 1)
+    least = out[:4].min(1, where=others, initial=np.float32(60)) * others.any(0)
+    parts = np.concatenate([mean, least]) * flying
+    parts -= parts.sum(1, keepdims=True) / size
+    return [*(parts * flying / (np.sqrt((parts**2 * flying).sum(1, keepdims=True) / size) + np.float32(1e-2)))]
 
 
 def _log(x: Singles, least: float = 1e-4) -> Singles:
@@ -302,8 +331,8 @@ def _log(x: Singles, least: float = 1e-4) -> Singles:
     return out
 
 
-def _describe_uavs(s: _Signals, own: list[Singles]) -> Singles:
-    """What single tracks and neighbourhoods say of each UAV: (G, n)."""
+def _describe_uavs(s: _Signals, own: list[Singles]) -> list[Singles]:
+    """What single tracks and neighbourhoods say of each UAV, (n,) each."""
     steps, multiply = len(s["m"]), kernels.multiply_series
     count, rows = np.maximum(s["m"].sum(0), 1), np.maximum(s["complete"].sum(0), 1)
 
@@ -339,7 +368,7 @@ def _describe_uavs(s: _Signals, own: list[Singles]) -> Singles:
     rules = [error, _log(s["last"]) - error, _log(s["least"]) - error, _log(least**2),
              *np.clip(s["coefficients"], -3, 3), np.log1p(np.minimum(s["nearest"][-max(steps - 1, 1) :], 400)).mean(0),
              *echo("residual", 1, 4, 16), np.sqrt((direction**2).sum(0)) / rows]  # fmt: skip
-    return np.stack([*track, *own, *neighbours, *rules]).astype(np.float32)
+    return [*track, *own, *neighbours, *rules]
 
 
 def _describe_window(s: _Signals, uav: Singles, never: Mask) -> Singles:

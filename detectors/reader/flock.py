@@ -75,6 +75,40 @@ def leave_crowd(v: Singles, m: Singles, mean: Singles, count: Singles) -> Single
     return out
 
 
+def find_companions(p: Singles, seen: Singles, width: int) -> tuple[Singles, Singles, Singles]:
+    """The ways of ``width`` steps (S, 3, n), where both ends are seen (S, n), and the companions' weights (n, n).
+
+    Companions of a UAV are those whose ways are like its own, so that the mean of their ways has little noise. A row of
+    weights adds up to 1. Takes places (T + 1, 3, n), and where they are seen.
+    """
+    known, stride = seen[width:] * seen[:-width], max(width // 4, 1)
+    way = (p[width:] - p[:-width]) * (known / np.float32(width**0.5))[:, None]
+    x, shown = way[::stride], known[::stride]
+    power, flat, overlap = (x**2).sum(1).T @ shown, x.reshape(-1, x.shape[2]), shown.T @ shown
+    np.fill_diagonal(overlap, 0)
+    apart = np.maximum(power + power.T - 2 * (flat.T @ flat), 0) / np.maximum(overlap, 1) + np.float32(1e-4)
+    apart[overlap == 0] = 1e9
+    weight = (apart.min(1, keepdims=True) / apart) ** 2
+    return way, known, weight / weight.sum(1, keepdims=True)
+
+
+def compare_companions(way: Singles, known: Singles, weight: Singles, lags: tuple[int, ...]) -> list[Singles]:
+    """How a UAV's ways differ from the mean of its companions', some steps later: (n,) each.
+
+    Those that err on their own are farther from the others than the one whom all copy. The logarithm of the mean square
+    without a lag, and for each lag its standard score among the companions' own.
+    """
+    share = known @ weight.T
+    mean, sizes = way @ weight.T / np.maximum(share, np.float32(0.1))[:, None], []
+    for lag in lags:
+        rows = max(len(way) - lag, 0)
+        mask = known[:rows] * (share[lag:] > 0.1)
+        square = (((mean[lag:] - way[:rows]) ** 2).sum(1) * mask).sum(0) / np.maximum(mask.sum(0), 1)
+        sizes.append(np.log(square + np.float32(1e-4)))
+    scores = [size - weight @ size for size in sizes]
+    return [sizes[0], *(score / np.sqrt(weight @ score**2 + np.float32(0.02)) for score in scores)]
+
+
 def compare_turns(v: Singles, m: Singles, mean: Singles, lags: tuple[int, ...]) -> tuple[list[Singles], Singles]:
     """Do the neighbours turn to where a UAV deviates, and does it turn back: 2 correlations a lag, and its power."""
     v, mean, mask = v[:-1], mean[1:], m[:-1, None]

@@ -57,6 +57,7 @@ class ReaderTraining(NetworkSizes):
         shards: their number; ``None``: the preset's.
         batches, windows, most_uavs: batches in a shard, windows in a batch, and the largest N.
         together: batches with the same N that the network reads at once, at most; several keep a GPU busy.
+        rate: the largest learning rate; a quarter of it keeps most of what ``start`` knows.
     """
 
     preset: Literal["minutes", "hours"] = "minutes"
@@ -69,6 +70,7 @@ class ReaderTraining(NetworkSizes):
     windows: Count = 4
     most_uavs: Annotated[int, Field(ge=6, le=300)] = 82
     together: Count = 1
+    rate: Annotated[float, Field(gt=0, le=0.1)] = 2e-3
 
 
 def compute_loss(answer: Answer[Tensor], head: Tensor, leader: Tensor, root: Tensor, delay: Tensor) -> Tensor:
@@ -160,7 +162,7 @@ class _Trainer:
 
     def _step(self, step: int, total: int) -> None:
         """Take a step at a rate that rises at first and falls along a cosine."""
-        rate = (1e-3 if self.training.start else 2e-3) * min(1.0, (step + 1) / _WARM)
+        rate = self.training.rate * min(1.0, (step + 1) / _WARM)
         self.optimiser.param_groups[0]["lr"] = rate * 0.5 * (1.0 + math.cos(math.pi * step / total))
         nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
         self.optimiser.step()

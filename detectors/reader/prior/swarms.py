@@ -15,8 +15,8 @@ from usnet_env.swarm import SwarmConfig, SwarmState, advance, destroy, start
 from usnet_env.swarm.field_follow import Frontness, Links
 from usnet_env.swarm.field_kernels import DELAY
 
-_MOBILITY = {"gauss_markov": 4, "smooth_turn": 2, "waypoint": 1.5, "local_waypoint": 1.5, "iid": 1.5, "straight": 1.5}
-_KINEMATICS = {"unit": 6.0, **dict.fromkeys(("varied_speed", "lagged", "limited", "layered"), 1.0)}
+_MOBILITY = {"gauss_markov": 4, "smooth_turn": 2, "waypoint": 1.5, "local_waypoint": 1.5, "iid": 1.5, "straight": 2.5}
+_KINEMATICS = {"unit": 5.0, **dict.fromkeys(("varied_speed", "lagged", "limited", "layered"), 1.25)}
 _FORMATION = {"gathered": 0.6, "uniform": 0.25, "around": 0.15}
 _OTHERS = {"clutter": (0.1, 8), "traffic": (0.15, 7), "bystanders": (0.25, 12), "decoys": (0.35, 5)}  # how often, most
 

@@ -60,7 +60,7 @@ class Reference:
         return (x[lag:] * y[: len(y) - lag]).sum() / np.sqrt((x**2).sum() * (y**2).sum())
 
     def cc(self, i, j):
-        return [self.correlate(self.c[:, i], self.c[:, j], lag) for lag in range(13)]
+        return [self.correlate(self.c[:, i], self.c[:, j], lag) for lag in range(0, 13, 2)]
 
     def ee(self, i, j):
         return [self.correlate(self.innovate(i), self.innovate(j), lag) for lag in range(13)]
@@ -97,6 +97,46 @@ class Reference:
         nearest = np.log(track[0].min(0).mean() + 0.5) - now
         return [*relative, 0, *reverse, 0, nearest, behind[0], (best[0] / 5).mean(), behind[0] - behind[1]]
 
+    def find_companions(self, width):
+        """Ways of so many steps, and the weights of companions."""
+        way, uavs = (self.p[width:] - self.p[:-width]) / np.sqrt(width), range(self.p.shape[1])
+        rows = way[:: max(width // 4, 1)]
+        apart = np.array([[((rows[:, i] - rows[:, j]) ** 2).sum(1).mean() + 1e-4 for j in uavs] for i in uavs])
+        np.fill_diagonal(apart, np.inf)
+        weight = (apart.min(1, keepdims=True) / apart) ** 2
+        return way, weight / weight.sum(1, keepdims=True)
+
+    def ways(self, i, j):
+        found = []
+        for width in (4, min(16, len(self.v) // 3)):
+            way, weight = self.find_companions(width)
+            own = weight[i] + weight[i].max() * (np.arange(len(weight)) == i)
+            mean, first = np.einsum("tja,j->ta", way, own) / own.sum(), None
+            found.append(np.log(weight[i, j] + 1e-3))
+            for lag in (0, 1, 2, 4, 6, 8, 12, 16, 24, 32):
+                if 2 * lag >= len(way):
+                    found.append(0)
+                    continue
+                x, y = (part[:: max(width // 4, 1)] for part in (mean[lag:], way[: len(way) - lag, j]))
+                cosine = (x * y).sum() / np.sqrt((x**2).sum() * (y**2).sum())
+                value = np.log(1 - max(cosine, 0) ** 2 + 1e-4)
+                first = value if first is None else first
+                found.append(value - (first if lag else 0))
+        return found
+
+    def companions(self, j):
+        found = []
+        for width in (4, min(16, len(self.v) // 3)):
+            way, weight = self.find_companions(width)
+            mean = np.einsum("tja,ij->tia", way, weight)
+            for lag in (0, 1, 2, 4, 6, 8, 12, 16, 24, 32):
+                apart = ((mean[lag:] - way[: max(len(way) - lag, 0)]) ** 2).sum(2)
+                size = np.log((apart.mean(0) if len(apart) else 0 * weight[0]) + 1e-4)
+                score = size - weight @ size
+                found += [] if lag else [size[j]]
+                found.append(score[j] / np.sqrt(weight[j] @ score**2 + 0.02))
+        return found
+
     def joint(self, i, j):
         change, flown = np.diff(self.v[:, i], axis=0), self.v[:-1] - self.v[:-1].mean(0)
         length, place = np.linalg.norm(change, axis=1, keepdims=True), self.p[1:-1] - self.p[1:-1].mean(0)
@@ -112,7 +152,7 @@ class Reference:
         return found
 
 
-@pytest.mark.parametrize("name", ["cc", "ee", "geo", "force", "places", "joint"])
+@pytest.mark.parametrize("name", ["cc", "ee", "geo", "force", "places", "joint", "ways"])
 def test_pairs_agree_with_a_plain_reference(name):
     window = draw_window()
     reference, found = Reference(*window), group(make_features(*window), name)
@@ -120,6 +160,21 @@ def test_pairs_agree_with_a_plain_reference(name):
         for j in range(4, 6):
             expected = np.array(getattr(reference, name)(i, j))
             np.testing.assert_allclose(found[i, j, : len(expected)], expected, atol=3e-3, err_msg=f"{i} {j}")
+
+
+def test_companions_agree_with_a_plain_reference():
+    window = draw_window()
+    reference, found = Reference(*window), make_features(*window).uav[:, module.UAV_GROUPS["companions"]]
+    for j in range(6):
+        np.testing.assert_allclose(found[j], reference.companions(j), atol=3e-3)
+
+
+def test_pulls_are_scores_of_the_means_and_the_least_of_parts():
+    told = make_features(*draw_window())
+    parts = np.where(np.eye(6, dtype=bool)[..., None], np.nan, group(told, "joint")[..., :4])
+    expected = np.concatenate([np.nanmean(parts, 0), np.nanmin(parts, 0)], 1)
+    expected = (expected - expected.mean(0)) / (expected.std(0) + 1e-2)
+    np.testing.assert_allclose(told.uav[:, module.UAV_GROUPS["pulls"]], expected, atol=1e-3)
 
 
 @pytest.mark.parametrize(("uavs", "steps", "missed"), [(7, 60, 0.0), (12, 30, 0.2), (3, 9, 0.1)])
@@ -191,6 +246,19 @@ def test_followers_are_told_from_leaders():
     assert (group(told, "ee")[1::2, ::2].argmax(2).diagonal() == 3).all()  # 1 follows 0, 3 follows 2, 5 follows 4
     strongest = group(told, "tops")[..., 0]
     assert (strongest[1::2, ::2] > strongest[::2, 1::2].T + 0.5).diagonal().all()
+
+
+def test_whom_all_copy_is_told_in_noise():
+    rng = np.random.default_rng(2)
+    velocity = [1, 0, 0] + 0.1 * rng.normal(size=(100, 8, 3))
+    velocity[1:, 1:] += velocity[:-1, :1] - [1, 0, 0]  # all copy the first, and err on their own
+    position = np.concatenate([np.zeros((1, 8, 3)), np.cumsum(velocity, 0)]) + 10 * rng.normal(size=(8, 3))
+    position += 0.2 * rng.normal(size=position.shape)
+    told = make_features(*hide(position, np.diff(position, axis=0), np.ones((101, 8), bool)))
+    companions = told.uav[:, module.UAV_GROUPS["companions"]]
+    assert companions[:, 13].argmin() == 0  # ways of 16 steps, 1 step later
+    assert companions[0, 13] < companions[1:, 13].min() - 1
+    assert (group(told, "ee").max(2)[1:].argmax(1) == 0).mean() < 0.6  # single velocities tell less
 
 
 def test_who_comes_later_to_the_same_places_is_told():
