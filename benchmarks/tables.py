@@ -139,8 +139,10 @@ def readme_block() -> str:
     title = f"best of {len(detectors)} settings of {names} detectors"
     rows = rows[rows.detector.isin(SHORT_LIST)]
     rows = rows.sort_values("detector", key=lambda labels: labels.map(SHORT_LIST.index), kind="stable")
-    columns = across("suite", SUITES, lambda part: f"{100 * part.exact.mean():.1f}", "`{}`: % exact")
-    columns |= across("suite", SUITES, lambda part: f"{part.J.mean():.2f}", "`{}`: J_m")
+
+    def say(part: pd.DataFrame) -> str:
+        return f"{100 * part.exact.mean():.1f}; {part.J.mean():.2f}"
+
     return "\n\n".join(
         [
             "In a [frozen suite](docs/suites.md) all detectors meet the same swarms. They are not given the number of "
@@ -149,7 +151,7 @@ def readme_block() -> str:
             "*Exact*: round 1 names all heads and no other UAV. J_m: the number of rounds, plus the redundant "
             "candidates divided by N; lower is better, 1 is best. A name without arguments means the default settings. "
             "[All detectors and cells, with 95 % intervals](docs/results/suites.md).",
-            pivot(rows, DETECTOR, columns),
+            pivot(rows, DETECTOR, across("suite", SUITES, say, "`{}`: % exact; J_m")),
             "GASSL plays P1, MC-GASSL plays P2; iid heads, f1 to f7, seed 2022, n after the semicolon. A *decoy* flies "
             "like a head, and no UAV follows it. The paper's J_m follows from the rounds and redundant candidates that "
             "its text reports.",
