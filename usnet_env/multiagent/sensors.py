@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from usnet_env.arrays import Floats, Mask, Singles
 from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.parts import Registry, check_factory
-from usnet_env.swarm import ObservationBatch, SwarmConfig
+from usnet_env.swarm import ObservationBatch, SwarmConfig, kernels
 from usnet_env.swarm.config import Few, Metres, Price, Rate
 from usnet_env.swarm.formation import ARENA
 from usnet_env.swarm.sensing import sense
@@ -72,14 +72,10 @@ def sense_windows(
     velocity are true.
     """
     sighting = sense(sensor, position, velocity, alive, rngs)
-    x, y, z = np.moveaxis(position[:, :: sensor.sample_every] - place[:, None, None], -1, 0)
-    seen = sighting.seen & (np.sqrt(x * x + y * y + z * z) <= reach)  # faster than `norm`
-    return ObservationBatch(
-        position=np.where(seen[..., None], sighting.position, np.float32(0.0)),
-        velocity=np.where((seen[:, 1:] & seen[:, :-1])[..., None], sighting.velocity, np.float32(0.0)),
-        seen=seen,
-        alive=sighting.alive,
-    )
+    flown = np.ascontiguousarray(position[:, :: sensor.sample_every])
+    seen, shown, moved = sighting.seen, np.array(sighting.position, order="C"), np.array(sighting.velocity, order="C")
+    kernels.hide_far(place, float(reach), flown, seen, shown, moved)
+    return replace(sighting, position=shown, velocity=moved)
 
 
 def merge_sightings(sightings: Sequence[ObservationBatch], sample_every: int) -> ObservationBatch:

@@ -557,3 +557,18 @@ def miss_in_bursts(after_hit, after_miss, drawn, detected):
     for t in range(1, drawn.shape[0]):
         for i in range(drawn.shape[1]):
             detected[t, i] = drawn[t, i] >= (after_hit if detected[t - 1, i] else after_miss)
+
+
+@compiled()
+def hide_far(place, reach, flown, seen, position, velocity):
+    """Hide what an observer at ``place`` ``(B, 3)`` doesn't see, because it is farther than ``reach`` or was missed."""
+    for b in range(seen.shape[0]):
+        for t in range(seen.shape[1]):
+            for i in range(seen.shape[2]):
+                to = flown[b, t, i]
+                x, y, z = to[0] - place[b, 0], to[1] - place[b, 1], to[2] - place[b, 2]
+                seen[b, t, i] &= math.sqrt(x * x + y * y + z * z) <= reach
+                if not seen[b, t, i]:
+                    position[b, t, i] = _ZERO
+                if t > 0 and not (seen[b, t, i] and seen[b, t - 1, i]):
+                    velocity[b, t - 1, i] = _ZERO
