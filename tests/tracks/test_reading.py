@@ -8,6 +8,7 @@ import threading
 import zipfile
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -167,7 +168,18 @@ def test_degrees_become_metres_also_across_the_180th_meridian(tmp_path, monkeypa
     np.testing.assert_allclose(np.diff(read.position[:3, 0]), 55.8, atol=0.1)  # metres in 0.001° at 60° N
     assert read.position[3, 1] - read.position[0, 1] == pytest.approx(111.4, abs=0.1)
     monkeypatch.setitem(sys.modules, "pyproj", None)
-    assert "needs pyproj" in refusal(path)
+    for source in (path, pd.read_csv(path)):
+        assert "needs pyproj" in refusal(source)
+
+
+def test_x_and_y_that_may_be_degrees_are_doubted(tmp_path):
+    rows = [[name, t, 8.5 + 1e-4 * t, 47.0 + k] for t in range(4) for k, name in enumerate("ab")]
+    doubts = {}
+    for names, scale in (("xy", 1), (("lon", "lat"), 1), ("xy", 1000)):
+        table = [[*row[:2], *(scale * place for place in row[2:])] for row in rows]
+        read = read_tracks(write_csv(tmp_path / "tracks.csv", table, ["id", "t", *names]))
+        doubts[names, scale] = ["may be degrees" in each for each in read.report().warnings]
+    assert [*doubts.values()] == [[True], [], []]
 
 
 def test_gpx_files(tmp_path):

@@ -119,17 +119,17 @@ def read_tracks(
             an id has two places at one time, or there are fewer than two ids.
     """
     asked = {name: value for name, value in locals().items() if name != "path"}
-    if isinstance(path, pd.DataFrame):
-        plain, options = path.reset_index() if any(path.index.names) else path, _Options(**asked)
-        part = _read_part(formats.as_table(plain.rename(columns=str)), options, "the frame", None)
-        return _make_tracks([Path("the frame")], [part], options, "the frame")
-    given = [as_path("path", file) for file in (path if isinstance(path, list | tuple) else [path])]
-    if not given:
-        raise ArgumentError("path must be a file of tracks, or a list of such files, got an empty one.")
-    options = _Options(**asked)
-    paths = list({file.resolve(): file for file in reversed(given)}.values())[::-1]  # two paths may be of one file
-    where = ", ".join(quote(os.fspath(file)) for file in paths[:3])
+    where, options = "the frame", _Options(**asked)
     try:
+        if isinstance(path, pd.DataFrame):
+            plain = path.reset_index() if any(path.index.names) else path
+            part = _read_part(formats.as_table(plain.rename(columns=str)), options, where, None)
+            return _make_tracks([Path(where)], [part], options, where)
+        given = [as_path("path", file) for file in (path if isinstance(path, list | tuple) else [path])]
+        if not given:
+            raise ArgumentError("path must be a file of tracks, or a list of such files, got an empty one.")
+        paths = list({file.resolve(): file for file in reversed(given)}.values())[::-1]  # two paths may be of one file
+        where = ", ".join(quote(os.fspath(file)) for file in paths[:3])
         return _make_tracks(paths, [_read_file(file, options, len(paths) > 1) for file in paths], options, where)
     except ImportError as error:
         hint = f"{where}, which needs {error.name}; {how_to_install('tracks')}"

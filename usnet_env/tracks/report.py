@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
 from usnet_env.arrays import Floats
 from usnet_env.config import format_count, format_number
-from usnet_env.tracks.resample import JUMP, find_jumps, typical_intervals
-from usnet_env.tracks.samples import Clock, Samples
+from usnet_env.tracks.resample import JUMP, Jumps, find_jumps, typical_intervals
+from usnet_env.tracks.samples import Samples
 
 _GAP = 3.0  # a gap is an interval of more than this many typical intervals of its id
 _UNEVEN = 0.1  # sampling is uneven if a tenth of the intervals differ from the typical one by more than this share
+_SLOW = 0.003  # metres a second, of nearly all steps; an aircraft's 300 m/s are 0.003 degrees a second
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,9 @@ def find_problems(tracks: Samples) -> TrackReport:
         f"{whole} of {ids} ids are there from the beginning to the end.",
         *tracks.notes,
     )
-    return TrackReport(facts, (*_doubt_time_unit(tracks.clock), *_doubt_gaps(tracks, typical), *_doubt_jumps(tracks)))
+    jumps = find_jumps(tracks)
+    doubts = _doubt_units(tracks, jumps.usual), _doubt_gaps(tracks, typical), _doubt_jumps(tracks, jumps)
+    return TrackReport(facts, tuple(chain(*doubts)))
 
 
 def _place(tracks: Samples, sample: int) -> str:
@@ -56,10 +60,13 @@ def _place(tracks: Samples, sample: int) -> str:
     return f"{tracks.file_time(tracks.time[sample])} (id {tracks.ids[owner]})"
 
 
-def _doubt_time_unit(clock: Clock) -> Iterator[str]:
-    """Times whose unit was guessed."""
-    if clock.guessed:
-        yield f"Times are read as {clock.guessed}, not as seconds (--time-unit 1 reads seconds)."
+def _doubt_units(tracks: Samples, usual: float) -> Iterator[str]:
+    """Times whose unit was guessed; coordinates that are as small, and change as slowly, as degrees."""
+    if tracks.clock.guessed:
+        yield f"Times are read as {tracks.clock.guessed}, not as seconds (--time-unit 1 reads seconds)."
+    x, y, _ = np.abs(tracks.position + tracks.origin).max(axis=0, initial=0.0)
+    if tracks.frame == "metres" and x <= 180 and y <= 90 and max(x, y) > 1 and 0 < usual < _SLOW:
+        yield "Columns x and y are read as metres, but may be degrees (--column lon=NAME --column lat=NAME reads them)."
 
 
 def _doubt_gaps(tracks: Samples, typical: Floats) -> Iterator[str]:
@@ -77,8 +84,7 @@ def _doubt_gaps(tracks: Samples, typical: Floats) -> Iterator[str]:
         yield f"Sampling is uneven: {share:.0%} of the intervals differ from the typical one by more than 10 %."
 
 
-def _doubt_jumps(tracks: Samples) -> Iterator[str]:
-    jumps = find_jumps(tracks)
+def _doubt_jumps(tracks: Samples, jumps: Jumps) -> Iterator[str]:
     fast = f"more than {JUMP:g} times as fast as 95 % of the steps ({format_number(jumps.usual, 3)} m/s)"
     if count := len(jumps.spikes):
         where = _place(tracks, int(jumps.spikes[0]))
