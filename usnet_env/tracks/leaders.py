@@ -216,7 +216,7 @@ class FoundLeaders:
         """Three tables, as they are written to CSV: ``windows``, ``leaders`` and ``links``.
 
         A window without leaders has one row without an id. Ids are joined by semicolons; in them, a semicolon or a
-        backslash has a backslash before it. What a spreadsheet would read as a formula has an apostrophe before it.
+        backslash has a backslash before it.
         """
         rows: dict[str, list[dict[str, Any]]] = {"leaders": [vars(leader) for leader in self.leaders]}
         rows["windows"] = [
@@ -233,9 +233,7 @@ class FoundLeaders:
 
 
 def _cell(value: Any) -> Any:
-    if isinstance(value, tuple):
-        value = ";".join(re.sub(r"([;\\])", r"\\\1", str(name)) for name in value)
-    return f"'{value}" if isinstance(value, str) and value.startswith(("=", "+", "-", "@")) else value
+    return ";".join(re.sub(r"([;\\])", r"\\\1", str(name)) for name in value) if isinstance(value, tuple) else value
 
 
 def find_leaders(

@@ -1,9 +1,9 @@
-"""One picture of the leaders that were found in tracks: maps of some windows, and who leads when."""
+"""One picture of the leaders that were found in tracks: maps of some windows."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _MOST_MAPS, _COLUMNS = 6, 3
-_MAP, _ROW, _MARGIN = 5.2, 0.27, 2.0  # inches: a map, a row of the lower chart, and the space for titles and legend
-_MOST_ROWS, _MOST_NAMES = 16, 12  # of the lower chart; leaders that a map names
+_MAP, _MARGIN = 5.2, 2.0  # inches: a map, and the space for titles and legend
+_MOST_NAMES = 12  # leaders that a map names
 _LONGEST_NAME = 24  # characters
 _MARKS = (drawing.HEAD_MARK, drawing.FOLLOWER_MARK, drawing.LINK_MARK, drawing.UNLED_MARK)  # of the legend
 
 
 def draw_leaders(found: FoundLeaders, cuts: Iterable[TrackWindow], title: str, tracks: Tracks) -> Figure:
-    """Draw up to six windows as maps from above, and below them the windows in which each id leads.
+    """Draw up to six windows as maps from above.
 
     Args:
         found: the leaders.
@@ -35,16 +35,16 @@ def draw_leaders(found: FoundLeaders, cuts: Iterable[TrackWindow], title: str, t
     windows = found.windows
     places = [k for k, window in enumerate(windows) if window.leaders] or [*range(len(windows))]
     chosen = [places[int(k)] for k in np.linspace(0, len(places) - 1, min(len(places), _MOST_MAPS))]
-    columns, bars = min(len(chosen), _COLUMNS), min(len(found.leaders), _MOST_ROWS)
-    rows, chart = -(-len(chosen) // columns), 1.0 + _ROW * max(bars, 1)
-    figure = drawing.new_figure(columns * _MAP + _MARGIN + 1, rows * _MAP + chart + _MARGIN)
+    columns = min(len(chosen), _COLUMNS)
+    rows = -(-len(chosen) // columns)
+    figure = drawing.new_figure(columns * _MAP + _MARGIN + 1, rows * _MAP + _MARGIN)
     figure.set_layout_engine("constrained")
     shown = f"{len(chosen)} of {len(windows)} windows, " if len(chosen) < len(windows) else ""
     about = f"{title}: {shown}by {found.detector}. Stars are leaders, lines connect followers to them."
     drawing.caption_figure(figure, "Leaders and followers", drawing.escape_math(about))
     ids = list(dict.fromkeys(str(leader.id) for leader in found.leaders))
     names = dict(zip(ids, drawing.abbreviate(ids, _LONGEST_NAME), strict=True))
-    grid = figure.add_gridspec(rows + 1, columns, height_ratios=[*[_MAP] * rows, chart])
+    grid = figure.add_gridspec(rows, columns)
     maps: list[tuple[Any, Any, TrackWindow, DetectedWindow]] = []
     marks: dict[str, str] = {}
     for k, (cut, window) in enumerate(zip(cuts, windows, strict=True)):
@@ -54,7 +54,6 @@ def draw_leaders(found: FoundLeaders, cuts: Iterable[TrackWindow], title: str, t
             marks |= present
             axes.set_title(f"{window.start} to {window.end}", fontsize=9, loc="left")
             maps.append((axes, place, cut, window))
-    _draw_times(figure.add_subplot(grid[-1, :]), found, names)
     drawing.draw_legend(maps[columns - 1][0], {mark: marks[mark] for mark in _MARKS if mark in marks})
     with warnings.catch_warnings(action="ignore"):  # the figure's file tells which characters are missing
         figure.draw_without_rendering()
@@ -83,18 +82,3 @@ def _draw_map(
     present[drawing.UNLED_MARK] = present[drawing.FOLLOWER_MARK] & ~present[drawing.LINK_MARK]
     present[drawing.FOLLOWER_MARK] = present[drawing.LINK_MARK]  # those with a leader
     return place, {mark: drawing.TRACK_WORDS.get(mark, mark) for mark, who in present.items() if who.any()}
-
-
-def _draw_times(axes: Axes, found: FoundLeaders, names: Mapping[str, str]) -> None:
-    """Draw a row for each leader over the file, with a bar for each window in which it leads."""
-    bars, count = found.leaders[:_MOST_ROWS], len(found.windows)
-    for row, bar in enumerate(bars):
-        led = [k for k, w in enumerate(found.windows) if (bar.id, bar.group) in {(x.id, x.group) for x in w.leaders}]
-        axes.barh([row] * len(led), 1.0, left=led, height=0.7, color=found.colors[bar.id])
-    axes.set_yticks(range(len(bars)), [drawing.escape_math(names[str(bar.id)]) for bar in bars], fontsize=8)
-    axes.set(xlim=(0, count), ylim=(max(len(bars), 1) - 0.5, -0.5))
-    ticks = np.unique(np.linspace(0, count - 1, min(count, 4)).astype(int))
-    axes.set_xticks(ticks, [str(found.windows[k].start) for k in ticks], fontsize=8)
-    heading = "Windows in which each id leads, and the times of their start"
-    axes.set_title(heading if bars else "No leader was found.", fontsize=10, loc="left")
-    axes.spines[["top", "right"]].set_visible(False)
