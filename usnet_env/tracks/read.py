@@ -21,13 +21,13 @@ import pandas as pd
 from pandas.errors import ParserWarning
 from pydantic import Field
 
-from usnet_env.arrays import Floats, Indices
+from usnet_env.arrays import Floats
 from usnet_env.config import ArgumentError, Config, how_to_install, quote
 from usnet_env.files import as_path
 from usnet_env.tracks import columns as roles
 from usnet_env.tracks import formats
 from usnet_env.tracks.readers import READERS
-from usnet_env.tracks.samples import Clock, match_leaders, sort_samples, split_gaps
+from usnet_env.tracks.samples import Clock, match_leaders, number_labels, sort_samples, split_gaps
 from usnet_env.tracks.tracks import Tracks
 
 _DELIMITERS = ",;\t|"
@@ -321,7 +321,7 @@ def _make_tracks(paths: list[Path], parts: list[_Part], options: _Options, where
             notes.append(f"{counts[kind]} of {counts['rows']} rows, {what}, skipped.")
     if "frame" in names and options.time_unit is None:
         notes.append("Times are numbers of frames; one frame counts as 1 s (a time unit gives its seconds).")
-    codes, ids = _number(rows["id"])
+    codes, ids = number_labels(rows["id"])
     if len(ids) < 2:
         found = f"{counts['rows']} rows of {', '.join(map(quote, ids)) or 'no id'}"
         raise ArgumentError(f"path must hold the tracks of at least 2 ids, got {where} with {found}.")
@@ -341,7 +341,7 @@ def _make_tracks(paths: list[Path], parts: list[_Part], options: _Options, where
     axes, origin, frame = _place(_scale(rows, names, options))
     leader = None
     if "leader" in rows:
-        leader, sentences = match_leaders(*_number(rows["leader"]), codes, ids, f" in column {names['leader']}")
+        leader, sentences = match_leaders(*number_labels(rows["leader"]), codes, ids, f" in column {names['leader']}")
         notes += sentences
     given: Any = {"clock": clock, "origin": origin, "leader": leader, "notes": notes, "duplicates": options.duplicates}
     frame = "pixels" if options.length_unit == "px" and frame == "metres" else frame
@@ -387,14 +387,6 @@ def _scale(rows: pd.DataFrame, names: Mapping[str, str], options: _Options) -> p
         if axis in rows and unit in roles.LENGTH_UNITS:
             rows[axis] *= roles.LENGTH_UNITS[unit]
     return rows
-
-
-def _number(labels: pd.Series[Any]) -> tuple[Indices, tuple[str | int, ...]]:
-    """Which of the different labels each row has, in the order in which they come: whole numbers, or else texts."""
-    if len({type(label) for label in labels.unique()}) > 1:
-        labels = labels.astype(str)
-    codes, different = pd.factorize(labels)
-    return codes.astype(np.int64), tuple(pd.Series(different).tolist())
 
 
 def _place(rows: pd.DataFrame) -> tuple[list[Floats], Floats | None, str]:

@@ -9,6 +9,7 @@ from datetime import datetime, timedelta
 from typing import Any, Literal, TypeVar
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from usnet_env.arrays import Floats, Indices, Mask
@@ -181,6 +182,14 @@ def split_gaps(tracks: SamplesT, gap: float) -> SamplesT:
         part = np.searchsorted(owner * length + start, leader * length + tracks.time, side="right") - 1
         leader = np.where(leader < 0, -1, np.maximum(part, np.searchsorted(owner, leader)))
     return replace(tracks, ids=ids, offsets=np.append(parts, tracks.samples), leader=leader)
+
+
+def number_labels(labels: pd.Series[Any]) -> tuple[Indices, tuple[str | int, ...]]:
+    """Which of the different labels each row has, in the order in which they come: whole numbers, or else texts."""
+    if len({type(label) for label in labels.unique()}) > 1:
+        labels = labels.astype(str)
+    codes, different = pd.factorize(labels)
+    return codes.astype(np.int64), tuple(pd.Series(different).tolist())
 
 
 def match_leaders(

@@ -21,7 +21,7 @@ from usnet_env.tracks.resample import (
     resample_positions,
     typical_stay,
 )
-from usnet_env.tracks.samples import Samples, match_leaders, sort_samples
+from usnet_env.tracks.samples import Samples, match_leaders, number_labels, sort_samples
 from usnet_env.window import Window, as_array, frozen_array
 
 _USUAL, _SHORTEST = 100, 16  # steps of a window
@@ -215,10 +215,7 @@ def _read_ids(name: str, value: Any, samples: int) -> tuple[Indices, tuple[str |
     plain = ids.tolist()
     if ids.shape != (samples,) or not samples or not all(isinstance(label, str | int) for label in plain):
         raise ArgumentError(f"{name} must hold a text or a whole number for {samples} samples, got {quote(value)}.")
-    if any(isinstance(label, str) for label in plain):  # NumPy makes texts of all, too, unless they are objects
-        plain = [str(label) for label in plain]
-    code: dict[str | int, int] = {}
-    return np.array([code.setdefault(label, len(code)) for label in plain], np.int64), tuple(code)
+    return number_labels(pd.Series(plain, dtype=object))
 
 
 def _cut(tracks: Tracks, number: Indices, first: int, length: int, least_steps: int) -> TrackWindow | None:
