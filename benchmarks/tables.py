@@ -17,6 +17,7 @@ from functools import cache, partial
 from pathlib import Path
 
 import evasion
+import learning
 import numpy as np
 import pandas as pd
 import paper_tables
@@ -35,6 +36,7 @@ BLOCK = re.compile(r"(<!-- results:begin ?([\w-]*) -->)\n.*?<!-- results:end -->
 PAGES = (
     "README.md",
     "docs/environments.md",
+    "docs/frameworks.md",
     "docs/leaderboard.md",
     "docs/reader.md",
     "docs/probing.md",
@@ -255,6 +257,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     **{name: _report(name, lambda rows, name=name: reader.report(rows, name)) for name in READER_STUDIES},
     "peers": _report("peers", peers.report),
     **{one.ROWS.name.partition(".")[0]: lambda one=one: one.report(read_rows(one.ROWS)) for one in (probing, evasion)},
+    "ppo": lambda: learning.report(read_rows(learning.ROWS)),
     "leaks": paper_tables.leaks_block,
     "leaderboard": leaderboard_block,
     "table2": paper_tables.table2_block,

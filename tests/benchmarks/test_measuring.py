@@ -2,6 +2,7 @@
 
 import json
 
+import learning
 import numpy as np
 import pandas as pd
 import pytest
@@ -136,3 +137,20 @@ def test_batches_race_single_environments(tmp_path, monkeypatch):
     rows = json.loads(path.read_text(encoding="utf-8"))["batches"]
     assert list(rows) == ["start of P1", "SingleCluster-Tiny-v0", "Stable-Baselines3", "TorchRL"]
     assert all(row["ratio"] > 0 and row["decisions_per_second"] > 0 for row in rows.values())
+
+
+@pytest.mark.slow
+def test_learning_trains_and_tests_agents_and_draws_their_curves(tmp_path, monkeypatch, capsys):
+    pytest.importorskip("stable_baselines3")
+    monkeypatch.setattr(learning, "EPISODES", 2)
+    monkeypatch.setattr(learning, "PICTURE", tmp_path / "learning.png")
+    short = learning.STUDIES["P1, f1, N = 8"]._replace(rounds=2 * learning.ROLLOUT, frameworks=(learning.SB3,))
+    monkeypatch.setattr(learning, "STUDIES", {"short": short})
+    learning.main(["--rows", str(tmp_path / "rows.csv"), "--seeds", "2"])
+    rows = read_rows(tmp_path / "rows.csv")
+    curves, tests = rows[rows.test.isna()], rows[rows.test.notna()]
+    assert curves.groupby("seed").rounds.apply(list).tolist() == [[1024, 2048]] * 2
+    assert curves.J.nunique() == 4  # the seeds differ
+    assert tests.J.between(-8, 0).all()
+    assert (tmp_path / "learning.png").stat().st_size
+    assert "| short | Stable-Baselines3 | f1 | 2 | 2,048 |" in capsys.readouterr().out
