@@ -26,6 +26,7 @@ PICTURE = shared.IMAGES.parent / "learning.png"
 ROLLOUT, EPISODES = 1024, 100  # rounds of a rollout, episodes of a test
 SB3, TORCHRL = "Stable-Baselines3", "TorchRL"
 TINY, SWARM = "USNET/SingleCluster-Tiny-v0", "USNET/MultiCluster-v0"
+SETTINGS: dict[str, Any] = {"n_steps": 16, "batch_size": 256, "n_epochs": 4, "learning_rate": 5e-3, "device": "cpu"}
 P2 = {"uavs": 30, "observation_steps": 20, "max_rounds": 5}
 
 
@@ -49,10 +50,13 @@ STUDIES = {
 
 def train(study: Study, framework: str, seed: int) -> tuple[Any, list[float]]:
     """The trained policy, and the mean J of the episodes that ended in each rollout."""
-    sys.path.insert(0, str(shared.ROOT / "examples" / "frameworks"))
     if framework == TORCHRL:
+        sys.path.insert(0, str(shared.ROOT / "examples" / "frameworks"))
         return importlib.import_module("torchrl_ppo").train(study.rounds, seed)  # its environment is that of P1
-    from sb3_ppo import PPO, SETTINGS, PairPolicy, SwarmVecEnv
+    from stable_baselines3 import PPO
+
+    from detectors.rl.sb3 import PairPolicy
+    from usnet_env.frameworks.sb3 import SwarmVecEnv
 
     envs = SwarmVecEnv(study.env, 64, observe=("velocity", "alive"), **study.arguments)
     ended: list[list[float]] = [[] for _ in range(study.rounds // ROLLOUT)]
