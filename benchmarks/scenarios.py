@@ -181,6 +181,7 @@ SCENARIOS: dict[str, tuple[Callable[..., Flight], float, float, float]] = {
     "0 closed ring road": (partial(drive_ring, closed=True), 2, 360, 0),
 }
 CONFOUNDS = ("0 hidden driver", "0 same route")
+WORDS = ("named", "confirmed")
 AIMS = ("led (aim .97; .05)", "a driver or a route (aim .10)", "nobody leads (aim .05)")
 
 
@@ -218,7 +219,7 @@ def play(game: Game, seed: int) -> list[dict[str, Any]]:
         due = np.isin(np.arange(len(roots)), roots[roots != np.arange(len(roots))])
         sure = np.isin(np.arange(len(roots)), [cut.ids.index(one.id) for one in found.leaders])
         row = {"step": cut.step, "window": len(rows), "due": due.sum()}
-        for word, chosen in (("named", answer.candidates), ("confirmed", sure)):
+        for word, chosen in zip(WORDS, (answer.candidates, sure), strict=True):
             row |= {f"{word}_right": (chosen & due).sum(), f"{word}_wrong": (chosen & ~ever).sum()}
         rows.append(game | row)
 
@@ -234,13 +235,19 @@ def say_found(word: str, part: pd.DataFrame) -> str:
 
 def report(rows: pd.DataFrame) -> str:
     """Each scenario: due leaders found, and windows with a false one, named and confirmed; then the totals."""
-    columns, totals = {}, {}
-    for word in ("named", "confirmed"):
+    columns = {}
+    for word in WORDS:
         columns |= across("detector", rows.detector.unique(), partial(say_found, word), f"{{}} {word}")
-        totals |= across("kind", AIMS, partial(say_found, word), f"{word}, {{}}")
+    return f"{pivot(rows, {'scenario': 'scenario'}, columns)}\n\n{summarise(rows)}"
+
+
+def summarise(rows: pd.DataFrame) -> str:
+    """Each detector: the totals of the scenarios with a leader, with a driver or a route, and without."""
     kind = np.select([rows.scenario.isin(CONFOUNDS), rows.scenario.str.startswith("0")], AIMS[1:], AIMS[0])
-    overall = pivot(rows.assign(kind=kind), {"detector": "detector"}, totals)
-    return f"{pivot(rows, {'scenario': 'scenario'}, columns)}\n\n{overall}"
+    totals = {}
+    for word in WORDS:
+        totals |= across("kind", AIMS, partial(say_found, word), f"{word}, {{}}")
+    return pivot(rows.assign(kind=kind), {"detector": "detector"}, totals)
 
 
 def main(argv: list[str] | None = None) -> None:

@@ -213,6 +213,12 @@ def tracks_block() -> str:
     return "\n\n".join(parts)
 
 
+def compare_block() -> str:
+    """A line for each detector in the scenarios; the reader's rows, of more files, have a file of their own."""
+    files = RESULTS / "reader/scenarios.csv.gz", RESULTS / "scenarios.csv.gz"
+    return scenarios.summarise(pd.concat([read_rows(path) for path in files]))
+
+
 def speed_block() -> str:
     """Rates and ratios of the parts that speed.py has measured."""
     found = json.loads((RESULTS / "speed.json").read_text(encoding="utf-8"))
@@ -254,6 +260,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "suite-scale": scale_block,
     "ladder": ladder_block,
     "scenarios": _report("scenarios", scenarios.report),
+    "scenarios-compared": compare_block,
     **{name: _report(name, lambda rows, name=name: reader.report(rows, name)) for name in READER_STUDIES},
     "peers": _report("peers", peers.report),
     **{one.ROWS.name.partition(".")[0]: lambda one=one: one.report(read_rows(one.ROWS)) for one in (probing, evasion)},
