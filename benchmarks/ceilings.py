@@ -5,7 +5,7 @@
 
 The oracle flies the follow strategy itself one step ahead from the observed past, under each hypothesis "i follows j".
 So it has each UAV's delay, gain and noise, and the likelihood of what i did next. A UAV that its own past explains
-better follows nobody. The oracle follows each chain to its end, and names an end that has two followers.
+better is a head or alone. The oracle follows each chain to its end, and names an end that has two followers.
 
 Nothing is assumed of how heads fly, so this is less than the exact likelihood, and a detector may beat it. Flocks,
 hierarchies in which UAVs copy several others, other kinematics than ``unit``, noise of positions, missed or exchanged

@@ -1,7 +1,7 @@
 """usnet_evasion_v0 at short windows: swarms and observers learn best responses to each other, in turn.
 
-    OMP_NUM_THREADS=1 python benchmarks/evasion.py           # trains, then plays every swarm against every observer
-    python benchmarks/evasion.py --draw                      # trains nothing: the tables of the rows
+    OMP_NUM_THREADS=1 python benchmarks/evasion.py --trainings 3    # trains; every swarm plays every observer
+    python benchmarks/evasion.py --draw                             # trains nothing: the tables of the rows
 
 Of every pair of players the pay-off is known: J_m minus the price, which the swarm gets and the observer loses. PPO
 trains a new swarm against the observers' mixture in the equilibrium of this matrix, then a new observer against the
@@ -46,7 +46,7 @@ def choose(*choice: int) -> Player:
 
 
 def detect(name: str) -> Player:
-    """An observer that names what a detector finds; nobody before the first window."""
+    """An observer that names what a detector finds, and no UAV before the first window."""
     detector = make_detector(name)
     detector.reset(0)
 
@@ -73,7 +73,7 @@ def follow(policy: Any, role: str) -> Player:
 
 def show(seen: dict[str, Any], role: str, games: Any = slice(None)) -> Any:
     """What a policy learns from: an observer from raw windows, a swarm from the sizes of its clusters and the round."""
-    if role == "observer":  # in the opening nobody is legal, so that nobody is named
+    if role == "observer":  # in the opening no UAV may be named
         return {"velocity": seen["velocity"][games, 0], "alive": seen["legal"][games, 0]}
     sizes, living = seen["followers"][games].mean(axis=2), (seen["self"] * seen["heads"])[games].sum(axis=2)
     return np.concatenate([sizes, living, seen["round"][games, 0] / GAME["max_rounds"]], axis=1, dtype=np.float32)
@@ -137,7 +137,7 @@ def play(swarm: Player, observer: Player, episodes: int) -> pd.DataFrame:
     """Let two players play games, at once."""
     games, total, left = usnet_evasion_v0.batch_env(episodes, **GAME), np.zeros((2, episodes)), np.arange(episodes)
     seen, _ = games.reset(seed=PLAYED)
-    while len(left):  # a game that is over begins again, and nobody looks
+    while len(left):  # a game that is over begins again, but its rewards don't count
         choices, named = np.zeros((episodes, GAME["clusters"], 4), int), np.zeros((episodes, 1, GAME["uavs"]), bool)
         choices[left], named[left] = swarm(seen["head"], left), observer(seen["observer"], left)
         seen, paid, over = play_step(games, {"head": choices, "observer": named})

@@ -216,7 +216,7 @@ def _fill_blocks(out: Singles, s: _Signals) -> None:
     for lag in _BLOCK_LAGS:
         for y, left, right in zip(products, (mine, mine[:, 4:], e), (theirs, theirs[:, 3:4], e), strict=True):
             np.matmul(_cut_blocks(left).transpose(0, 2, 1), _cut_blocks(right, lag), out=y)
-        found = out[start : start + (6 if lag else 4)]  # nobody's own change is compared with an undelayed copy
+        found = out[start : start + (6 if lag else 4)]  # without a delay, j's motion isn't a forecast of i's
         kernels.judge_blocks(square, overlap, product, persistence, found)
         start += len(found)
 

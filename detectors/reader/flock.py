@@ -95,8 +95,8 @@ def find_companions(p: Singles, seen: Singles, width: int) -> tuple[Singles, Sin
 def compare_companions(way: Singles, known: Singles, weight: Singles, lags: tuple[int, ...]) -> list[Singles]:
     """How a UAV's ways differ from the mean of its companions', some steps later: (n,) each.
 
-    Those that err on their own are farther from the others than the one whom all copy. The logarithm of the mean square
-    without a lag, and for each lag its standard score among the companions' own.
+    Followers have errors of their own, so the UAV that all copy has the least distance. Returns the logarithm of the
+    mean square without a lag, and for each lag its standard score among the companions' own.
     """
     share = known @ weight.T
     mean, sizes = way @ weight.T / np.maximum(share, np.float32(0.1))[:, None], []

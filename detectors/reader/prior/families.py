@@ -31,7 +31,7 @@ WORLDS = {  # without the simulator
     **dict.fromkeys(("file", "boids_signed"), 1.0),
     "cars": 2.0,
     **dict.fromkeys(("changes", "fission", "convoy"), 0.7),
-    "driver": 4.5,  # in this and the next ones nobody leads
+    "driver": 4.5,  # no UAV leads in this and the next worlds
     "route": 3.0,
     "leaderless": 5.0,
     "herd": 2.0,

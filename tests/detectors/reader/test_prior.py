@@ -76,11 +76,11 @@ def test_faults_that_are_left_out_are_in_no_field_swarm():
         assert draw("path", seed, 1, without=without).seen.all()
 
 
-@pytest.mark.parametrize(("family", "least"), [("star", 0.4), ("path", 0.6), ("set_off", 0.8), ("unequal_delays", 0.4)])
+@pytest.mark.parametrize(("family", "least"), [("star", 0.4), ("path", 0.6), ("set_off", 0.8), ("unequal_delays", 0.5)])
 def test_followers_repeat_their_leader_after_the_delay_and_not_before(family, least):
     late, early = [], []
     for seed in range(12):
-        examples = draw(family, seed)
+        examples = draw(family, seed, without=tuple(FAULTS))  # noise hides the likeness of straight flights
         for b, i in np.argwhere(np.isfinite(examples.delay)):
             lag, leader = round(float(examples.delay[b, i])), examples.leader[b, i]
             led, own = examples.velocity[b, :, leader], examples.velocity[b, :, i]
