@@ -10,7 +10,7 @@ from pydantic import Field
 from scipy.special import expit, softmax
 
 from detectors.base import Detector
-from detectors.policy import Policy, choose
+from detectors.policy import choose
 from detectors.reader.features import make_features
 from detectors.reader.forward import Weights, load_reader, read
 from detectors.reader.neighbourhoods import cut_swarm
@@ -84,8 +84,8 @@ class Reader(Detector):
         probability = np.maximum(probability, free * away).round(_DECIMALS)
         delay[leader == np.arange(window.uavs)] = 0.0
         clusters[root >= 0] = np.unique(root[root >= 0], return_inverse=True)[1]
-        policy = Policy(policy=arguments.policy, objective=arguments.objective, round_price=arguments.round_price)
-        candidates = choose(probability, window.alive, policy, self.rng.random(window.uavs), silent=silent)
+        rule = {name: getattr(arguments, name) for name in ("policy", "objective", "round_price")}
+        candidates = choose(probability, window.alive, self.rng.random(window.uavs), silent, **rule)
         confidence = float(np.maximum(probability, 1.0 - probability).prod())
         extras = {"probability": probability, "root": root, "delay": delay, "silent": silent, "confidence": confidence}
         return Detection(candidates, probability, clusters, leader, attention, extras)

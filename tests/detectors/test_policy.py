@@ -1,38 +1,50 @@
-"""The policy that chooses candidates from probabilities: the least expected cost, its budget, the living only."""
+"""The policy that chooses candidates from probabilities: the least expected cost of all sets, and the living only."""
 
 import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
-from detectors.policy import Policy, choose
+from detectors.policy import choose
+
+ALIVE = np.ones(8, bool)
+SETS = np.array(list(itertools.product([False, True], repeat=8)))
 
 
-@given(st.integers(0, 10_000), st.floats(0.0, 3.0))
-@settings(max_examples=30)
-def test_the_policy_has_the_least_expected_cost(seed, price):
+def cost_sets(heads, chance, silent, price):
+    """The expected cost of naming each of all sets ``(256,)``, by going through all sets of heads."""
+    cost = np.zeros(256)
+    for head, often in zip(heads, chance, strict=True):
+        missed = (head & ~SETS).any(axis=1) | ~SETS.any(axis=1)
+        cost += (1 - silent) * often * (price * missed + (SETS & ~head).sum(axis=1) / 8)
+    return cost + silent / 8 * SETS.sum(axis=1)
+
+
+@given(st.integers(0, 10_000), st.floats(0, 1), st.floats(0.1, 3.0))
+def test_no_set_of_eight_uavs_has_a_lower_expected_cost(seed, silent, price):
     rng = np.random.default_rng(seed)
-    probability = rng.beta(0.3, 0.5, 6)
-    alive = np.ones(6, bool)
-    named = choose(probability, alive, Policy(redundancy_price=price, round_price=1.0), rng.random(6))
-
-    def cost(some):
-        rest = np.setdiff1d(np.arange(6), some)
-        return 1.0 - np.prod(1.0 - probability[rest]) + price / 6 * (1.0 - probability[list(some)]).sum()
-
-    costs = [cost(some) for count in range(1, 7) for some in itertools.combinations(range(6), count)]
-    assert cost(np.flatnonzero(named)) == pytest.approx(min(costs), abs=1e-9)
+    lone = rng.beta(0.3, 0.6, 8)  # of being a head if somebody leads
+    named = choose(lone * (1 - silent), ALIVE, rng.random(8), silent, round_price=price)
+    chance = np.where(SETS, lone, 1 - lone).prod(axis=1)
+    cost = cost_sets(SETS, chance, silent, price)
+    assert cost[(named == SETS).all(axis=1)][0] == pytest.approx(cost.min(), abs=1e-6)
 
 
-def test_the_policy_keeps_to_its_budget_and_to_the_living():
-    probability = np.array([0.9, 0.8, 0.7, 0.2])
-    alive = np.array([True, False, True, True])
+@pytest.mark.parametrize("objective", ["P1", "P2"])
+def test_nobody_is_named_where_nobody_leads(objective):
+    none, one, tie = np.full(8, 0.01), np.append(0.9, np.full(7, 0.01)), np.arange(8.0)
+    assert not choose(none, ALIVE, tie, 0.99, objective=objective).any()
+    assert choose(none, ALIVE, tie, 0.0, objective=objective).any()
+    assert choose(one, ALIVE, tie, 0.05, objective=objective).tolist() == [True] + 7 * [False]
+
+
+def test_only_the_living_are_named():
+    probability, alive = np.array([0.9, 0.8, 0.7, 0.2]), np.array([True, False, True, True])
     tie = np.zeros(4)
-    assert choose(probability, alive, Policy(shot_budget=1), tie).tolist() == [True, False, False, False]
-    assert choose(probability, alive, Policy(policy="map"), tie).tolist() == [True, False, True, False]
-    assert choose(probability, alive, Policy(objective="P1"), tie).tolist() == [True, False, False, False]
-    assert not choose(np.full(4, 0.1), alive, Policy(policy="map"), tie).any()
-    assert choose(np.full(4, 0.001), alive, Policy(), tie).sum() >= 1
-    assert not choose(probability, np.zeros(4, bool), Policy(), tie).any()
+    assert choose(probability, alive, tie, 0.0, policy="map").tolist() == [True, False, True, False]
+    assert choose(probability, alive, tie, 0.0, policy="map", objective="P1").tolist() == [True, False, False, False]
+    assert choose(probability, alive, tie, 0.0, objective="P1").tolist() == [True, False, False, False]
+    assert not choose(np.full(4, 0.1), alive, tie, 0.0, policy="map").any()
+    assert not choose(probability, np.zeros(4, bool), tie, 0.0).any()
