@@ -78,8 +78,6 @@ def test_values_of_set_are_json_or_yaml():
         ("mobility", ["iid", "gauss_markov", "smooth_turn", "waypoint", "straight"]),
         ("kinematics", ["unit", "limited"]),
         ("formation", ["uniform", "around", "gathered"]),
-        ("placement", ["grid", "uniform"]),
-        ("fusion", ["union", "majority", "scores"]),
         ("clusterer", ["kmeans", "spectral"]),
         ("suites", ["paper", "controls", "field"]),
     ],

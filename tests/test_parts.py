@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import detectors.clustering  # noqa: F401  # it creates a registry
-import usnet_env.multiagent.sensors  # noqa: F401  # and so does it
 from usnet_env import ArgumentError, parts
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.parts import REGISTRIES, Registry, check_call, describe_error, format_label, parse_label
@@ -94,7 +93,6 @@ def test_what_cannot_be_loaded_says_why(numbers, installed, value, reason):
 SOURCE = """
 import numpy as np
 from detectors.clustering import KMeans as Groups
-from usnet_env.multiagent import Fusion
 from usnet_env.swarm.follow import Lags
 from usnet_env.swarm.mobility import CompiledMobility
 
@@ -103,15 +101,11 @@ class Backwards(Lags):
 
 onwards = CompiledMobility(5, 1)
 corner = lambda rng, roles: np.zeros((len(roles.root), 3))
-middle = lambda rng, observers: np.full((observers, 3), 500.0)
-both = Fusion("candidates", lambda votes, seen: votes.all(axis=0))
 """
 STRANGERS = {
     "follow strategy": "Backwards",
     "mobility": "onwards",
     "formation": "corner",
-    "placement": "middle",
-    "fusion rule": "both",
     "clusterer": "Groups",
 }
 

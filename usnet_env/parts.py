@@ -1,4 +1,4 @@
-"""Named parts: follow strategies, mobilities, formations, fusion rules, … and detectors.
+"""Named parts: follow strategies, mobilities, formations, … and detectors.
 
 A part is found by its name. It belongs to this package; or an installed distribution declares it as an entry point in
 the group of its kind, such as ``usnet.follow_strategies``; or the program registers it in this process. A label, such

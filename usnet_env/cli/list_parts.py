@@ -11,7 +11,7 @@ from usnet_env.config import ArgumentError, MissingExtraError
 from usnet_env.detection import Tags, read_tags
 from usnet_env.parts import REGISTRIES, find_entry_points
 
-_REGISTRIES = ("follow", "mobility", "kinematics", "formation", "placement", "fusion", "clusterer", "format")
+_REGISTRIES = ("follow", "mobility", "kinematics", "formation", "clusterer", "format")
 _WORDS = {  # the paper's strategies; field models tell which assumption they break
     "f1": "copies the last velocity of its head",
     "f2": "copies the sum of the last two velocities of its head",
@@ -57,8 +57,8 @@ def _describe_parts(part: str) -> dict[str, str]:
 
 def _describe_registry(argument: str) -> dict[str, str]:
     """In words, by equation or by docstring, all parts that an argument selects, and the tags of detectors."""
-    import usnet_env.multiagent.sensors
     import usnet_env.plugins
+    import usnet_env.swarm
     import usnet_env.tracks.readers  # noqa: F401  # they create registries
 
     if argument in (modules := find_entry_points("usnet.registries")):

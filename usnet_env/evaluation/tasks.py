@@ -133,7 +133,7 @@ def dumps(value: Any) -> bytes:
     parts = {kind: registry.registered for kind, registry in REGISTRIES.items() if registry.registered}
     modules = {REGISTRIES[kind].home for kind in parts}
     for registered in parts.values():
-        modules |= {getattr(part, "function", getattr(part, "rule", part)).__module__ for part in registered.values()}
+        modules |= {getattr(part, "function", part).__module__ for part in registered.values()}
     return cloudpickle.dumps((modules - {"__main__"}, cloudpickle.dumps((parts, value))))
 
 

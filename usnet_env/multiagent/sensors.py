@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal, Self
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from usnet_env.arrays import Floats, Mask, Singles
 from usnet_env.config import ArgumentError, Config, quote
-from usnet_env.parts import Registry, check_factory
 from usnet_env.swarm import ObservationBatch, SwarmConfig, kernels
 from usnet_env.swarm.config import Few, Metres, Price, Rate
 from usnet_env.swarm.formation import ARENA
@@ -25,7 +24,7 @@ class SensorConfig(Config):
     sensing_range: Price | Sequence[Price] = Field(500.0, description="range of the observers, m; one for all, or each")
     position_noise: Metres | Sequence[Metres] = Field(0.0, description="standard deviation of positions, m; likewise")
     miss_rate: Rate | Sequence[Rate] = Field(0.0, description="probability of a missed detection in range; likewise")
-    placement: str = Field("grid", description="places of the observers: ``grid``, ``uniform``, or a registered name")
+    placement: Literal["grid", "uniform"] = Field("grid", description="places of the observers: ``grid``, ``uniform``")
     message_size: Few = Field(0, description="B, how many numbers each observer sends to all others in a round")
 
     @model_validator(mode="after")
@@ -36,7 +35,6 @@ class SensorConfig(Config):
                 raise ArgumentError(
                     f"{name} must be one number, or one for each of {self.observers} observers, got {quote(value)}."
                 )
-        PLACEMENTS.find(self.placement)
         return self
 
     def expand(self, name: str) -> tuple[float, ...]:
@@ -53,8 +51,7 @@ class SensorConfig(Config):
 
     def draw_positions(self, rng: np.random.Generator) -> Floats:
         """Draw the positions of the observers in an episode, ``(K, 3)`` in metres."""
-        place = PLACEMENTS.find(self.placement)(rng, self.observers)
-        return np.asarray(place, np.float64).reshape(self.observers, 3)
+        return _PLACEMENTS[self.placement](rng, self.observers)
 
 
 def sense_windows(
@@ -111,54 +108,18 @@ def _uniform(rng: np.random.Generator, observers: int) -> Floats:
     return rng.uniform(0.0, ARENA, (observers, 3))
 
 
-Placement = Callable[[np.random.Generator, int], Floats]
-_PLACEMENTS: dict[str, Placement] = {"grid": _grid, "uniform": _uniform}
-
-#: All placements by name: functions ``(rng, K) -> (K, 3)``, positions in metres.
-PLACEMENTS = Registry[Placement]("placement", "placement", "usnet.placements", __name__, check_factory, _PLACEMENTS)
-
-#: Register a placement, so that ``placement=name`` selects it; see :meth:`usnet_env.parts.Registry.register`.
-register_placement = PLACEMENTS.register
-
-
-@dataclass(frozen=True)
-class Fusion:
-    """A rule that combines votes into candidates.
+def combine_votes(fusion: str, votes: Floats, seen: Mask) -> Mask:
+    """Combine the votes of K observers into candidates, ``(..., N)`` bool.
 
     Args:
-        vote: the form of a vote: ``"candidates"``, 0 or 1 for each UAV, or ``"scores"``, a number from 0 to 1 for each.
-        rule: ``(votes (K, N) float64, seen (K, N) bool) -> candidates (N,) bool``. ``seen`` marks the living UAVs that
-            each observer saw; its votes for all other UAVs have already been set to 0.
-        description: one line for lists and documentation.
+        fusion: ``"union"`` of the UAVs that they name, ``"majority"`` of the observers that saw a UAV, or ``"scores"``,
+            whose mean over these observers must exceed 1/2.
+        votes: ``(..., K, N)``, 0 or 1 for each UAV, or a score from 0 to 1; 0 for UAVs that an observer didn't see.
+        seen: ``(..., K, N)``, the living UAVs that each observer saw.
     """
-
-    vote: Literal["candidates", "scores"]
-    rule: Callable[[Floats, Mask], Mask]
-    description: str = ""
-
-
-def _combine_any(votes: Floats, _seen: Mask) -> Mask:
-    return np.asarray((votes > 0.5).any(axis=0))
+    if fusion == "union":
+        return np.asarray((votes > 0.5).any(axis=-2))
+    return np.asarray(votes.sum(axis=-2) > 0.5 * seen.sum(axis=-2))
 
 
-def _combine_majority(votes: Floats, seen: Mask) -> Mask:
-    return np.asarray(votes.sum(axis=0) > 0.5 * seen.sum(axis=0))
-
-
-def _accept_fusion(rule: Any, subject: str = "rule") -> Fusion:
-    if not isinstance(rule, Fusion) or rule.vote not in ("candidates", "scores"):
-        raise ArgumentError(f"{subject} must be a Fusion of candidates or scores, got {quote(rule)}.")
-    return rule
-
-
-_OWN = {
-    "union": Fusion("candidates", _combine_any, "UAVs that at least one observer names"),
-    "majority": Fusion("candidates", _combine_majority, "UAVs that more than half of the observers that saw them name"),
-    "scores": Fusion("scores", _combine_majority, "UAVs whose mean score over the observers that saw them exceeds 0.5"),
-}
-
-#: All fusion rules by name.
-FUSIONS = Registry("fusion rule", "fusion", "usnet.fusions", __name__, _accept_fusion, _OWN)
-
-#: Register a fusion rule, so that ``fusion=name`` selects it; see :meth:`usnet_env.parts.Registry.register`.
-register_fusion = FUSIONS.register
+_PLACEMENTS = {"grid": _grid, "uniform": _uniform}

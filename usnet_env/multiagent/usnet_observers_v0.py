@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from gymnasium import spaces
@@ -16,7 +16,7 @@ from usnet_env.envs import game
 from usnet_env.envs.usnet import OBSERVATION
 from usnet_env.multiagent import base
 from usnet_env.multiagent.batch import OBSERVER, WINDOW, ByRole, GameBatch, Observations
-from usnet_env.multiagent.sensors import FUSIONS, SensorConfig, sense_windows
+from usnet_env.multiagent.sensors import SensorConfig, combine_votes, sense_windows
 from usnet_env.swarm import SwarmConfig, SwarmState, advance
 from usnet_env.swarm.config import MobilityArguments
 
@@ -24,7 +24,7 @@ from usnet_env.swarm.config import MobilityArguments
 class BatchArguments(base.GameArguments, MobilityArguments, SensorConfig):
     """The arguments of :class:`batch_env`."""
 
-    fusion: str = Field("union", description="``union``, ``majority``, ``scores``, or a registered rule")
+    fusion: Literal["union", "majority", "scores"] = Field("union", description="``union``, ``majority``, ``scores``")
 
 
 class ObserversArguments(game.RenderArguments, BatchArguments):
@@ -36,7 +36,7 @@ class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
 
     def __init__(self, num_envs: int, **arguments: Any) -> None:
         given = BatchArguments(**arguments)
-        self.fusion, self.sensor_config = FUSIONS.find(given.fusion), given.part(SensorConfig)
+        self.fusion, self.sensor_config = given.fusion, given.part(SensorConfig)
         rules = given.make_rules()
         config = given.part(SwarmConfig, position_noise=0.0, miss_rate=0.0)  # the observers have their own
         count, uavs, self._size = given.observers, given.uavs, given.message_size
@@ -51,9 +51,9 @@ class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
         shape |= {"legal": spaces.MultiBinary(uavs), "place": spaces.Box(-far, far, (3,), np.float32)}
         if self._size:
             shape["messages"] = spaces.Box(0, 1, (count, self._size), np.float32)
-        vote: spaces.Space[Any] = spaces.Box(0, 1, (uavs + self._size,), np.float32)
-        if self.fusion.vote == "candidates":
-            vote = spaces.MultiBinary(uavs + self._size)
+        vote: spaces.Space[Any] = spaces.MultiBinary(uavs + self._size)
+        if self.fusion == "scores":
+            vote = spaces.Box(0, 1, (uavs + self._size,), np.float32)
         super().__init__(num_envs, config, rules, {OBSERVER: (count, spaces.Dict(shape), vote)})
         self._noise: list[list[np.random.Generator]] = [[] for _ in range(num_envs)]  # of each observer of each game
         self.places = np.zeros((num_envs, count, 3))  #: of the observers in metres
@@ -74,11 +74,9 @@ class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
 
     def _combine(self, actions: ByRole) -> tuple[Mask, Floats]:
         """Combine the votes for UAVs that the observers see."""
-        seen, uavs = self._find_seen(), self.config.uavs
-        votes = actions[OBSERVER][..., :uavs] * seen
-        pairs = zip(votes, seen, strict=True)
-        named = np.stack([np.asarray(self.fusion.rule(*pair), bool).reshape(uavs) for pair in pairs])
-        return named, votes.sum(axis=1)
+        seen = self._find_seen()
+        votes = actions[OBSERVER][..., : self.config.uavs] * seen
+        return combine_votes(self.fusion, votes, seen), votes.sum(axis=1)
 
     def _respond(self, actions: ByRole) -> ByRole:
         self._messages = actions[OBSERVER][..., self.config.uavs :].astype(np.float32)
@@ -106,7 +104,7 @@ class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
     def parse(self, role: str, action: Any, lead: tuple[int, ...], name: str) -> Floats:
         """Convert votes to numbers from 0 to 1: one for each UAV, then the message."""
         shape = (*lead, self.config.uavs + self._size)
-        if self.fusion.vote == "candidates":
+        if self.fusion != "scores":
             return game.parse_candidates(action, shape, name).astype(np.float64)
         values = np.asarray(action)
         if values.shape != shape or values.dtype.kind not in "biuf" or not ((values >= 0) & (values <= 1)).all():
