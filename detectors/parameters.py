@@ -16,7 +16,6 @@ from usnet_env.window import Window
 
 Count = Annotated[int, Field(ge=1, le=100_000)]  # a number of UAVs, clusters or steps
 Lags = Annotated[int, Field(ge=1, le=1000)]  # a number of samples of the past
-Seconds = Annotated[float, Field(gt=0, le=1e9)]
 
 
 @dataclass_transform(eq_default=False)
@@ -88,12 +87,3 @@ def check_clusters(window: Window, clusters: int | None) -> None:
     """Refuse more clusters than the window has UAVs."""
     if clusters is not None and clusters > window.uavs:
         raise ArgumentError(f"clusters must be at most the number of UAVs, {window.uavs}, got {clusters}.")
-
-
-def count_lags(window: Window, max_lag: int, max_delay: float | None) -> int:
-    """The longest delay in samples: ``max_lag``, or as many as ``max_delay`` seconds hold, at least 1."""
-    if max_delay is None:
-        return max_lag
-    if window.step is None:
-        raise ArgumentError("max_delay must be None in a window that doesn't know its step, got a simulated one.")
-    return max(1, round(min(max_delay / window.step, window.observation_steps)))

@@ -109,7 +109,7 @@ class _PlainTypes(ast.NodeTransformer):
         return ast.Name(ast.literal_eval(node.args[0])) if ast.unparse(node.func) == "TypeAliasForwardRef" else node
 
     def visit_Name(self, node: ast.Name) -> Any:
-        return ast.Name({"Count": "int", "Lags": "int", "Seconds": "float"}.get(node.id, node.id))
+        return ast.Name({"Count": "int", "Lags": "int"}.get(node.id, node.id))
 
 
 def _shorten(_app: Any, _what: str, _name: str, _obj: Any, _options: Any, signature: str | None, back: Any) -> Any:

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field
 
 from detectors.base import Detector
-from detectors.parameters import Lags, Seconds, count_lags
+from detectors.parameters import Lags
 from detectors.series.designs import centre_columns, check_pairs, check_steps, scale_to_unit
 from detectors.series.regressions import correlate_at_lag
 from detectors.series.votes import find_trees, spread
@@ -59,7 +59,6 @@ class NetworkDetector(Detector):
 
     Args:
         max_lag: L, the largest delay in samples, at least 1; a quarter of the window at most.
-        max_delay: the largest delay in seconds instead; the window must know its step. ``None``: ``max_lag`` holds.
         level: false discovery rate of the followers: the expected share of them that follow no UAV. In a window in
             which no UAV leads, the probability that any is named.
     """
@@ -68,7 +67,6 @@ class NetworkDetector(Detector):
     _gated: ClassVar[bool] = True  # whether pairs must be related to be compared
 
     max_lag: Lags = 4
-    max_delay: Seconds | None = None
     level: Annotated[float, Field(ge=1e-9, lt=1)] = 0.01
 
     @abstractmethod
@@ -91,7 +89,7 @@ class NetworkDetector(Detector):
         self.check_arguments()
         check_pairs(window.uavs)
         check_steps(window, 4)
-        lags = max(1, min(count_lags(window, self.max_lag, self.max_delay), window.observation_steps // 4))
+        lags = max(1, min(self.max_lag, window.observation_steps // 4))
         living = np.flatnonzero(window.alive & window.velocity_seen.any(axis=0))
         if len(living) < 2:
             return _describe(window, living, Pairs(*np.full((2, len(living), len(living)), -np.inf)), np.inf)

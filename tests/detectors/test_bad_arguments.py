@@ -15,7 +15,7 @@ BAD = {
     "lagged-regression": {"clusters": 2.5, "lags": "4", "squares": 1, "ridge": float("nan")},
     "granger": {"own_lags": -1},
     "factions": {"max_lag": 0, "threshold": 1.5},
-    "directional-delays": {"max_delay": 0.0},
+    "directional-delays": {"max_lag": 0},
     "mflica": {"level": 1.0},
     "gassl": {
         "top_k": 0,
