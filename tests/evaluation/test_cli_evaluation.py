@@ -24,7 +24,7 @@ def played(run, tmp_path):
     return words, tmp_path / "run"
 
 
-def test_one_ranked_table_and_a_sentence_and_json_and_all_metrics(run, played):
+def test_one_ranked_table_and_json_and_all_metrics(run, played):
     words, folder = played
     status, out, err = run(*words)
     assert (status, err) == (0, f"Rows and arguments are in {folder}.\n")
@@ -32,7 +32,6 @@ def test_one_ranked_table_and_a_sentence_and_json_and_all_metrics(run, played):
     assert max(map(len, lines)) <= 80
     assert lines == [line.rstrip() for line in lines]
     assert next(line.split()[0] for line in lines[3:8]) == "destroy-all"
-    assert lines[-1] == "destroy-all has the lowest J_m: 1.850 in every episode."
     status, out, err = run(*words, "--json")
     assert (status, err) == (0, "")
     summary = json.loads(out)
@@ -108,7 +107,7 @@ def test_a_detector_that_fails_everywhere_gives_status_2_and_one_sentence(run, m
     ]
     status, out, err = run(*words)
     assert status == 2
-    assert "none has a J_m" in out
+    assert "\nnone " in out
     assert err.startswith("usnet: detector 'sample_detectors:FailingWithOne' failed in ")
     assert err.count("\n") == 1
     assert len(err) < 320

@@ -119,7 +119,6 @@ def _show_result(result: EvaluationResult, form: str) -> None:
     show(result.table() if form == "all" else result.ranking())
     if form == "all" and len(result.cells) > 1:
         show(result.table("exact"))
-    click.echo(result.conclusion())
 
 
 @click.command(short_help="Print the tables of a run, and compare detectors.")

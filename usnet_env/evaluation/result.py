@@ -166,10 +166,6 @@ class EvaluationResult:
         """Create a table for a terminal of 80 columns: the detectors by J (in recorded tracks F1), best first."""
         return tables.make_table(f"{self._title}: means, best first", *tables.list_ranking(self._ranked))
 
-    def conclusion(self) -> str:
-        """State which detector has the best J, which intervals overlap its interval, and which detectors failed."""
-        return tables.conclude(self._ranked)
-
     def to_markdown(self, metrics: Sequence[str] | str | None = None) -> str:
         """The means and 95 % intervals as a table in Markdown.
 

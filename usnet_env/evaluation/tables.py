@@ -1,4 +1,4 @@
-"""Tables of a summary, and the sentence that it supports: for a terminal, and as Markdown."""
+"""Tables of a summary: for a terminal, and as Markdown."""
 
 from __future__ import annotations
 
@@ -120,33 +120,3 @@ def make_table(title: str, header: Sequence[str], lines: Iterable[Iterable[objec
     for line in lines:
         table.add_row(*(Text(printable(cell)) for cell in line))
     return table
-
-
-def conclude(summary: Summary) -> str:
-    """State which detector has the best J (in recorded tracks F1), and which others are not separated from it.
-
-    Others are not separated from it if their 95 % interval overlaps its interval. Detectors that failed in an episode
-    are left out, and named in a second sentence.
-    """
-    column, metric, sign = first_metric(summary)
-    found = {entry["detector"]: entry["metrics"][column] for entry in rank(summary) if not entry["failed"]}
-    text = "No detector has played all episodes."
-    if found:
-        best, *others = found
-        low, high = found[best]["low"], found[best]["high"]
-        names = [best, *(name for name in others if found[name] == found[best])]
-        near = [
-            name for name in others if name not in names and found[name]["low"] <= high and low <= found[name]["high"]
-        ]
-        extreme = "lowest" if sign == 1 else "highest"
-        text = f"{' and '.join(names)} {'have' if names[1:] else 'has'} the {extreme} {metric}: "
-        text = text if others else f"{best} has a {metric} of "
-        text += format_interval(found[best], "{} (95 % interval {}–{})")
-        text += " in every episode" * (low == high)
-        text += f", which overlaps with that of {', '.join(near)}." if near else "."
-    failed = [
-        f"{entry['detector']} failed in {entry['failed']} of {entry['failed'] + entry['episodes']} episodes"
-        for entry in summary
-        if entry["failed"]
-    ]
-    return printable(f"{text} {'; '.join(failed)}." if failed else text)
