@@ -23,7 +23,6 @@ from sklearn.model_selection import GroupKFold
 from usnet_env import Window, make_detector
 from usnet_env.arrays import Floats
 from usnet_env.evaluation import load_suite
-from usnet_env.evaluation.environments import make_environment
 from usnet_env.evaluation.play import episode_seeds
 
 TRACKS, FEWEST, FOLDS = 3200, 40, 5  # about so many tracks of a cell, of at least so many swarms
@@ -47,18 +46,16 @@ def describe_tracks(window: Window) -> Floats:
 
 def play(game: Game) -> list[dict[str, Any]]:
     """Fly the swarms of a cell, and train and ask the classifier by cross-validation; one row a swarm."""
-    suite = load_suite(game["suite"])
-    cell = suite.cells[game["cell"]]
-    env: Any = make_environment(cell.env, cell.arguments)
+    suite, env = load_suite(game["suite"]), shared.open_cell(game["suite"], game["cell"])
     tracks, heads, named = [], [], []
-    swarms = max(FEWEST, TRACKS // cell.arguments.get("uavs", 82))
+    swarms = max(FEWEST, TRACKS // env.config.uavs)
     for swarm in range(swarms):
         seed, other = episode_seeds(suite.tuning_seed, swarm)
         window = Window.from_observation(env.reset(seed=seed)[0])
         untrained = make_detector("gassl(steps=0)")
         untrained.reset(other)
         tracks.append(describe_tracks(window))
-        heads.append(env.unwrapped.swarm.head.copy())
+        heads.append(env.swarm.head)
         named.append(heads[-1][untrained.detect(window).candidates].all())
     group, truth = np.repeat(np.arange(swarms), [len(each) for each in heads]), np.concatenate(heads)
     numbers, score = np.concatenate(tracks), np.zeros(len(truth))

@@ -104,14 +104,6 @@ class Answering(Base):
         return self.answer
 
 
-class Predicting:
-    def __init__(self, answer):
-        self.answer = answer
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=False):
-        return self.answer, state
-
-
 class FailingWithOne(Base):
     """Raises in every round, in worker processes as well as in this one."""
 
@@ -148,32 +140,3 @@ class Slow(RandomThird):
     def detect(self, window):
         time.sleep(0.05)
         return super().detect(window)
-
-
-class Policy:
-    """A policy with Stable-Baselines3's ``predict``: names one UAV a round, and checks its arguments."""
-
-    def __init__(self):
-        self.starts = 0
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=False):
-        assert deterministic
-        assert episode_start.shape == (1,)
-        assert bool(episode_start[0]) == (state is None)
-        self.starts += int(episode_start[0])
-        number = 0 if state is None else state[0]
-        action = np.zeros(len(observation["alive"]), np.float32)
-        action[number % len(action)] = 1
-        return action, (number + 1,)
-
-
-class MaskedPolicy:
-    """Takes action masks, and names the first UAV that they allow."""
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=False, action_masks=None):
-        allowed = action_masks.reshape(-1, 2)
-        assert allowed[:, 0].all()
-        assert np.array_equal(allowed[:, 1], observation["alive"])
-        action = np.zeros(len(allowed), np.int8)
-        action[np.flatnonzero(allowed[:, 1])[0]] = 1
-        return action, state

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import sys
+from types import SimpleNamespace
 
 import gymnasium as gym
 import numpy as np
 import pytest
 from pandas.testing import assert_frame_equal
-from sample_detectors import AllAlive, Followed, MaskedPolicy, NoUav, Policy, RandomThird, Recorder, untimed
+from sample_detectors import AllAlive, Followed, NoUav, RandomThird, Recorder, untimed
 
 import usnet_env
 from usnet_env import ArgumentError, evaluate
@@ -84,7 +85,7 @@ def test_swarm_and_detector_seeds_come_from_two_branches(seed):
 
 @pytest.fixture(scope="module")
 def played_here():
-    detectors = [RandomThird(), "lagged-correlation(clusters=3)", Policy(), Followed(2)]
+    detectors = [RandomThird(), "lagged-correlation(clusters=3)", NoUav(), Followed(2)]
     return detectors, evaluate(MULTI, detectors, episodes=4, seed=1, env_kwargs=SMALL)
 
 
@@ -103,24 +104,16 @@ def test_where_episodes_are_played_changes_no_row(how, count, played_here):
     assert_frame_equal(untimed(there), untimed(here)[: 4 * count])
 
 
-def test_policies_in_stable_baselines_form_are_evaluated():
-    policy = Policy()
-    result = evaluate(MULTI, [policy, MaskedPolicy()], episodes=2, env_kwargs=SMALL | {"max_rounds": 20})
-    assert result["Policy"]["success"]["mean"] == result["MaskedPolicy"]["success"]["mean"] == 1
-    assert "purity_first" not in result["Policy"]
-    assert policy.starts == 3  # two episodes and the warm-up
-
-
-def test_an_environment_object_is_used_and_stays_open(tmp_path):
-    env = gym.make(MULTI, **SMALL)
-    ours = evaluate(env, RandomThird(), episodes=2, out=tmp_path)
-    theirs = evaluate(f"usnet_env:{MULTI}", RandomThird(), episodes=2, env_kwargs=SMALL)
-    assert_frame_equal(untimed(ours).drop(columns="cell"), untimed(theirs).drop(columns="cell"))
-    env.reset(seed=0)
-    evaluate(env, RandomThird(), episodes=2, out=tmp_path)  # the same arguments
-    with pytest.raises(ArgumentError, match=r"^env_kwargs must be empty and workers 1"):
-        evaluate(env, NoUav(), workers=2)
-    with pytest.raises(ArgumentError, match=r"^env must be"):
+def test_what_gym_made_is_made_again_with_its_arguments():
+    env = gym.make(MULTI, render_mode="rgb_array", **SMALL)
+    ours, theirs = (
+        evaluate(env, RandomThird(), episodes=2),
+        evaluate(MULTI, RandomThird(), episodes=2, env_kwargs=SMALL),
+    )
+    assert_frame_equal(untimed(ours), untimed(theirs))
+    with pytest.raises(ArgumentError, match=r"^env must be an id or made by gym.make"):
+        evaluate(env.unwrapped.__class__(), NoUav())
+    with pytest.raises(ArgumentError, match=r"^env must be a USNET environment"):
         evaluate(gym.make("CartPole-v1"), NoUav())
 
 
@@ -190,6 +183,7 @@ def test_the_summary_is_plain_json_of_the_promised_form():
         ({"env": "USNET/Multi"}, "env"),
         ({"env": "nowhere:X-v0"}, "env"),
         ({"env": 3}, "env"),
+        ({"env": "CartPole-v1", "env_kwargs": {}}, "env must be a USNET environment"),
         ({"out": ""}, "out"),
         ({"detector": []}, "detector"),
         ({"detector": {"a\nb": NoUav()}}, "detector"),
@@ -199,6 +193,7 @@ def test_the_summary_is_plain_json_of_the_promised_form():
         ({"detector": "random(seeed=1)"}, "seeed"),
         ({"detector": NoUav}, "detector"),
         ({"detector": object()}, "detector"),
+        ({"detector": SimpleNamespace(predict=max)}, "PolicyDetector makes one of a policy"),
         ({"detector": type("WithoutReset", (), {"detect": print})()}, "detector"),
     ],
 )

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pandas.testing import assert_frame_equal
-from sample_detectors import AllAlive, Answering, Ending, FailingWithOne, Predicting, untimed
+from sample_detectors import AllAlive, Answering, Ending, FailingWithOne, untimed
 
 from usnet_env import ArgumentError, Detection, evaluate
 from usnet_env.evaluation import METRICS, EvaluationResult
@@ -56,9 +56,6 @@ def test_a_failure_names_the_line_of_the_detector_and_no_folder(detector, how):
         (Answering(SystemExit(0)), "SystemExit: 0"),
         (Answering(ArgumentError("clusters must be 3.")), "its warm-up: clusters must be 3 ("),
         (Answering(IndexError("a\nb")), "its warm-up: IndexError: a b ("),
-        (Predicting(np.full(20, 0.5)), "20 values 0 and 1"),
-        (Predicting(np.full(20, "a")), "20 values 0 and 1"),
-        (Predicting(np.zeros(3)), "20 values 0 and 1"),
         ("sample_detectors:Answering(answer=3)", "usnet_env.Detection"),
     ],
 )

@@ -25,9 +25,8 @@ torchrl|torchrl tensordict pettingzoo|tests/frameworks
 benchmarl|benchmarl torchrl pettingzoo|tests/frameworks
 tianshou|tianshou|tests/frameworks
 minari|minari h5py torch|tests/frameworks
-supersuit|supersuit stable_baselines3 pettingzoo|tests/frameworks
 "
-foreign="benchmarl matplotlib minari pettingzoo ray rerun sb3_contrib stable_baselines3 supersuit tensordict tianshou torch torchrl"
+foreign="benchmarl matplotlib minari pettingzoo ray rerun sb3_contrib stable_baselines3 tensordict tianshou torch torchrl"
 
 # field NAME 2|3: the modules or the tests of an extra
 field() {

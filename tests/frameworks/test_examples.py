@@ -9,7 +9,6 @@ import pytest
 EXAMPLES = {
     "ppo": ("torch", "--steps 1024 --episodes 2", ["PPO", "regression", "random"]),
     "torchrl_ppo": ("torchrl", "--steps 1024 --episodes 2", ["PPO", "regression"] * 2),
-    "supersuit_ppo": ("supersuit", "--steps 768 --games 2", ["PPO", "regression", "random"]),
     "minari_imitation": ("minari", "--games 3 --updates 2 --episodes 2", ["student", "teacher"] * 2),
 }
 pytestmark = [

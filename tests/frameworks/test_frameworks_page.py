@@ -14,7 +14,6 @@ NEEDED = {
     "BenchMARL": ["benchmarl"],
     "Tianshou": ["tianshou"],
     "Minari": ["minari", "torch"],
-    "SuperSuit": ["supersuit", "stable_baselines3"],
 }
 QUICK, SLOW = "Stable-Baselines3", ([], [pytest.mark.slow])  # each framework takes seconds to import
 

@@ -1,17 +1,14 @@
-"""One interface for everything that can be evaluated: an agent is reset, then answers one observation a round."""
+"""One interface for detectors here and in child processes: an agent is reset, then answers one observation a round."""
 
 from __future__ import annotations
 
 import copy
-import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, TypeAlias
-
-import numpy as np
 
 from usnet_env.config import ArgumentError, named_values, quote
 from usnet_env.detection import Detection, ask
-from usnet_env.parts import named_parameters, parse_label
+from usnet_env.parts import parse_label
 from usnet_env.plugins import DETECTORS, detector_label, make_detector
 from usnet_env.window import Window
 
@@ -49,73 +46,13 @@ class DetectorAgent:
         agent.answer(observation)
 
 
-class PolicyAgent:
-    """An object with the ``predict`` method of Stable-Baselines3, called with ``deterministic=True``.
-
-    Its candidates serve as scores. Its own random numbers are not seeded here. An argument ``action_masks`` receives
-    the mask of the UAVs that are alive. A model that was trained behind ``VecNormalize`` receives normalised
-    observations, with the means and variances that it had at the end of its training.
-    """
-
-    def __init__(self, policy: Any) -> None:
-        self.policy = policy
-        self._masked = "action_masks" in named_parameters(policy.predict)
-        normaliser = getattr(policy, "get_vec_normalize_env", lambda: None)()
-        self._normaliser = normaliser if getattr(normaliser, "norm_obs", True) else None
-        self.reset(0)
-
-    def reset(self, seed: int) -> None:
-        """Start an episode with an empty state; the seed is not used."""
-        self._state: Any = None
-        self._start = True
-
-    def answer(self, observation: Any) -> tuple[Detection, float]:
-        """Return the policy's action; only the call of ``predict`` is timed."""
-        seen = observation if self._normaliser is None else self._normaliser.normalize_obs(observation)
-        given: dict[str, Any] = {}
-        if self._masked:  # (2 N,): 0 is allowed for every UAV, 1 for those that are alive
-            alive = np.asarray(observation["alive"], bool)
-            given["action_masks"] = np.stack([np.ones(len(alive), bool), alive], axis=1).ravel()
-        begin = time.perf_counter()
-        action, self._state = self.policy.predict(
-            seen, state=self._state, episode_start=np.array([self._start]), deterministic=True, **given
-        )
-        seconds = time.perf_counter() - begin
-        self._start = False
-        values = np.asarray(action)
-        uavs = len(observation["alive"]) if isinstance(observation, Mapping) else values.size
-        if values.shape != (uavs,) or not np.isin(values, (0, 1)).all():
-            raise ArgumentError(f"predict must return an action of {uavs} values 0 and 1, got {quote(action)}.")
-        return Detection(values, values), seconds
-
-    def warm_up(self, observation: Any) -> None:
-        """Answer once and discard the state that ``predict`` returns."""
-        PolicyAgent(self.policy).answer(observation)
-
-
-def as_agent(detector: Any) -> Agent:
-    """Wrap a detector, its name, or an object with ``predict``, as an agent; anything else is refused."""
-    if isinstance(detector, str):
-        detector = make_detector(detector)
-    if not isinstance(detector, type):
-        if all(callable(getattr(detector, name, None)) for name in ("detect", "reset")):
-            return DetectorAgent(detector)
-        if callable(getattr(detector, "predict", None)):
-            return PolicyAgent(detector)
-    raise ArgumentError(
-        f"detector must be a name, an object with detect and reset, or an object with predict, got {quote(detector)}."
-    )
-
-
-def find_label(given: Any) -> str:
-    """The label of what is a detector's name, a detector or a policy."""
-    return detector_label(given) if isinstance(given, str) or hasattr(type(given), "detect") else type(given).__name__
-
-
-def check_labels(argument: str, labels: Sequence[str]) -> None:
-    """Refuse labels that are missing, equal or not printable."""
-    if not labels or len({*labels}) < len(labels) or not all(label and label.isprintable() for label in labels):
-        raise ArgumentError(f"{argument} must have different labels of printable characters, got {quote(labels)}.")
+def as_agent(detector: Any) -> DetectorAgent:
+    """Wrap a detector, or that of a name, as an agent; anything else is refused."""
+    made = make_detector(detector) if isinstance(detector, str) else detector
+    if isinstance(made, type) or not all(callable(getattr(made, name, None)) for name in ("detect", "reset")):
+        hint = " (detectors.policy_detector.PolicyDetector makes one of a policy)" * hasattr(made, "predict")
+        raise ArgumentError(f"detector must be a name or an object with detect and reset, got {quote(detector)}{hint}.")
+    return DetectorAgent(made)
 
 
 def label_detectors(detector: Any, trivial: bool, isolated: bool) -> dict[str, Any]:
@@ -129,10 +66,9 @@ def label_detectors(detector: Any, trivial: bool, isolated: bool) -> dict[str, A
         labels, several = list(named), list(named.values())
     else:
         several = list(detector) if isinstance(detector, list | tuple) else [detector]
-        labels = [find_label(given) for given in several]
-    check_labels("detector", labels)
-    found = dict(zip(labels, several, strict=True))
-    found |= {name: name for name in TRIVIAL if trivial and name not in found}
+        known = [isinstance(given, str) or hasattr(type(given), "detect") for given in several]
+        labels = [detector_label(given) if is_one else "" for given, is_one in zip(several, known, strict=True)]
+    found = dict(zip(labels, several, strict=True)) | {name: name for name in TRIVIAL if trivial and name not in labels}
     for given in found.values():
         try:
             if not isolated or not isinstance(given, str):
@@ -143,4 +79,6 @@ def label_detectors(detector: Any, trivial: bool, isolated: bool) -> dict[str, A
             raise
         except (Exception, SystemExit):  # the constructor of another package may raise anything
             continue
+    if not labels or len({*labels}) < len(labels) or not all(label and label.isprintable() for label in labels):
+        raise ArgumentError(f"detector must have different labels of printable characters, got {quote(labels)}.")
     return found

@@ -21,7 +21,7 @@ _MEGABYTE = 1_000_000
 
 
 class ChildDetector:
-    """A copy of a detector or a policy in a process of its own, as an agent.
+    """A copy of a detector in a process of its own, as an agent.
 
     Args:
         detector: a name as :func:`usnet_env.make_detector` takes it, or an object.

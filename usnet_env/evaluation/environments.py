@@ -1,4 +1,4 @@
-"""Create, check and describe environments by id; every refusal is one sentence."""
+"""Create and describe environments by id; every refusal is one sentence."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ def usnet_ids() -> list[str]:
 
 
 def make_environment(env_id: str, env_kwargs: Mapping[str, Any]) -> gym.Env[Any, Any]:
-    """Create the environment of this id, with or without its module: ``"usnet_env:USNET/MultiCluster-v0"``."""
+    """Create the environment of this id, with or without its module: ``"usnet_env:USNET/MultiCluster-v0"``.
+
+    What has no ``swarm`` and ``problem`` to score an answer is refused, and recorded tracks whose leaders are unknown.
+    """
     module, _, name = env_id.rpartition(":")
     try:
         import_module(module or __name__)
@@ -30,18 +33,13 @@ def make_environment(env_id: str, env_kwargs: Mapping[str, Any]) -> gym.Env[Any,
     if "render_mode" in env_kwargs:
         raise ArgumentError("render_mode must be left out: an evaluation draws no pictures.")
     env: gym.Env[Any, Any] = gym.make(name, disable_env_checker=True, **env_kwargs)
-    check_environment(env)
-    return env
-
-
-def check_environment(env: Any) -> None:
-    """Refuse what has no ``swarm`` and ``problem`` to score an answer, or recorded tracks whose leaders are unknown."""
-    if not isinstance(env, gym.Env) or not all(hasattr(type(env.unwrapped), name) for name in ("swarm", "problem")):
-        raise ArgumentError(f"env must be a USNET environment ({', '.join(usnet_ids())}), got {quote(env)}.")
+    if not all(hasattr(type(env.unwrapped), attribute) for attribute in ("swarm", "problem")):
+        raise ArgumentError(f"env must be a USNET environment ({', '.join(usnet_ids())}), got {quote(env_id)}.")
     if not getattr(env.unwrapped, "labelled", True):
         raise ArgumentError(
             "env must know the leaders to score detectors, got tracks without a column 'leader' that names their ids."
         )
+    return env
 
 
 def describe_environments() -> dict[str, str]:

@@ -14,10 +14,8 @@ import numpy as np
 from usnet_env import objectives
 from usnet_env.detection import Detection
 from usnet_env.envs.play import PlayedRound, play_rounds
-from usnet_env.evaluation.agents import Agent, as_agent
+from usnet_env.evaluation.agents import Agent
 from usnet_env.evaluation.tasks import EvaluationError, describe_failure
-
-__all__ = ["Agent", "as_agent", "episode_seeds", "play_episode", "record_metrics"]
 
 Row = dict[str, Any]
 

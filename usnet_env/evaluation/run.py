@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing
 from itertools import product
 from os import PathLike
@@ -12,10 +12,10 @@ from typing import Any, Literal, NamedTuple
 import gymnasium as gym
 from pydantic import Field
 
-from usnet_env.config import ArgumentError, Config, describe_arguments, named_values, quote, unknown_name
+from usnet_env.config import ArgumentError, Config, named_values, quote, unknown_name
 from usnet_env.evaluation.agents import TRIVIAL, Agent, as_agent, label_detectors
 from usnet_env.evaluation.child import ChildDetector
-from usnet_env.evaluation.environments import check_environment, make_environment
+from usnet_env.evaluation.environments import make_environment
 from usnet_env.evaluation.folder import COLUMNS, RunFolder
 from usnet_env.evaluation.play import TRACK_METRICS, Row, detector_step, episode_seeds, play_episode, row_keys
 from usnet_env.evaluation.result import EvaluationResult
@@ -24,7 +24,7 @@ from usnet_env.evaluation.tasks import EvaluationError, map_tasks
 from usnet_env.files import as_path
 from usnet_env.progress import progress_bar
 
-__all__ = ["TRIVIAL", "RunArguments", "Task", "evaluate", "evaluate_suite", "map_tasks", "play_run"]
+__all__ = ["TRIVIAL", "evaluate", "evaluate_suite", "map_tasks"]
 
 
 class RunArguments(Config):
@@ -56,13 +56,10 @@ class Task(NamedTuple):
 
 
 class DetectorPlayer:
-    """Plays tasks in one process, with the agent of one detector in one cell at a time, which is warmed up first.
+    """Plays tasks in one process, with the agent of one detector in one cell at a time, which is warmed up first."""
 
-    ``make`` returns the environment of the cell with a name.
-    """
-
-    def __init__(self, make: Callable[[str], Any], detectors: Mapping[str, Any], how: RunArguments) -> None:
-        self.make, self.detectors, self.how = make, detectors, how
+    def __init__(self, cells: Mapping[str, Cell], detectors: Mapping[str, Any], how: RunArguments) -> None:
+        self.cells, self.detectors, self.how = cells, detectors, how
         self._env: Any = None
         self._agent: Agent = None
         self._place = ("", "")  # the cell and the label of the agent
@@ -86,7 +83,8 @@ class DetectorPlayer:
         """Make the agent, and the environment if the cell is another one than before."""
         self.close()
         if self._place[0] != task.cell:
-            self._env = self.make(task.cell)
+            cell = self.cells[task.cell]
+            self._env = make_environment(cell.env, cell.arguments)
         self._place, self._broken = task[:2], None
         try:
             with detector_step(task.label, "its constructor"):
@@ -99,7 +97,7 @@ class DetectorPlayer:
             self._broken = error
 
     def close(self) -> None:
-        """End the child process."""
+        """End the child process, if there is one."""
         if isinstance(self._agent, ChildDetector):
             self._agent.close()
         self._agent = None
@@ -131,9 +129,10 @@ def evaluate(
     is a row with the reason in its column ``error`` and without metrics. The other episodes and detectors go on.
 
     Args:
-        env: a registered id, or an environment object (which allows one worker only, and is not closed).
-        detector: a name as :func:`usnet_env.make_detector` takes it, a detector, an object with the ``predict`` method
-            of Stable-Baselines3, a list of these, or a mapping of the labels that they get: ``{"my PPO": model}``.
+        env: a registered id, with or without its module: ``"my_module:Mine-v0"``; or what ``gym.make`` returned, which
+            is made again from its id and arguments, without other wrappers.
+        detector: a name as :func:`usnet_env.make_detector` takes it, a detector, a list of these, or a mapping of the
+            labels that they get: ``{"my PPO": PolicyDetector(model.policy)}``.
         episodes: number of episodes for each detector.
         seed: seed of the whole evaluation.
         env_kwargs: arguments of the environment.
@@ -159,16 +158,12 @@ def evaluate(
         isolate=isolate, time_limit=time_limit, memory_limit=memory_limit,
     )  # fmt: skip
     arguments = named_values("env_kwargs", env_kwargs)
-    if isinstance(env, str):
-        return _evaluate_cells({env: Cell(env=env, arguments=arguments)}, detector, how, out)
-    check_environment(env)
-    if arguments or how.workers > 1:
-        raise ArgumentError("env_kwargs must be empty and workers 1 if env is an environment object.")
-    game: Any = env.unwrapped
-    name = type(game).__name__ if env.spec is None else env.spec.id
-    config = getattr(game, "widest_config", getattr(game, "config", None))  # of a field, not of its last episode
-    arguments = {} if config is None else describe_arguments(config)
-    return _evaluate_cells({name: Cell(env=name, arguments=arguments)}, detector, how, out, env=env)
+    if isinstance(env, gym.Env):
+        if env.spec is None:
+            raise ArgumentError(f"env must be an id or made by gym.make, got {quote(env)}.")
+        made = {name: value for name, value in env.spec.kwargs.items() if name != "render_mode"}
+        env, arguments = env.spec.id, made | arguments
+    return _evaluate_cells({env: Cell(env=env, arguments=arguments)}, detector, how, out)
 
 
 def evaluate_suite(
@@ -209,15 +204,15 @@ def _evaluate_cells(
     how: RunArguments,
     out: str | PathLike[str] | None,
     suite: Suite | None = None,
-    env: gym.Env[Any, Any] | None = None,
 ) -> EvaluationResult:
-    """Check everything that can be refused, then play."""
-    detectors = label_detectors(detector, how.trivial, how.isolated)
-    of_tracks = hasattr(getattr(env, "unwrapped", None), "score_answer")
-    for name, cell in (cells if suite is None else suite.cells).items() if env is None else ():
+    """Check everything that can be refused, then play the missing episodes of a run."""
+    import pandas as pd  # not at the top: worker processes do without it
+
+    detectors, metrics = label_detectors(detector, how.trivial, how.isolated), set[str]()
+    for name, cell in (cells if suite is None else suite.cells).items():
         try:
             with closing(make_environment(cell.env, cell.arguments)) as made:
-                of_tracks |= hasattr(made.unwrapped, "score_answer")
+                metrics |= set(TRACK_METRICS if hasattr(made.unwrapped, "score_answer") else ())
         except ArgumentError as error:
             place = "" if suite is None else f", in the cell {name!r} of the suite {suite.name}"
             raise ArgumentError(f"{str(error).removesuffix('.')}{place}.") from None
@@ -225,34 +220,12 @@ def _evaluate_cells(
         "suite": None if suite is None else suite.label,
         "cells": {name: cell.model_dump() for name, cell in cells.items()},
         "detectors": list(detectors),
+        "episodes": how.episodes,
+        "seed": how.seed,
     }
-
-    def make(name: str) -> Any:
-        return make_environment(cells[name].env, cells[name].arguments) if env is None else env
-
-    return play_run(DetectorPlayer(make, detectors, how), config, how, out, TRACK_METRICS if of_tracks else ())
-
-
-def play_run(
-    play: Callable[[Task], Row],
-    config: dict[str, Any],
-    how: RunArguments,
-    out: str | PathLike[str] | None,
-    metrics: Iterable[str] = (),
-) -> EvaluationResult:
-    """Play the missing tasks of a run, whose rows have further metrics; ``play`` may have a method ``close``."""
-    columns = [*COLUMNS[:-1], *metrics, "error"]
-    config = json.loads(
-        json.dumps(
-            config | {"episodes": how.episodes, "seed": how.seed},
-            default=lambda value: value.tolist() if hasattr(value, "tolist") else quote(value),
-        )
-    )
-    import pandas as pd  # not at the top: worker processes do without it
-
-    rows: list[Row] = []
-    with ExitStack() as stack:
-        stack.callback(getattr(play, "close", lambda: None))
+    plain = json.dumps(config, default=lambda value: value.tolist() if hasattr(value, "tolist") else quote(value))
+    config, columns, rows = json.loads(plain), [*COLUMNS[:-1], *metrics, "error"], list[Row]()
+    with closing(DetectorPlayer(cells, detectors, how)) as play, ExitStack() as stack:
         kept = None if out is None else stack.enter_context(closing(RunFolder(as_path("out", out), config, columns)))
         known = pd.DataFrame(columns=columns) if kept is None else kept.rows
         done = set(known.loc[known["error"] == "", ["cell", "detector", "episode"]].itertuples(index=False, name=None))

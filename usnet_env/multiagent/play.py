@@ -55,18 +55,15 @@ def choose_policies(env: UsnetParallelEnv, policies: Mapping[str, Any]) -> dict[
     return chosen
 
 
-def play_game(
-    env: UsnetParallelEnv, policies: Mapping[str, Policy], seed: int, label: str = "", policy_seed: int | None = None
-) -> GameResult:
+def play_game(env: UsnetParallelEnv, policies: Mapping[str, Policy], seed: int, label: str = "") -> GameResult:
     """Play one game in Parallel form.
 
     Args:
         env: one of the games' ``parallel_env``.
         policies: a policy for each agent, or for each role (``"observer"``, ``"head"``). A policy that several agents
             share is copied for each of them.
-        seed: the seed of the game.
+        seed: the seed of the game; those of the policies come from a separate branch of it.
         label: name of the detector in the record; by default those of the observers' detectors or policies.
-        policy_seed: the seed from which the seeds of the policies come; ``None``: a separate branch of ``seed``.
 
     Raises:
         ArgumentError: an agent has no policy, or the seed is no whole number.
@@ -75,8 +72,7 @@ def play_game(
     uses = [id(policy) for policy in chosen.values()]
     agents = {name: copy.deepcopy(one) if uses.count(id(one)) > 1 else one for name, one in chosen.items()}
     observations, _ = env.reset(seed=seed)
-    branch = () if policy_seed is not None else (1,)
-    source = np.random.SeedSequence(seed if policy_seed is None else policy_seed, spawn_key=branch)
+    source = np.random.SeedSequence(seed, spawn_key=(1,))
     for (name, policy), number in zip(agents.items(), source.generate_state(len(agents), np.uint32), strict=True):
         policy.reset(int(number), env.action_space(name))
     returns, prices = dict.fromkeys(agents, 0.0), dict.fromkeys(agents, 0.0)
