@@ -22,7 +22,6 @@ class PlayedRound:
     answer: Detection
     seconds: float  # that the answer took
     info: dict[str, Any]
-    left: SwarmState  # after the destruction and the re-merge
 
 
 def play_rounds(
@@ -40,7 +39,7 @@ def play_rounds(
         answered, seconds = answer(observation)
         following, _, terminated, truncated, info = env.step(answered.candidates.astype(np.int8))
         over = bool(terminated or truncated)
-        yield PlayedRound(observation, truth, answered, seconds, info, game.swarm)
+        yield PlayedRound(observation, truth, answered, seconds, info)
         observation = following
 
 
@@ -54,4 +53,4 @@ def play_probe(env: gym.Env[Any, Any], prober: Any, seed: int) -> tuple[PlayedRo
         truth, action, seen = game.swarm, prober.act(observation), observation
         observation, reward, over, _, info = env.step(action)
         total += float(reward)
-    return PlayedRound(seen, truth, Detection(action["candidates"], prober.belief), 0.0, info, game.swarm), total
+    return PlayedRound(seen, truth, Detection(action["candidates"], prober.belief), 0.0, info), total

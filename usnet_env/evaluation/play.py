@@ -132,5 +132,5 @@ def record_metrics(record: Any) -> dict[str, float | int | None]:
             Detection(candidates, record.scores[number], clusters),
             {"over_budget": record.over_budget[number]},
         )
-        rounds.append(PlayedRound(None, truth, answer, record.seconds[number], info, truth))
+        rounds.append(PlayedRound(None, truth, answer, record.seconds[number], info))
     return _episode_metrics(record.problem, rounds)

@@ -49,14 +49,6 @@ _INTRUDER = 0xFF7A1AFF
 _SERIES = 0x56B4E9FF  # of the curves
 
 
-def list_steps(record: EpisodeRecord) -> Indices:
-    """The simulated step of every sample, ``(R, T_ob + 1)``: ``memory`` unobserved steps, then a window, and so on."""
-    every, memory = int(record.config.get("sample_every", 1)), int(record.config.get("memory", 0))
-    samples = record.position.shape[1]
-    flown = memory + (samples - 1) * every
-    return flown * np.arange(record.rounds)[:, None] + memory + every * np.arange(samples)[None]
-
-
 def lighten(colors: Sequence[str] | NDArray[np.str_]) -> NDArray[np.uint8]:
     """Lighten colours ``"#RRGGBB"`` made for white paper for a dark view: ``(n, 4)`` uint8."""
     paper = np.array([[*bytes.fromhex(str(color)[1:])] for color in colors], np.float64).reshape(-1, 3)
@@ -103,8 +95,6 @@ class EpisodeWriter:
         self.scale = span / _USUAL_SPAN
         self.samples = record.position.shape[1]
         self.answer, self.destroy, self.remerge = range(self.samples, self.samples + 3)
-        beats = np.minimum([0, 1, 2], int(record.config.get("memory", 0)))
-        self.steps = np.concatenate([steps := list_steps(record), steps[:, -1:] + beats], axis=1)
         self.last = np.stack([last_seen_position(*each) for each in zip(record.position, record.seen, strict=True)])
         self.names = [name_uav(record, i).removeprefix("UAV ") for i in range(record.uavs)]
         self.colors = np.stack([lighten(cluster_colors(record.head, root)) for root in record.root])
@@ -112,7 +102,6 @@ class EpisodeWriter:
     def at(self, r: int, instant: int) -> None:
         """Set the time of what is logged next: the samples of round ``r`` (from 0) are followed by three beats."""
         self.stream.set_time("round", sequence=r + 1)
-        self.stream.set_time("step", sequence=int(self.steps[r, instant]))
         watched = _WATCH_SECONDS * min(instant / (self.samples - 1), 1.0)
         beats = 0.25 + _BEAT_SECONDS * (instant - self.answer) if instant >= self.answer else 0.0
         round_seconds = _WATCH_SECONDS + 3 * _BEAT_SECONDS + 0.5
@@ -305,8 +294,7 @@ def write_recording(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path
     """Write an episode as a Rerun recording that contains its layout; the file appears whole. ``rerun PATH`` opens it.
 
     One view shows what the detector sees and answers, another one the truth and the verdict. The timelines are
-    ``time``, seconds of the replay with a pause after each answer, destruction and re-merge; ``step``, see
-    :func:`list_steps`; and ``round``.
+    ``time``, seconds of the replay with a pause after each answer, destruction and re-merge, and ``round``.
 
     Raises:
         ArgumentError: the place can't be written to.

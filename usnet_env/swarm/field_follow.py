@@ -192,7 +192,7 @@ class Reference(Slots):
         source = roles.source.copy()
         for cluster, head in enumerate(roles.drawn):
             source[np.append(roles.members(cluster), head)] = len(source) + cluster
-        return roles.without_heads(source=source, references=len(roles.drawn))
+        return roles.without_heads(source=source)
 
 
 @dataclass(frozen=True)

@@ -70,7 +70,7 @@ class Informed(Couzin):
             informed = members[: max(1, round(self.share * len(members)))]
             source[members], root[members] = len(source) + cluster, -1
             head[informed], root[informed] = True, informed
-        return replace(roles, head=head, source=source, root=root, references=len(roles.drawn))
+        return replace(roles, head=head, source=source, root=root)
 
 
 @dataclass(frozen=True)
@@ -108,4 +108,4 @@ class Shepherd(Couzin):
         source, bystander = roles.source.copy(), roles.bystander.copy()
         source[roles.drawn], bystander[roles.drawn] = len(source) + np.arange(len(roles.drawn)), True
         root = np.where(roles.head | roles.decoy | roles.bystander, roles.root, -1)
-        return roles.without_heads(root=root, source=source, bystander=bystander, references=len(roles.drawn))
+        return roles.without_heads(root=root, source=source, bystander=bystander)

@@ -47,7 +47,6 @@ class Roles:
         clutter: ``(N,)`` bool, the bystanders that are false tracks, and no UAVs.
         source: ``(N,)`` int64, the UAV or reference that each UAV copies, at first its root.
         drawn: ``(M,)`` int64, the heads as drawn, in the order of the clusters.
-        references: R, number of references.
     """
 
     head: Mask
@@ -58,7 +57,6 @@ class Roles:
     clutter: Mask
     source: Indices
     drawn: Indices
-    references: int = 0
 
     def split(self) -> list[Self]:
         """The roles of each of B swarms."""
