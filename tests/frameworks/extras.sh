@@ -17,7 +17,7 @@ core||tests/envs/test_vector.py tests/detectors/test_lagged.py
     tests/test_packaging.py::test_the_core_works_without_any_extra
 render|matplotlib moviepy|tests/replay
 replay|matplotlib rerun|tests/replay
-multiagent|pettingzoo|tests/multiagent tests/frameworks/test_wrappers.py
+multiagent|pettingzoo|tests/multiagent
 ray|ray|tests/evaluation
 torch|torch|tests/frameworks tests/detectors/gassl tests/detectors/mc_gassl tests/detectors/test_policy_detector.py
 rl|stable_baselines3 sb3_contrib|tests/frameworks tests/detectors/test_policy_detector.py

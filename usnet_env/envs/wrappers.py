@@ -11,23 +11,17 @@ from gymnasium import spaces
 from usnet_env.arrays import Mask
 
 
-def box_masks(space: Any) -> spaces.Dict:
-    """The ``Dict`` space with ``Box(0, 1, …, int8)`` in place of ``MultiBinary``; the same values are valid in both."""
-    return spaces.Dict(
-        {
-            name: spaces.Box(0, 1, part.shape, np.int8) if isinstance(part, spaces.MultiBinary) else part
-            for name, part in space.spaces.items()
-        }
-    )
-
-
 class BoxMasks(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstructorArgs):
     """Declare the masks in the observation as ``Box``: TorchRL doesn't support a two-dimensional ``MultiBinary``."""
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
         gym.utils.RecordConstructorArgs.__init__(self)
         super().__init__(env)
-        self.observation_space = box_masks(env.observation_space)
+        parts: dict[str, Any] = dict(env.observation_space.spaces)  # type: ignore[attr-defined]  # it is a Dict
+        for name, part in parts.items():
+            if isinstance(part, spaces.MultiBinary):
+                parts[name] = spaces.Box(0, 1, part.shape, np.int8)
+        self.observation_space = spaces.Dict(parts)
 
     def observation(self, observation: Any) -> Any:
         """The observation, unchanged."""
