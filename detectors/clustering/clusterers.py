@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -40,7 +40,6 @@ class Clustering:
     labels: Indices  #: ``(N,)`` int64, 0 to ``count`` - 1 for living UAVs, -1 for destroyed ones
     count: int  #: the number of clusters; 0 if no UAV is alive
     features: Floats | None = None  #: ``(N, d)`` or ``(N, T, d)``, 0 for destroyed UAVs
-    affinity: Floats | None = None  #: ``(N, N)``, similarities from 0 to 1, or ``None`` if they were not computed
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,9 +114,7 @@ class Clusterer(Parameters):
             return Clustering(labels, n)
         found = self.partition(living, min(self._estimate_count(living, rng), n), rng)
         used, labels[living.index] = np.unique(found, return_inverse=True)
-        widen = partial(spread, members=living.index, uavs=window.uavs)
-        affinity = widen(living.affinity, pairs=True) if "affinity" in vars(living) else None  # if it was computed
-        return Clustering(labels, len(used), widen(living.features), affinity)
+        return Clustering(labels, len(used), spread(living.features, living.index, window.uavs))
 
     def _estimate_count(self, living: Living, rng: np.random.Generator) -> int:
         count = living.arguments.count
