@@ -63,6 +63,17 @@ def make_detector(name: str, /, **arguments: Any) -> DetectorLike:
     return detector
 
 
+def find_detector(given: Any) -> DetectorLike:
+    """The detector of a name, or the object itself; one without the methods ``detect`` and ``reset`` is refused."""
+    found = make_detector(given) if isinstance(given, str) else given
+    if isinstance(found, type) or not isinstance(found, DetectorLike):
+        hint = " (detectors.policy_detector.PolicyDetector makes one of a policy)" * hasattr(found, "predict")
+        raise ArgumentError(
+            f"detector must be a name, or an object with detect(window) and reset(seed), got {quote(given)}{hint}."
+        )
+    return found
+
+
 def detector_label(detector: Any) -> str:
     """Return the label of a detector in tables, such as ``lagged-regression(clusters=5)``.
 

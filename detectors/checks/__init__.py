@@ -5,10 +5,9 @@ from detectors.checks.run import (
     CheckResult,
     DetectorChecksError,
     check_detector,
-    exit_status,
     parametrize_with_checks,
     results_table,
 )
 
-__all__ = ["check_detector", "exit_status", "parametrize_with_checks", "results_table"]
+__all__ = ["check_detector", "parametrize_with_checks", "results_table"]
 __all__ += ["CHECKS", "CheckError", "CheckResult", "DetectorChecksError"]

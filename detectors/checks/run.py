@@ -10,8 +10,8 @@ from typing import Any, Literal, NamedTuple
 from unittest import SkipTest
 
 from detectors.checks.contract import CHECKS, CheckError
-from usnet_env.config import ArgumentError, quote, unknown_name
-from usnet_env.plugins import make_detector
+from usnet_env.config import unknown_name
+from usnet_env.plugins import find_detector
 
 
 class CheckResult(NamedTuple):
@@ -50,18 +50,11 @@ def check_detector(
         DetectorChecksError: a check failed unexpectedly. It is raised after all checks have run.
         ArgumentError: not a detector, or an unknown check.
     """
-    detector, excuses = _find_detector(detector), _check_names(expected_failed_checks or {})
+    detector, excuses = find_detector(detector), _check_names(expected_failed_checks or {})
     results = [_run_check(check, detector, excuses) for check in CHECKS]
-    if on_fail == "raise" and exit_status(results):
+    if on_fail == "raise" and any(result.status == "failed" for result in results):
         raise DetectorChecksError(detector, results)
     return results
-
-
-def _find_detector(detector: Any) -> Any:
-    found = make_detector(detector) if isinstance(detector, str) else detector
-    if isinstance(found, type) or not all(callable(getattr(found, name, None)) for name in ("detect", "reset")):
-        raise ArgumentError(f"detector must be an object with detect(window) and reset(seed), got {quote(detector)}.")
-    return found
 
 
 def _check_names(excuses: Mapping[str, str]) -> Mapping[str, str]:
@@ -107,7 +100,7 @@ def parametrize_with_checks(
     import pytest  # only here
 
     cases = []
-    for detector in map(_find_detector, detectors):
+    for detector in map(find_detector, detectors):
         excuses = _check_names(expected_failed_checks(detector) or {})
         for check in CHECKS:
             name = check.__name__
@@ -124,8 +117,3 @@ def results_table(results: Sequence[CheckResult]) -> str:
         lines += [f"    {result.reason}"] * bool(result.reason)
     counts = Counter(result.status for result in results)
     return "\n".join([*lines, f"{len(results)} checks: " + ", ".join(f"{n} {status}" for status, n in counts.items())])
-
-
-def exit_status(results: Sequence[CheckResult]) -> int:
-    """Exit status of a command that ran the checks: 1 if a check failed unexpectedly, 0 otherwise."""
-    return int(any(result.status == "failed" for result in results))

@@ -125,7 +125,7 @@ def test_the_error_names_the_agent_without_a_policy():
     with pytest.raises(ArgumentError, match="seed must"):
         play_game(env, {"observer": RandomObserver(), "head": TruthfulHead()}, -1)
     with pytest.raises(ArgumentError, match="detector must"):
-        DetectorObserver("random")
+        DetectorObserver(3)
 
 
 # --- pictures and records --------------------------------------------------------------------------------------------

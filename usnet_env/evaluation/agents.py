@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 from usnet_env.config import ArgumentError, named_values, quote
 from usnet_env.detection import Detection, ask
 from usnet_env.parts import parse_label
-from usnet_env.plugins import DETECTORS, detector_label, make_detector
+from usnet_env.plugins import DETECTORS, detector_label, find_detector
 from usnet_env.window import Window
 
 #: The trivial policies that every published table also shows: decision (l) of ``docs/game.md``.
@@ -21,10 +21,10 @@ Agent: TypeAlias = Any
 
 
 class DetectorAgent:
-    """A detector as an agent: it receives a :class:`usnet_env.Window` made from the observation, and nothing else."""
+    """A detector, or that of a name, as an agent: it receives a :class:`usnet_env.Window` and nothing else."""
 
     def __init__(self, detector: Any) -> None:
-        self.detector = detector
+        self.detector = find_detector(detector)
 
     def reset(self, seed: int) -> None:
         """Start an episode."""
@@ -46,15 +46,6 @@ class DetectorAgent:
         agent.answer(observation)
 
 
-def as_agent(detector: Any) -> DetectorAgent:
-    """Wrap a detector, or that of a name, as an agent; anything else is refused."""
-    made = make_detector(detector) if isinstance(detector, str) else detector
-    if isinstance(made, type) or not all(callable(getattr(made, name, None)) for name in ("detect", "reset")):
-        hint = " (detectors.policy_detector.PolicyDetector makes one of a policy)" * hasattr(made, "predict")
-        raise ArgumentError(f"detector must be a name or an object with detect and reset, got {quote(detector)}{hint}.")
-    return DetectorAgent(made)
-
-
 def label_detectors(detector: Any, trivial: bool, isolated: bool) -> dict[str, Any]:
     """Give each detector its own label; refuse what can't be a detector, and a name or argument that no detector has.
 
@@ -72,7 +63,7 @@ def label_detectors(detector: Any, trivial: bool, isolated: bool) -> dict[str, A
     for given in found.values():
         try:
             if not isolated or not isinstance(given, str):
-                as_agent(given)
+                find_detector(given)
             elif ":" not in (name := parse_label(given, {})[0]):
                 DETECTORS.find(name)
         except (ArgumentError, ImportError):

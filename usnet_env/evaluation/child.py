@@ -14,7 +14,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from usnet_env.detection import Detection
-from usnet_env.evaluation.agents import as_agent
+from usnet_env.evaluation.agents import DetectorAgent
 from usnet_env.evaluation.tasks import EvaluationError, become_worker, describe_failure, dumps, loads
 
 _MEGABYTE = 1_000_000
@@ -102,7 +102,7 @@ def serve() -> None:
             try:
                 if name == "make":
                     detector, megabytes = loads(argument)
-                    agent = as_agent(detector)
+                    agent = DetectorAgent(detector)
                 else:
                     with limit_memory(megabytes):
                         answer = getattr(agent, name)(argument)

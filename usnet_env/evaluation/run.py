@@ -13,7 +13,7 @@ import gymnasium as gym
 from pydantic import Field
 
 from usnet_env.config import ArgumentError, Config, named_values, quote, unknown_name
-from usnet_env.evaluation.agents import TRIVIAL, Agent, as_agent, label_detectors
+from usnet_env.evaluation.agents import TRIVIAL, Agent, DetectorAgent, label_detectors
 from usnet_env.evaluation.child import ChildDetector
 from usnet_env.evaluation.environments import make_environment
 from usnet_env.evaluation.folder import COLUMNS, RunFolder
@@ -89,7 +89,7 @@ class DetectorPlayer:
         try:
             with detector_step(task.label, "its constructor"):
                 detector, limits = self.detectors[task.label], (self.how.time_limit, self.how.memory_limit)
-                self._agent = ChildDetector(detector, *limits) if self.how.isolated else as_agent(detector)
+                self._agent = ChildDetector(detector, *limits) if self.how.isolated else DetectorAgent(detector)
             observation, _ = self._env.reset(seed=task.seeds[0])
             with detector_step(task.label, "its warm-up"):
                 self._agent.warm_up(observation)

@@ -10,8 +10,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from usnet_env.config import ArgumentError, quote
-from usnet_env.plugins import DetectorLike
+from usnet_env.plugins import DetectorLike, find_detector
 from usnet_env.window import Window
 
 Observation = Mapping[str, Any]
@@ -87,16 +86,14 @@ class RandomObserver(Policy):
 
 
 class DetectorObserver(Policy):
-    """A detector as an observer: it receives the UAVs that the observer saw, and its candidates are the vote.
+    """A detector, or that of a name, as an observer: it receives the UAVs that the observer saw.
 
-    If votes are scores, the vote for a UAV is the detector's probability (``extras["probability"]``) if it returns one.
-    Otherwise it is the detector's score divided by the lowest score of a candidate, at most 1.
+    Its candidates are the vote. If votes are scores, the vote for a UAV is the detector's probability
+    (``extras["probability"]``) if it returns one, else its score divided by the lowest score of a candidate, at most 1.
     """
 
-    def __init__(self, detector: DetectorLike) -> None:
-        if isinstance(detector, type) or not isinstance(detector, DetectorLike):
-            raise ArgumentError(f"detector must have the methods reset and detect, got {quote(detector)}.")
-        self.detector = detector
+    def __init__(self, detector: DetectorLike | str) -> None:
+        self.detector = find_detector(detector)
 
     def reset(self, seed: int, action_space: spaces.Space[Any]) -> None:
         """Start a game: reset the detector with a seed drawn from the policy's generator."""
