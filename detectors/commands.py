@@ -10,6 +10,7 @@ from typing import Any
 
 import click
 
+from usnet_env.cli.options import complete_names
 from usnet_env.files import reserve_folder
 from usnet_env.progress import progress_bar
 
@@ -80,7 +81,7 @@ _add_training(
 
 
 @click.command(name="check-detector", short_help="Test that a detector keeps the contract.")
-@click.argument("name", metavar="NAME")
+@click.argument("name", metavar="NAME", shell_complete=complete_names)
 @click.option("--expect", "expected", multiple=True, metavar="CHECK=REASON", help="A check that fails, and the reason.")
 @click.pass_context
 def check_detector(ctx: click.Context, name: str, expected: tuple[str, ...]) -> None:

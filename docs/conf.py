@@ -29,6 +29,7 @@ extensions = [
     "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
     "sphinx.ext.mathjax",
+    "sphinx_gallery.gen_gallery",
     "sphinx-mathjax-offline",  # equations are drawn without a network
 ]
 # Parts that docs/field.md and docs/probing.md include; they are no pages.
@@ -38,6 +39,18 @@ exclude_patterns = ["_build", "_templates", *(f"generated/{part}.md" for part in
 
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 3
+
+sphinx_gallery_conf = {  # each notebook is run, and shown with its outputs
+    "examples_dirs": "../examples/notebooks",
+    "gallery_dirs": "generated/notebooks",
+    "filename_pattern": r"\d_",
+    "within_subsection_order": "FileNameSortKey",
+    "image_scrapers": ("pages.keep_picture",),
+    "abort_on_example_error": True,
+    "download_all_examples": False,
+    "show_signature": False,
+    "write_computation_times": False,
+}
 
 autodoc_typehints = "signature"
 autodoc_typehints_format = "short"

@@ -9,6 +9,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from sphinx_gallery.scrapers import figure_rst
+
 import usnet_env.envs
 from usnet_env.envs import ENVIRONMENTS
 from usnet_env.envs.probing import ProbingEnv
@@ -45,6 +47,17 @@ def generate_pages() -> dict[str, str]:
         "controls": _models_page(CONTROLS),
         "kinematics": _models_page({name: part for name, part in KINEMATICS.items() if dataclasses.is_dataclass(part)}),
     }
+
+
+def keep_picture(_block: Any, variables: Mapping[str, Any], gallery: Mapping[str, Any]) -> str:
+    """Show the figure that ends a cell of a notebook, as Jupyter does; sphinx-gallery calls this after each cell."""
+    shown = variables["example_globals"].get("___")
+    if not hasattr(shown, "_repr_png_"):
+        return ""
+    variables["example_globals"]["___"] = None  # its text is not shown, too
+    path = Path(next(variables["image_path_iterator"]))
+    path.write_bytes(shown._repr_png_())
+    return str(figure_rst([str(path)], gallery["src_dir"]))
 
 
 def _environment_page(kind: str) -> str:

@@ -2,7 +2,8 @@
 
 Each shows the first window of an episode with the truth: heads as stars, followers in the colour of their head with a
 line to it. Names of environments may follow, to draw only these. ``replay`` is none: it takes a picture of the replay
-in ``runs/demo``, docs/images/replay-answer.webp, in a viewer without a screen, which needs a driver of Vulkan.
+in ``runs/demo``, docs/images/replay-answer.webp, in a viewer without a screen, which needs a driver of Vulkan. Recorded
+tracks are those of ``merging.csv``, which ``python examples/make_tracks.py`` writes into the present folder.
 """
 
 from __future__ import annotations
@@ -24,16 +25,19 @@ import usnet_env.envs  # noqa: F401  # registers the environments
 from usnet_env.drawing import draw_round, new_figure, pixels_of
 from usnet_env.envs import ENVIRONMENTS
 from usnet_env.multiagent import GAMES
+from usnet_env.registration import LADDER, TRACKS
 from usnet_env.replay.rerun import find_viewer
+from usnet_env.tracks import find_leaders, read_tracks
 
 IMAGES = Path(__file__).parent / "images"
 FOLDER = IMAGES / "environments"
 WALL = ("SingleCluster-Decoy-v0", "MultiCluster-Smooth-v0", "Field-v1")
 WALL += ("Field-Chain-v0", "Field-Flock-v0", "usnet_observers_v0")
 SEED = 5
+TRACKS_SHOWN = "merging.csv"
 #: Arguments that let a picture show how UAVs move: heads that turn smoothly, in clusters that stand together.
 SMOOTH: dict[str, Any] = {"mobility": "gauss_markov", "head_jitter": True, "formation": "gathered"}
-SHOWN = {"SingleCluster-v0": SMOOTH, "SingleCluster-Decoy-v0": SMOOTH}
+SHOWN = {"SingleCluster-v0": SMOOTH, "SingleCluster-Decoy-v0": SMOOTH, "Tracks-v0": {"path": TRACKS_SHOWN}}
 GAMES_SHOWN = {"usnet_observers_v0": SMOOTH, "usnet_evasion_v0": {"formation": "gathered"}}
 
 
@@ -94,18 +98,31 @@ def shoot_replay(replay: str = "runs/demo/replay.rrd", seconds: float = 7.0, por
     return Image.open(io.BytesIO(shot)).convert("RGB").crop((0, 37, 1440, 760))
 
 
+def join(pictures: list[Image.Image]) -> Image.Image:
+    """Pictures of one size in three columns."""
+    width, height = pictures[0].size
+    wall = Image.new("RGB", (3 * width, len(pictures) // 3 * height))
+    for place, picture in enumerate(pictures):
+        wall.paste(picture, (place % 3 * width, place // 3 * height))
+    return wall
+
+
 def main(names: list[str]) -> None:
-    """Draw the pictures, and the wall of six that README.md shows."""
+    """Draw the pictures, the wall of six that README.md shows, that of the ladder, and the timeline of tracks."""
     if names == ["replay"]:
         shoot_replay().save(IMAGES / "replay-answer.webp", quality=80, method=6)
         return
     FOLDER.mkdir(exist_ok=True)
-    for name in names or [*(name.removeprefix("USNET/") for name in ENVIRONMENTS), *GAMES]:
+    ids = [name.removeprefix("USNET/") for name in (*ENVIRONMENTS, TRACKS) if name not in LADDER]
+    for name in names or [*ids, *GAMES]:
         draw(name).save(FOLDER / f"{name}.webp", quality=80, method=6)
-    wall = Image.new("RGB", (3 * 480, 2 * 480))
-    for place, name in enumerate(WALL):
-        wall.paste(Image.open(FOLDER / f"{name}.webp"), (place % 3 * 480, place // 3 * 480))
-    wall.save(IMAGES / "environments.webp", quality=75, method=6)
+    if not names:
+        ladder = [draw(name.removeprefix("USNET/")) for name in LADDER]
+        join(ladder).save(IMAGES / "ladder.webp", quality=75, method=6)
+        timeline = pixels_of(find_leaders(read_tracks(TRACKS_SHOWN)).plot_timeline())
+        Image.fromarray(timeline).save(IMAGES / "timeline.webp", quality=80, method=6)
+    wall = [Image.open(FOLDER / f"{name}.webp") for name in WALL]
+    join(wall).save(IMAGES / "environments.webp", quality=75, method=6)
 
 
 if __name__ == "__main__":

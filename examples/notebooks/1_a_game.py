@@ -1,8 +1,10 @@
-# %% [markdown]
-# # A game
-#
-# Who leads this swarm? An environment, a detector, the loop between them, and pictures. Cells are marked by `# %%`:
-# VS Code and PyCharm run them, and `jupytext --to ipynb 1_a_game.py` makes a notebook. `pip install '.[render]'`
+"""
+A game
+======
+
+Who leads this swarm? An environment, a detector, the loop between them, and pictures. Cells are marked by ``# %%``:
+VS Code and PyCharm run them, and ``jupytext --to ipynb 1_a_game.py`` makes a notebook. ``pip install '.[render]'``
+"""
 
 # %%
 import gymnasium as gym

@@ -1,8 +1,10 @@
-# %% [markdown]
-# # My own tracks
-#
-# Who leads in recorded tracks? This makes a file as a tracker would, with one row for each animal and instant, and
-# looks for its leaders. Put the name of a file of yours into `FILE`, and leave out the cell that makes one.
+"""
+My own tracks
+=============
+
+Who leads in recorded tracks? This makes a file as a tracker would, with one row for each animal and instant, and
+looks for its leaders. Put the name of a file of yours into ``FILE``, and leave out the cell that makes one.
+"""
 
 # %%
 import numpy as np

@@ -1,7 +1,9 @@
-# %% [markdown]
-# # Train in a minute
-#
-# PPO learns from raw windows who leads: nobody tells it what to look for. It needs `pip install '.[rl]'`.
+"""
+Train in a minute
+=================
+
+PPO learns from raw windows who leads: nobody tells it what to look for. It needs ``pip install '.[rl]'``.
+"""
 
 # %%
 import torch
@@ -46,5 +48,5 @@ print(result.to_markdown(["exact", "J"]))
 assert result["PPO"]["exact"]["mean"] > 0.95
 
 # %% [markdown]
-# What it learned is the law f1. `follow="random"` is another law in every game: learn from these, and f1 to f7 are
+# What it learned is the law f1. ``follow="random"`` is another law in every game: learn from these, and f1 to f7 are
 # new to it.

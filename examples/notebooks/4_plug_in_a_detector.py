@@ -1,7 +1,9 @@
-# %% [markdown]
-# # Plug in a detector
-#
-# A short detector that needs no number of heads and beats the trivial policies. docs/plugging_in.md explains it.
+"""
+Plug in a detector
+==================
+
+A short detector that needs no number of heads and beats the trivial policies. docs/plugging_in.md explains it.
+"""
 
 # %%
 import sys

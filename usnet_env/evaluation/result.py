@@ -175,6 +175,8 @@ class EvaluationResult:
         """
         return tables.format_markdown(*self._grid(metrics))
 
+    _repr_markdown_ = to_markdown  # what Jupyter shows
+
     def _grid(
         self, metrics: Sequence[str] | str | None, pattern: str = "{} ({} to {})"
     ) -> tuple[list[str], list[list[str]]]:

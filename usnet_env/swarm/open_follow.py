@@ -60,7 +60,7 @@ class OpenLaw(FollowStrategy):
     @property
     def equation(self) -> str:  # type: ignore[override]  # follows from the fields
         """The parts of the law."""
-        return f"open law: hears {self.hears}, answers {self.answers}, bends {self.bends}"
+        return f"open law: hears its head {self.hears}, {self.answers}, and bends {self.bends}"
 
     def draw_for(self, rng: np.random.Generator, uavs: int) -> Singles:
         """Draw the share ``(N,)`` of the spread of each follower."""
