@@ -142,6 +142,12 @@ def _link_elsewhere(_app: Any, _env: Any, node: Any, shown: nodes.TextElement) -
     return place and nodes.reference("", "", shown, internal=False, refuri=place.format(target))
 
 
+def _link_pages(_app: Any, name: str, _template: str, context: dict[str, Any], _doctree: Any) -> None:
+    """Code leads back to a page, not to a place in it: viewcode errs where a module's objects have two prefixes."""
+    if name.startswith("_modules/"):
+        context["body"] = re.sub(r'(class="viewcode-back" href="[^"#]*)#[^"]*', r"\1", context["body"])
+
+
 def _skip_fields(_app: Any, what: str, _name: str, obj: Any, skip: bool, _options: Any) -> bool:
     """Fields are in the docstring of their class."""
     shown = callable(obj) or isinstance(obj, property | cached_property | classmethod)
@@ -154,4 +160,5 @@ def setup(app: Any) -> None:
     app.connect("autodoc-process-docstring", _keep_bars)
     app.connect("autodoc-skip-member", _skip_fields)
     app.connect("autodoc-process-signature", _shorten)
+    app.connect("html-page-context", _link_pages)
     app.connect("missing-reference", _link_elsewhere)

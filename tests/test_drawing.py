@@ -73,6 +73,7 @@ def test_round_marks():
     assert who == {
         drawing.HEAD_MARK: [0, 4],
         drawing.FOLLOWER_MARK: [1, 2, 5, 7],
+        drawing.UNLED_MARK: [],
         drawing.LINK_MARK: [1, 2, 5, 7],
         drawing.DECOY_MARK: [8],
         drawing.HIT_MARK: [0],
@@ -80,6 +81,14 @@ def test_round_marks():
         drawing.MISSED_MARK: [4],
         drawing.DESTROYED_MARK: [3],
     }
+
+
+def test_a_uav_without_a_head_is_no_follower_and_has_no_link():
+    none = np.zeros(4, bool)
+    marks = drawing.round_marks(np.zeros((4, 3), np.float32), ~none, none, np.array([-1, 1, 2, 0]), none)
+    assert marks[drawing.UNLED_MARK].all()
+    assert not marks[drawing.FOLLOWER_MARK].any()
+    assert not marks[drawing.LINK_MARK].any()
 
 
 def test_a_large_swarm_is_drawn_without_links():

@@ -47,14 +47,18 @@ DECOY_MARK, DESTROYED_MARK = "decoy: has no followers", "destroyed earlier"
 HIT_MARK, REDUNDANT_MARK, MISSED_MARK = "candidate: hit", "candidate: redundant", "head, not a candidate"
 CANDIDATE_MARK = "candidate"
 INTRUDER_MARK = "intruder, with its track"
-UNLED_MARK = "other (no leader found)"  # of recorded tracks
+UNLED_MARK = "without a head"
 #: The words for these marks in recorded tracks.
-TRACK_WORDS = {HEAD_MARK: "leader", FOLLOWER_MARK: "other (colour = leader)", LINK_MARK: "link from follower to leader"}
+TRACK_WORDS = {
+    HEAD_MARK: "leader", FOLLOWER_MARK: "other (colour = leader)", LINK_MARK: "link from follower to leader",
+    UNLED_MARK: "other (no leader found)",
+}  # fmt: skip
+_DOT = {"marker": "o", "s": 22, "edgecolors": "#555555", "linewidths": 0.4, "zorder": 3}
 _RING = {"marker": "o", "facecolors": "none", "linewidths": 2.2}
 _STYLES: dict[str, dict[str, Any]] = {  # of the marks, in the order of the legend
     HEAD_MARK: {"marker": "*", "s": 210, "c": "#555555", "edgecolors": "black", "linewidths": 0.8, "zorder": 5},
-    FOLLOWER_MARK: {"marker": "o", "s": 22, "c": "#777777", "edgecolors": "#555555", "linewidths": 0.4, "zorder": 3},
-    UNLED_MARK: {"marker": "o", "s": 22, "c": NO_CLUSTER_COLOR},
+    FOLLOWER_MARK: _DOT | {"c": "#777777"},
+    UNLED_MARK: _DOT | {"c": NO_CLUSTER_COLOR},
     DECOY_MARK: {"marker": "D", "s": 46, "c": "white", "edgecolors": "black", "linewidths": 1, "zorder": 4},
     CANDIDATE_MARK: _RING | {"s": 260, "edgecolors": "#0072B2"},
     HIT_MARK: _RING | {"s": 400, "edgecolors": HIT},
@@ -139,11 +143,13 @@ def round_marks(
     target = head & alive
     none = np.zeros_like(alive)
     named, missed = (none, none) if candidates is None else (candidates, target & ~candidates)
-    follower = shown & ~head & ~decoy
+    other = shown & ~head & ~decoy
+    follower = other & (root >= 0) & head[root]
     return {
         HEAD_MARK: shown & head,
         FOLLOWER_MARK: follower,
-        LINK_MARK: follower & (root >= 0) & shown[root] & (len(place) <= MOST_LINKED),
+        UNLED_MARK: other & ~follower,
+        LINK_MARK: follower & shown[root] & (len(place) <= MOST_LINKED),
         DECOY_MARK: shown & decoy,
         HIT_MARK: named & target,
         REDUNDANT_MARK: named & ~target,

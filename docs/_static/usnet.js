@@ -1,6 +1,6 @@
 // A button that copies a block of code, and pictures that open in full size.
 document.addEventListener("DOMContentLoaded", () => {
-  for (const block of document.querySelectorAll("[class*=highlight-]:not(.highlight-output, .highlight-text) > div.highlight")) {
+  for (const block of document.querySelectorAll("[class*=highlight-]:not(.highlight-output, .highlight-text, .highlight-none) > div.highlight")) {
     const button = document.createElement("button");
     button.className = "copy";
     button.textContent = "copy";

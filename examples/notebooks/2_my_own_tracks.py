@@ -15,17 +15,17 @@ from usnet_env.tracks import find_leaders, read_tracks
 FILE = "tracks.csv"
 
 # %% [markdown]
-# Eight birds; seven fly where bird-0 flew 0.5 to 2 s earlier, beside it.
+# Eight birds; seven fly as bird-0 flew 1 to 3 s earlier, beside it.
 
 # %%
 rng = np.random.default_rng(0)
-turns = np.cumsum(rng.normal(0, 0.12, 800))
+turns = np.cumsum(rng.normal(0, 0.12, 1400))
 course = np.cumsum(np.stack([np.cos(turns), np.sin(turns)], axis=1), axis=0)
 rows = []
 for bird in range(8):
-    delay = 0 if bird == 0 else rng.integers(1, 5)
-    place = course[200 - delay : 800 - delay] + rng.normal(0, 5, 2) + rng.normal(0, 0.05, (600, 2))
-    rows.append(pd.DataFrame({"id": f"bird-{bird}", "t": 0.5 * np.arange(600), "x": place[:, 0], "y": place[:, 1]}))
+    delay = 0 if bird == 0 else rng.integers(2, 7)
+    x, y = (course[200 - delay : 1400 - delay] + rng.normal(0, 5, 2) + rng.normal(0, 0.05, (1200, 2))).T
+    rows.append(pd.DataFrame({"id": f"bird-{bird}", "t": 0.5 * np.arange(1200), "x": x, "y": y}))
 pd.concat(rows).to_csv(FILE, index=False)
 
 # %%

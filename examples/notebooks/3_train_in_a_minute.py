@@ -6,13 +6,14 @@ PPO learns from raw windows who leads: nobody tells it what to look for. It need
 """
 
 # %%
+import gymnasium as gym
 import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 
 from detectors.policy_detector import PolicyDetector
 from detectors.rl.sb3 import PairPolicy
-from usnet_env import evaluate
+from usnet_env import Window, evaluate, plot_detection
 from usnet_env.frameworks.sb3 import SwarmVecEnv
 
 torch.set_num_threads(1)
@@ -46,6 +47,14 @@ detectors = {"PPO": PolicyDetector(model.policy), "random": "random"}
 result = evaluate("USNET/SingleCluster-v0", detectors, episodes=200, seed=1, env_kwargs=GAME)
 print(result.to_markdown(["exact", "J"]))
 assert result["PPO"]["exact"]["mean"] > 0.95
+
+# %% [markdown]
+# One of these swarms. The star is the UAV that the agent names:
+
+# %%
+env = gym.make("USNET/SingleCluster-v0", **GAME)
+window = Window.from_observation(env.reset(seed=2)[0])
+plot_detection(detectors["PPO"].detect(window), window)
 
 # %% [markdown]
 # What it learned is the law f1. ``follow="random"`` is another law in every game: learn from these, and f1 to f7 are

@@ -9,8 +9,10 @@ A short detector that needs no number of heads and beats the trivial policies. d
 import sys
 from pathlib import Path
 
+import gymnasium as gym
+
 from detectors.checks import check_detector
-from usnet_env import evaluate, register_detector
+from usnet_env import Window, evaluate, plot_detection, register_detector
 
 folder = Path(__file__).parent if "__file__" in globals() else Path.cwd()
 sys.path.append(str(folder.parent / "custom_detector"))
@@ -23,6 +25,16 @@ names = ["most-copied", "lagged-regression"]
 result = evaluate("USNET/MultiCluster-v0", names, episodes=10, env_kwargs=game, trivial=True)
 print(result.to_markdown(["J", "exact"]))
 assert result["most-copied"]["J"]["mean"] < result["destroy-all"]["J"]["mean"]
+
+# %% [markdown]
+# What it names in one window:
+
+# %%
+env = gym.make("USNET/MultiCluster-v0", **game, formation="gathered")
+window = Window.from_observation(env.reset(seed=2)[0])
+detector = MostCopied()
+detector.reset(seed=1)
+plot_detection(detector.detect(window), window)
 
 # %% [markdown]
 # Does it keep the rules?

@@ -127,7 +127,7 @@ def test_many_rounds_are_cut_short_and_it_says_so():
 def test_a_map_of_tracks_shows_what_was_found():
     figure = draw_episode(unlabelled(env_id="birds $ 3"))
     texts = {text.get_text() for text in figure.axes[-1].get_legend().get_texts()}
-    assert texts == {"leader", "other (colour = leader)", "link from follower to leader"}
+    assert texts == {"leader", "other (colour = leader)", "link from follower to leader", "other (no leader found)"}
 
 
 def test_the_file_is_whole_and_of_the_kind_that_its_name_says(tmp_path):

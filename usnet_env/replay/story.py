@@ -69,7 +69,8 @@ def describe_outcome(record: EpisodeRecord) -> str:
         groups = group_leader_accuracy(record.root[0], record.scores[0])
         score = f"F1 = {name_score(record)[1]:.3f} (1 is best), group leaders {groups:.2f}"
     redundant = format_count(int(record.redundant.sum()), "redundant candidate")
-    return f"{heads - left} of {format_count(heads, 'head')} found in {rounds} with {redundant}: {score}."
+    found = f"{heads - left} of {format_count(heads, 'head')} found" if heads else "No head to find"
+    return f"{found} in {rounds} with {redundant}: {score}."
 
 
 def mark_words(record: EpisodeRecord, number: int) -> NDArray[np.object_]:

@@ -79,6 +79,4 @@ def _draw_map(
     drawing.draw_round(position, seen, alive, head, root, none, axes=axes, legend=False, number=number, limits=limits)
     place: Any = drawing.last_seen_position(position, seen)
     present = drawing.round_marks(place, alive, head, root, none)
-    present[drawing.UNLED_MARK] = present[drawing.FOLLOWER_MARK] & ~present[drawing.LINK_MARK]
-    present[drawing.FOLLOWER_MARK] = present[drawing.LINK_MARK]  # those with a leader
     return place, {mark: drawing.TRACK_WORDS.get(mark, mark) for mark, who in present.items() if who.any()}
