@@ -47,7 +47,7 @@ DECOY_MARK, DESTROYED_MARK = "decoy: has no followers", "destroyed earlier"
 HIT_MARK, REDUNDANT_MARK, MISSED_MARK = "candidate: hit", "candidate: redundant", "head, not a candidate"
 CANDIDATE_MARK = "candidate"
 INTRUDER_MARK = "intruder, with its track"
-UNLED_MARK = "without a head"
+UNLED_MARK = "other UAV"
 #: The words for these marks in recorded tracks.
 TRACK_WORDS = {
     HEAD_MARK: "leader", FOLLOWER_MARK: "other (colour = leader)", LINK_MARK: "link from follower to leader",
