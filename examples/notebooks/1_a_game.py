@@ -2,8 +2,8 @@
 A game
 ======
 
-Who leads this swarm? An environment, a detector, the loop between them, and pictures. Cells are marked by ``# %%``:
-VS Code and PyCharm run them, and ``jupytext --to ipynb 1_a_game.py`` makes a notebook. ``pip install '.[render]'``
+Who leads this swarm? An environment, a detector, the loop between them, and pictures. It needs
+``pip install '.[render]'``.
 """
 
 # %%
