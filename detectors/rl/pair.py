@@ -17,14 +17,17 @@ class PairNetwork(nn.Module):
         filters: filters of each bank.
         lags: steps of a filter.
         width: hidden units.
+        named: so many UAVs are named at the start, on average.
     """
 
-    def __init__(self, filters: int = 8, lags: int = 6, width: int = 24) -> None:
+    def __init__(self, filters: int = 8, lags: int = 6, width: int = 24, named: int = 1) -> None:
         super().__init__()
-        self.lags = lags
+        self.lags, self.named = lags, named
         self.banks = nn.Parameter(torch.randn(2, lags, filters) / lags**0.5)
         self.compare = nn.Sequential(nn.Linear(2 * filters, width), nn.Tanh(), nn.Linear(width, 2))
         self.judge = nn.Sequential(nn.Linear(2, width), nn.Tanh(), nn.Linear(width, 2))
+        for part in self.judge[-1].parameters():  # otherwise the number that is named at the start is left to chance
+            nn.init.zeros_(part)
 
     def forward(self, velocity: Tensor, alive: Tensor) -> tuple[Tensor, Tensor]:
         """``(B, N)`` logits of being a candidate, and ``(B,)`` values.
@@ -43,14 +46,14 @@ class PairNetwork(nn.Module):
         followers = (choice * living[:, :, None, None]).sum(dim=1)  # (B, N, 2)
         share = followers / living.sum(dim=1).clamp(min=2)[:, None, None]
         judged = self.judge(4.0 * share)
-        return answer(4.0 * judged[..., 0], judged[..., 1], living)
+        return answer(4.0 * judged[..., 0], judged[..., 1], living, self.named)
 
 
-def answer(scores: Tensor, values: Tensor, living: Tensor) -> tuple[Tensor, Tensor]:
+def answer(scores: Tensor, values: Tensor, living: Tensor, named: int = 1) -> tuple[Tensor, Tensor]:
     """The logits ``(B, N)`` and the values ``(B,)`` that a network returns, from what it finds about each UAV.
 
-    At the start about one UAV is named: naming nobody, or all, teaches little.
+    At the start about ``named`` UAVs are named: naming nobody, or all, teaches little.
     """
     count = living.sum(dim=1)
-    logits = scores - torch.log(count.clamp(min=2) - 1.0)[:, None]
+    logits = scores - torch.log(count.clamp(min=2 * named) / named - 1.0)[:, None]
     return logits.masked_fill(~living, -1e3), (values * living).sum(dim=1) / count.clamp(min=1)

@@ -79,6 +79,16 @@ def test_a_network_sees_no_order_and_no_destroyed_uav_and_the_pair_network_no_di
     assert network(velocity, torch.zeros(2, 7))[1].isfinite().all()  # as when all UAVs were destroyed
 
 
+@pytest.mark.parametrize("named", [1, 3])
+def test_a_new_pair_network_names_so_many_uavs_of_any_swarm(named):
+    torch = pytest.importorskip("torch")
+    from detectors.rl import PairNetwork
+
+    for uavs in (8, 30):
+        logits, _ = PairNetwork(named=named)(torch.randn(2, 12, uavs, 3), torch.ones(2, uavs))
+        torch.testing.assert_close(logits.sigmoid().sum(dim=1), torch.full((2,), float(named)))
+
+
 def test_the_attention_policy_trains_and_is_loaded_again(tmp_path):
     pytest.importorskip("stable_baselines3")
     from stable_baselines3 import PPO
