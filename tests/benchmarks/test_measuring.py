@@ -2,6 +2,7 @@
 
 import json
 
+import early
 import learning
 import numpy as np
 import pandas as pd
@@ -124,6 +125,19 @@ def test_speed_keeps_the_parts_that_are_not_measured(tmp_path, monkeypatch, caps
     assert all(row["ratio"] > 0 for row in found["kinematics"].values())
     assert set(found["detectors"]) == set(speed.DETECTORS)
     assert "kinematics" in capsys.readouterr().out
+
+
+def test_detectors_are_compared_in_short_windows(tmp_path, monkeypatch):
+    for name, value in {"EPISODES": 2, "STEPS": (10, 40), "DETECTORS": ("factions", "destroy-all")}.items():
+        monkeypatch.setattr(early, name, value)
+    monkeypatch.setattr(early, "PICTURE", tmp_path / "early.png")
+    early.main(["--rows", str(tmp_path / "rows.csv")])
+    rows = read_rows(tmp_path / "rows.csv")
+    assert rows.groupby(["detector", "steps"]).size().to_dict() == dict.fromkeys(
+        [(name, steps) for name in early.DETECTORS for steps in early.STEPS], 2
+    )
+    assert set(rows[(rows.detector == "factions") & (rows.steps == 40)].exact) == {1}
+    assert (tmp_path / "early.png").stat().st_size
 
 
 @pytest.mark.slow
