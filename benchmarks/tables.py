@@ -25,6 +25,7 @@ import peers
 import probing
 import reader
 import scenarios
+import small_field
 from paper.shared import RESULTS, ROOT, parse, read_rows
 from pivot import Say, across, markdown, mean, median, name_detector, pivot, rate, size
 
@@ -263,7 +264,10 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "scenarios-compared": compare_block,
     **{name: _report(name, lambda rows, name=name: reader.report(rows, name)) for name in READER_STUDIES},
     "peers": _report("peers", peers.report),
-    **{one.ROWS.name.partition(".")[0]: lambda one=one: one.report(read_rows(one.ROWS)) for one in (probing, evasion)},
+    **{
+        one.ROWS.name.partition(".")[0]: lambda one=one: one.report(read_rows(one.ROWS))
+        for one in (probing, evasion, small_field)
+    },
     "ppo": lambda: learning.report(read_rows(learning.ROWS)),
     "leaks": paper_tables.leaks_block,
     "leaderboard": leaderboard_block,

@@ -7,6 +7,7 @@ import learning
 import numpy as np
 import pandas as pd
 import pytest
+import small_field
 import speed
 import suites
 import tracks
@@ -168,3 +169,18 @@ def test_learning_trains_and_tests_agents_and_draws_their_curves(tmp_path, monke
     assert tests.J.between(-8, 0).all()
     assert (tmp_path / "learning.png").stat().st_size
     assert "| short | Stable-Baselines3 | f1 | 2 | 2,048 |" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_ppo_and_detectors_play_the_same_small_field(tmp_path, monkeypatch, capsys):
+    pytest.importorskip("stable_baselines3")
+    monkeypatch.setattr(small_field, "EPISODES", 2)
+    monkeypatch.setattr(small_field, "STUDY", small_field.STUDY._replace(rounds=learning.ROLLOUT))
+    small_field.main(["--rows", str(tmp_path / "rows.csv"), "--trainings", "2", "--detector", "PPO", "destroy-all"])
+    rows = read_rows(tmp_path / "rows.csv")
+    assert rows.groupby(["detector", "training"]).size().to_dict() == {
+        ("PPO", 0): 2,
+        ("PPO", 1): 2,
+        ("destroy-all", 0): 2,
+    }
+    assert "| `PPO` | 4 |" in capsys.readouterr().out
