@@ -10,6 +10,7 @@ the file and once with 0.5 s. A row is one detector's answer to one window, comp
 from __future__ import annotations
 
 from pathlib import Path
+from time import process_time
 from typing import Any
 from zlib import crc32
 
@@ -18,11 +19,11 @@ import pandas as pd
 from paper.shared import RESULTS, parse, write_rows
 
 from usnet_env import make_detector
-from usnet_env.detection import ask
 from usnet_env.objectives import find_roots, group_leader_accuracy
 from usnet_env.plugins import detector_label
-from usnet_env.tracks import read_tracks
+from usnet_env.tracks import Tracks, read_tracks
 from usnet_env.tracks.confirm import confirm_leaders
+from usnet_env.tracks.leaders import answer_window
 
 LENGTH, MOST, STEP = 100, 12, 0.5
 DETECTORS = (
@@ -32,18 +33,19 @@ DETECTORS = (
 )  # fmt: skip
 
 
-def score(cut: Any, name: str, seed: int) -> dict[str, Any]:
+def score(even: Tracks, cut: Any, name: str, seed: int) -> dict[str, Any]:
     """Answer one window, and compare the answer with the file's leaders."""
     detector, window = make_detector(name), cut.window
-    detector.reset(seed)
-    answer, seconds = ask(detector, window)
+    start = process_time()
+    answer, finest = answer_window(detector, even, cut, seed)
+    seconds = process_time() - start
     everyone = np.arange(window.uavs)
     roots = find_roots(cut.leader)
     head = np.isin(everyone, roots[roots != everyone])
     named = np.flatnonzero(answer.candidates)
     found = answer.leader if answer.leader is not None else np.full(window.uavs, -1)
     groups = [np.flatnonzero((find_roots(found) == i) & (everyone != i)).tolist() for i in named]
-    sure, _ = confirm_leaders(window, named, groups)
+    sure, _ = confirm_leaders(window, named, groups, finest.window)
     return {
         "uavs": window.uavs,
         "heads": int(head.sum()),
@@ -62,9 +64,9 @@ def play(path: Path, given: float | None, detectors: list[str]) -> list[dict[str
     cuts, rows = list(even.windows(LENGTH)), []
     for k in np.unique(np.linspace(0, len(cuts) - 1, min(MOST, len(cuts))).astype(int)) if cuts else ():
         about = {"set": path.parent.name, "recording": path.stem, "chosen": int(given is None)}
-        about |= {"step": float(even.step), "window": int(k)}
+        about |= {"step": even.step, "window": int(k)}
         seed = crc32(f"{path.stem} {given} {k}".encode())
-        rows += [{**about, "detector": detector_label(name), **score(cuts[k], name, seed)} for name in detectors]
+        rows += [{**about, "detector": detector_label(name), **score(even, cuts[k], name, seed)} for name in detectors]
     return rows
 
 

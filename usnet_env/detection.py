@@ -52,7 +52,8 @@ class Detection:
         leader: ``(N,)`` int64, the UAV that each UAV follows, its head or a relay (-1: none), or ``None``. A head has
             its own index or -1; if it is a candidate, any other index is read as its own.
         attention: ``(N, N)`` float64; row i has the attention weights of UAV i on all UAVs, or ``None``.
-        extras: further results by name; ``"probability"``, ``(N,)`` from 0 to 1, is that of being a head.
+        extras: further results by name; ``"probability"``, ``(N,)`` from 0 to 1, is that of being a head,
+            and ``"silent"`` the one that nobody leads.
 
     Raises:
         ArgumentError: an array has another shape, values that are not finite, or indices or probabilities out of range.

@@ -1,15 +1,16 @@
 """Tracks: resampling, windows, and what is reported."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from track_files import example, straight
+from track_files import answer_of, example, straight
 
 from usnet_env import ArgumentError
-from usnet_env.tracks import Tracks
+from usnet_env.tracks import Tracks, find_leaders
 
 
 def dense(places, step=0.5, keep=None, **options):
@@ -134,6 +135,49 @@ def test_the_step_is_longer_where_positions_are_noisy():
     assert quiet.step == 0.5
     assert noisy.step > 1
     assert "about 3 m, and shorter delays may be missed" in noisy.notes[0]
+
+
+def test_a_window_is_cut_alike_at_other_steps():
+    """With the same ids and times, at steps that the samples allow; none where the step was given."""
+    places = wandering(steps=1500, delay=30)
+    keep = np.ones(places.shape[:2], bool)
+    keep[700:900, 2] = False
+    even = dense(places, keep=keep).resample()
+    times = [other.step / even.step for other in even.other_steps]
+    assert times == [0.25, 0.5]
+    assert [dense(places).resample(step).other_steps for step in (0.5, 4.0)] == [(), ()]
+    fine = dense(wandering(steps=400, delay=1)).resample()
+    assert (fine.step, fine.other_steps) == (0.5, ())
+    for cut in even.windows(80):
+        for factor, other in zip(times, even.other_steps, strict=True):
+            same = other.cut_like(cut)
+            assert same.ids == cut.ids
+            assert cut.start <= same.start < same.end <= cut.end
+            assert same.window.observation_steps == pytest.approx(80 / factor, abs=1)
+            np.testing.assert_allclose(same.origin, cut.origin, atol=2.0)
+    assert even.other_steps[0].cut_like(next(even.windows(120))) is None  # of 480 steps
+
+
+class NamesByStep:
+    """A detector that names another UAV at each step, and tells that somebody leads at one of them only."""
+
+    def __init__(self, *steps):
+        self.steps = steps
+
+    def reset(self, seed=None):
+        pass
+
+    def detect(self, window):
+        rank = self.steps.index(window.step)
+        return replace(answer_of(window.uavs, rank), extras={"silent": 0.7 - 0.6 * (rank == 0)})
+
+
+def test_the_answer_at_the_step_at_which_somebody_leads_counts():
+    even = dense(wandering(steps=1500, delay=30)).resample()
+    for best in (0.25, 0.5, 1.0):
+        steps = [factor * even.step for factor in (best, *{0.25, 0.5, 1.0} - {best})]
+        found = find_leaders(even, NamesByStep(*steps), length=80, confirm=False)
+        assert [leader.id for leader in found.leaders] == ["uav-0"]
 
 
 def test_where_no_id_follows_the_sampling_interval_stays():

@@ -31,18 +31,22 @@ _MOST_ALIKE = 0.999  # the logarithm of equal tracks is infinite
 
 
 def confirm_leaders(
-    window: Window, leaders: Sequence[int] | NDArray[np.integer[Any]], followers: Sequence[Sequence[int]]
+    window: Window,
+    leaders: Sequence[int] | NDArray[np.integer[Any]],
+    followers: Sequence[Sequence[int]],
+    finest: Window | None = None,
 ) -> tuple[Mask, list[list[int]]]:
     """Which of c leaders are confirmed, ``(c,)`` bool, and the followers that each keeps.
 
     Its followers copy its velocity later (:func:`keep_group`, :func:`confirm_lead`) and it doesn't follow another
-    (:func:`find_followers`); or else they go on its way later (:func:`follow_places`).
+    (:func:`find_followers`); or else they go on its way later (:func:`follow_places`), by the window with the shortest
+    step, ``finest``, if there are several.
     """
     kept = [keep_group(window, int(leader), members) for leader, members in zip(leaders, followers, strict=True)]
     leads = [confirm_lead(window, int(leader), members) for leader, members in zip(leaders, kept, strict=True)]
     confirmed = np.array(leads, bool) & ~find_followers(window, leaders, followers)
     for c in np.flatnonzero(~confirmed).tolist():
-        if behind := follow_places(window, int(leaders[c]), followers[c]):
+        if behind := follow_places(finest or window, int(leaders[c]), followers[c]):
             confirmed[c], kept[c] = True, behind
     return confirmed, kept
 

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from itertools import cycle, product
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -248,7 +248,8 @@ def find_leaders(
 ) -> FoundLeaders:
     """Let a detector answer every window of tracks.
 
-    The detector is reset before every window. Groups, a leader and its followers, are followed from window to window: a
+    The detector is reset before every window. If it tells the probability that nobody leads, the window is read at
+    other steps, too (:func:`answer_window`). Groups, a leader and its followers, are followed from window to window: a
     group keeps its number where it shares the most members with an earlier one.
 
     Args:
@@ -272,39 +273,68 @@ def find_leaders(
     even = tracks if tracks.step is not None else tracks.resample(length=length or 0)
     for number, cut in enumerate(even.windows(length, stride)):
         times = tracks.file_time(cut.start), tracks.file_time(cut.end)
-        detection = _answer(player, cut, seed, number, times)
-        found = _detect_window(cut, detection, confirm, groups, times)
+        answer = _try_answer(player, even, cut, seed, number, times)
+        found = _detect_window(cut, answer, confirm, groups, times)
         windows.append(found)
         seen[cut.rows] += 1
         if on_window is not None:
-            on_window(cut, detection, found)
+            on_window(cut, answer.detection, found)
     if not windows:
         raise ArgumentError("tracks must hold a window in which at least 2 ids are seen together; no window does.")
     leaders = _summarise(windows, tracks.ids, seen if confirm else None)
     return FoundLeaders(tuple(windows), leaders, detector_label(player), tracks.ids)
 
 
-def _answer(player: DetectorLike, cut: TrackWindow, seed: int, number: int, times: tuple[Any, Any]) -> Detection:
+class Answer(NamedTuple):
+    """A detector's answer to a window, and the window with the shortest step that it was asked for."""
+
+    detection: Detection
+    finest: TrackWindow
+
+
+def answer_window(player: DetectorLike, even: Tracks, cut: TrackWindow, seed: int) -> Answer:
+    """Ask a detector for a window.
+
+    If it tells the probability that nobody leads, it is also asked at :attr:`Tracks.other_steps`, and the answer with
+    the least one counts: a step that doesn't show who follows hides a leader, and hardly ever makes one.
+    """
+
+    def answer(each: TrackWindow) -> Detection:
+        player.reset(seed)
+        return ask(player, each.window)[0]
+
+    cuts, answers = [cut], [answer(cut)]
+    if "silent" in answers[0].extras:
+        cuts += [same for other in even.other_steps if (same := other.cut_like(cut))]
+        answers += map(answer, cuts[1:])
+    detection = min(answers, key=lambda each: float(each.extras.get("silent", 0.0)))
+    return Answer(detection, min(cuts, key=lambda each: each.step))
+
+
+def _try_answer(
+    player: DetectorLike, even: Tracks, cut: TrackWindow, seed: int, number: int, times: tuple[Any, Any]
+) -> Answer:
     """Ask the detector for one window; what it raises becomes an ``ArgumentError`` that names the window."""
     try:
-        player.reset(int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1)[0]))
-        return ask(player, cut.window)[0]
+        drawn = int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1)[0])
+        return answer_window(player, even, cut, drawn)
     except Exception as error:  # a detector may raise anything
         found = f"{describe_error(error)} from {quote(detector_label(player))} in the window from {times[0]}"
         raise ArgumentError(f"detector must answer every window, got {found} to {times[1]}.") from error
 
 
 def _detect_window(
-    cut: TrackWindow, detection: Detection, confirm: bool, groups: list[Group], times: tuple[Any, Any]
+    cut: TrackWindow, answer: Answer, confirm: bool, groups: list[Group], times: tuple[Any, Any]
 ) -> DetectedWindow:
     """The leaders that an answer names in a window; their groups update those of earlier windows."""
-    ids, scores, extras = cut.ids, detection.scores, detection.extras
+    detection, ids = answer.detection, cut.ids
+    scores, extras = detection.scores, detection.extras
     order = np.argsort(-scores, kind="stable")
     heads = order[detection.candidates[order]]
     followers = [list_followers(detection, int(head)) for head in heads]
     confirmed = np.ones(len(heads), bool)
     if confirm:
-        confirmed, followers = confirm_leaders(cut.window, heads, followers)
+        confirmed, followers = confirm_leaders(cut.window, heads, followers, answer.finest.window)
     led = {int(heads[k]): followers[k] for k in np.flatnonzero(confirmed)}
     found = [(int(cut.rows[head]), set(cut.rows[[head, *members]].tolist())) for head, members in led.items()]
     labels = _number_groups(found, groups)

@@ -20,6 +20,7 @@ _LEAST_FIT = 3  # samples within a grid step from which a straight line is fitte
 _SNAP = 1e-6  # grid steps; times that differ by less are the same
 _TYPICAL_SHARE, _BRIDGE = 0.9, 1.5  # intervals up to 1.5 times that of this quantile are interpolated
 _MOST_GRID = 10**8  # samples of the result
+_OTHERS = (0.25, 0.5)  # times the chosen step
 
 # The choice of the step looks at a part of the tracks: followers, ids in all, steps, and samples.
 _FOCAL, _POOL, _PART, _MOST_SAMPLES = 48, 400, 2048, 2**21
@@ -144,6 +145,13 @@ def resample_positions(tracks: SamplesT, step: float, max_gap: float | None) -> 
         leader = np.concatenate([leader[parts[i]][grid[2]] for i, grid in zip(filled, grids, strict=True)])
     offsets = np.concatenate([[0], np.cumsum(counts)])
     return replace(tracks, offsets=offsets, time=times * step, position=places, leader=leader, step=step)
+
+
+def resample_others(tracks: SamplesT, step: float, max_gap: float | None) -> tuple[SamplesT, ...]:
+    """The tracks at a quarter and a half of ``step``, as far as their samples are so near."""
+    interval = float(np.nanmedian(typical_intervals(tracks)))
+    steps = [factor * step for factor in _OTHERS if factor * step >= interval * (1 - _SNAP)]
+    return tuple(resample_positions(tracks, other, max_gap) for other in steps)
 
 
 def _resample_one(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from usnet_env.tracks.resample import (
     close_jumps,
     leave_out_heights,
     leave_out_spikes,
+    resample_others,
     resample_positions,
     typical_stay,
 )
@@ -25,6 +27,7 @@ from usnet_env.tracks.samples import Samples, match_leaders, number_labels, sort
 from usnet_env.window import Window, as_array, frozen_array
 
 _USUAL, _SHORTEST = 100, 16  # steps of a window
+_MOST_STEPS = 400  # of a window at another step
 _LITTLE = 0.1  # of a window; so many steps at the end are no reason for one more window
 
 
@@ -78,6 +81,7 @@ class Tracks(Samples):
         frame: what the positions are, in words.
         notes: what the reader decided or found, a sentence each.
         step: seconds between the samples if they lie on the common grid of :meth:`resample`, otherwise ``None``.
+        make_others: makes :attr:`other_steps`, if the step was chosen.
     """
 
     @classmethod
@@ -149,12 +153,27 @@ class Tracks(Samples):
                 notes.append(f"{format_count(jumps, 'jump')} closed: the track goes on from where it was before.")
             if noise:
                 notes.append(f"Heights are left out: their noise of about {noise:.2g} m hides the movement in a step.")
+        others = None
         if step is None:
             step, why = choose_step(tracks, length)
             notes.append(why)
+            others = partial(resample_others, replace(tracks, leader=None), step, max_gap)
         if spikes := self.samples - tracks.samples:
             notes.append(f"{format_count(spikes, 'spike')} left out, unless keep_spikes (--keep-spikes) is given.")
-        return replace(resample_positions(tracks, step, max_gap), notes=tuple(notes))
+        return replace(resample_positions(tracks, step, max_gap), notes=tuple(notes), make_others=others)
+
+    @cached_property
+    def other_steps(self) -> tuple[Tracks, ...]:
+        """The tracks at a quarter and a half of a chosen step, if samples are so near; else none."""
+        return self.make_others() if self.make_others else ()
+
+    def cut_like(self, cut: TrackWindow) -> TrackWindow | None:
+        """The window with the ids and times of ``cut`` in tracks with another step, or ``None`` if it is of no use."""
+        step = float(self.step or 1.0)
+        first, last = int(np.ceil(cut.start / step - 1e-6)), int(np.floor(cut.end / step + 1e-6))
+        if last - first > _MOST_STEPS:
+            return None
+        return _cut(self, np.round(self.time / step).astype(np.int64), first, last - first, 0, cut.rows)
 
     def windows(
         self, length: int | None = None, stride: int | None = None, *, least_steps: int | None = None
@@ -218,12 +237,19 @@ def _read_ids(name: str, value: Any, samples: int) -> tuple[Indices, tuple[str |
     return number_labels(pd.Series(plain, dtype=object))
 
 
-def _cut(tracks: Tracks, number: Indices, first: int, length: int, least_steps: int) -> TrackWindow | None:
-    """Cut the window from grid time ``first`` on, if two ids are seen long enough; ``number`` ``(S,)`` in steps."""
+def _cut(
+    tracks: Tracks, number: Indices, first: int, length: int, least_steps: int, wanted: Indices | None = None
+) -> TrackWindow | None:
+    """Cut the window from grid time ``first`` on, if two ids are seen long enough; ``number`` ``(S,)`` in steps.
+
+    Its ids are those in the rows ``wanted``, or all.
+    """
     step = float(tracks.step or 0.0)
     inside = np.flatnonzero((number >= first) & (number <= first + length))
     owner = np.searchsorted(tracks.offsets, inside, side="right") - 1
-    rows, column = np.unique(owner, return_inverse=True)
+    rows = np.unique(owner) if wanted is None else wanted
+    inside, owner = inside[known := np.isin(owner, rows)], owner[known]
+    column = np.searchsorted(rows, owner)
     seen = np.zeros((length + 1, len(rows)), bool)
     seen[number[inside] - first, column] = True
     enough = (seen[1:] & seen[:-1]).sum(axis=0) >= least_steps
