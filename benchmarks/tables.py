@@ -155,9 +155,9 @@ def readme_block() -> str:
             "candidates divided by N; lower is better, 1 is best. A name without arguments means the default settings. "
             "[All detectors and cells, with 95 % intervals](docs/results/suites.md).",
             pivot(rows, DETECTOR, across("suite", SUITES, say, "`{}`: % exact; J_m")),
-            "GASSL plays P1, MC-GASSL plays P2; iid heads, f1 to f7, seed 2022, n after the semicolon. A *decoy* flies "
-            "like a head, and no UAV follows it. The paper's J_m follows from the rounds and redundant candidates that "
-            "its text reports.",
+            "GASSL plays P1, MC-GASSL plays P2; iid heads, f1 to f7, means of cells, seed 2022, n after the semicolon. "
+            "A *decoy* flies like a head, and no UAV follows it. The paper's J_m follows from the rounds and redundant "
+            "candidates that its text reports.",
             paper_tables.paper_algorithms(),
         ]
     )

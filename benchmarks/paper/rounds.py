@@ -28,7 +28,7 @@ from usnet_env.evaluation import TRIVIAL
 from usnet_env.evaluation.play import episode_seeds, record_metrics
 from usnet_env.replay import record_episode
 
-DETECTORS = ("mc-gassl", "mc-gassl(gassl={'steps': 0})", "lagged-regression", "central-most", "track-outlier")
+DETECTORS = ("mc-gassl", "mc-gassl(gassl={'steps': 0})", "reader", "lagged-regression", "central-most", "track-outlier")
 WORDS = Path(__file__).parent / "data" / "multi_cluster_in_words.csv"  # what the paper says of each study
 PANELS = {"rounds": ("rounds R", 1), "redundancy": ("redundant UAVs, % of N", 100), "J": ("J_m", 1)}
 
