@@ -8,7 +8,6 @@ A row is an episode; all probers play the same swarms. ``none`` watches and neve
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import Any
 
 import gymnasium as gym
@@ -35,16 +34,11 @@ CELLS: dict[str, dict[str, Any]] = {
 }
 
 
-@lru_cache(maxsize=4)
-def _make_detector(label: str) -> Any:
-    return make_detector(label)
-
-
 def play(game: shared.Game) -> list[dict[str, Any]]:
     """Play an episode."""
     env = gym.make("USNET/Probing-v0", **ALL, **CELLS[game["cell"]])
     seed = int(np.random.default_rng([shared.SEED, game["episode"]]).integers(2**31))
-    played, total = play_probe(env, Prober(_make_detector(game["detector"]), game["target"]), seed)
+    played, total = play_probe(env, Prober(shared.remember(make_detector, game["detector"]), game["target"]), seed)
     elapsed, steps = played.observation["elapsed"][0], env.unwrapped.config.observation_steps
     measured = {"right": int(played.info["J"] == 0), "elapsed": int(elapsed), "early": int(elapsed < steps)}
     return [game | measured | {"belief": played.answer.scores.max(), "reward": total}]

@@ -16,7 +16,7 @@ import json
 from argparse import Namespace
 from collections.abc import Iterable
 from contextlib import nullcontext
-from functools import lru_cache, partial
+from functools import partial
 from importlib.resources import files
 from itertools import product
 from pathlib import Path
@@ -29,7 +29,7 @@ import pandas as pd
 from paper import shared
 from pivot import across, pivot, rate, size
 from safetensors.numpy import load_file
-from scipy.special import expit
+from scipy import special
 from sklearn.metrics import roc_auc_score
 
 from detectors.reader.features import CONTEXT_GROUPS, PAIR_GROUPS, UAV_GROUPS, make_features
@@ -46,7 +46,6 @@ GROUPS = {name: (kind, part) for kind, groups in KINDS.items() for name, part in
 SIZES = {f"width {width}, {shards} shards": (width, shards) for width in (16, 32, 48) for shards in (10, 30, 90)}
 NONE, SHIPPED = "nothing", "shipped"  # no group is dropped; the weights of the package
 CONFIDENCES = (0.0, 0.2, 0.4, 0.6, 0.8, 0.95, 1.0)
-load = lru_cache(maxsize=4)(load_reader)
 Played = Iterable[tuple[str, str, str]]  # reader, dropped group, source
 
 
@@ -85,13 +84,13 @@ def ask(path: Path, window: Window, dropped: str) -> tuple[np.ndarray, float]:
     """``(N,)`` p(head), and p(nobody leads); a group of features that is dropped has its mean in the training."""
     flying = np.flatnonzero(window.velocity_seen.any(axis=0))
     features = make_features(window.position[:, flying], window.velocity[:, flying], window.seen[:, flying])
-    weights = load(str(path))
+    weights = shared.remember(load_reader, str(path))
     if dropped != NONE:
         kind, part = GROUPS[dropped]
         getattr(features, kind)[..., part] = weights[f"{kind}_mean"][part]
     answer, p = read(weights, features), np.zeros(window.uavs)
-    p[flying] = expit(answer.head.astype(float))
-    return p, float(expit(answer.silent))
+    p[flying] = special.expit(answer.head.astype(float))
+    return p, float(special.expit(answer.silent))
 
 
 def play(game: shared.Game, readers: Path, seed: int) -> list[dict[str, Any]]:
@@ -175,12 +174,13 @@ def report(rows: pd.DataFrame, study: str) -> str:
     says = {"windows": size, "exact": rate("exact"), "mean confidence": say_confidence}
     says["errors by 1 - confidence"] = measure_doubt
     if study in ("scaling", "ablation"):
-        return pivot(windows, {"reader": "reader", "dropped": "dropped"}, across("set", SUITES, rate("exact")))
+        lines = {"reader": "reader"} | ({"dropped": "dropped"} if study == "ablation" else {})
+        return pivot(windows, lines, across("set", SUITES, rate("exact")))
     if study == "families":
         return report_families(windows)
-    lines: list[dict[str, str]] = [{"set": "set", "leads": "leads"}, {"leads": "leads"}, {"confidence": "sure"}]
+    tables: list[dict[str, str]] = [{"set": "set", "leads": "leads"}, {"leads": "leads"}, {"confidence": "sure"}]
     errors = {"calibration error": measure_calibration}
-    return "\n\n".join(pivot(part, line, say) for line in lines for part, say in ((windows, says), (rows, errors)))
+    return "\n\n".join(pivot(part, line, say) for line in tables for part, say in ((windows, says), (rows, errors)))
 
 
 def draw_sizes(rows: pd.DataFrame, readers: Path, images: Path) -> None:
@@ -198,7 +198,6 @@ def draw_sizes(rows: pd.DataFrame, readers: Path, images: Path) -> None:
         for axes, name, value in zip(panels[0], ("loss", "exact"), values, strict=True):
             axes.plot(cost, value, "o-", color=color, label=f"width {width}")
             axes.set(xscale="log", xlabel="parameters × windows of the training", ylabel=name)
-    panels[0][0].legend()
     caption = f"n = {exact.size().min()} windows of {', '.join(SUITES)} a point."
     shared.save_figure(figure, images / "reader-scaling.png", "The reader's size and its training", caption)
 

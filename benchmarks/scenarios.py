@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable
-from functools import lru_cache, partial
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from zlib import crc32
 
 import numpy as np
 import pandas as pd
-from paper.shared import Game, measure, parse
+from paper.shared import Game, measure, parse, remember
 from pivot import across, pivot
 from scipy.signal import lfilter
 
@@ -185,7 +185,6 @@ WORDS = ("named", "confirmed")
 AIMS = ("led (aim .97; .05)", "a driver or a route (aim .10)", "nobody leads (aim .05)")
 
 
-@lru_cache(maxsize=1)
 def read_file(scenario: str, file: int, seed: int) -> Tracks:
     """Draw a file of a scenario, its ids in random order, and read it with the step that is chosen."""
     rng = np.random.default_rng([seed, crc32(scenario.encode()), file])
@@ -207,7 +206,7 @@ def read_file(scenario: str, file: int, seed: int) -> Tracks:
 
 def play(game: Game, seed: int) -> list[dict[str, Any]]:
     """Answer a file. Heads through most of a window are due; a UAV that is at no time of it a head is wrong."""
-    even = read_file(game["scenario"], game["file"], seed)
+    even = remember(read_file, game["scenario"], game["file"], seed)
     owner, rows = np.repeat(np.arange(len(even.ids)), np.diff(even.offsets)), []
 
     def score(cut: Any, answer: Any, found: Any) -> None:

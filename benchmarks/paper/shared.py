@@ -63,6 +63,12 @@ def parse(words: str | None, rows: Path | None = None) -> argparse.ArgumentParse
     return parser
 
 
+@lru_cache(maxsize=4)
+def remember(function: Callable[..., Any], *arguments: Any) -> Any:
+    """The result of a function, kept for further calls with the same arguments; other processes can have it, too."""
+    return function(*arguments)
+
+
 @lru_cache(maxsize=2)
 def open_cell(suite: str, name: str) -> Any:
     """The environment of a cell of a suite."""
