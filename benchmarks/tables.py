@@ -248,7 +248,7 @@ def _spread(ratios: list[float]) -> str:
     return f"{np.median(ratios):.3g} ({min(ratios):.3g}–{max(ratios):.3g})"
 
 
-READER_STUDIES = ("calibration", "families", "ablation")
+READER_STUDIES = ("calibration", "families", "scaling", "ablation")
 
 
 def _report(name: str, report: Callable[[pd.DataFrame], str]) -> Callable[[], str]:
