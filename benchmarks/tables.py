@@ -167,7 +167,8 @@ def ladder_block() -> str:
     """A line for each game of the ladder: J of some detectors, and the share of exact episodes of the last one."""
     rows, order = read_suite("ladder"), list(list_suites()["ladder"].cells)
     rows = rows.sort_values("cell", key=lambda cells: cells.map(order.index), kind="stable")
-    names = ("none", "random", "destroy-all", "reader(policy='map')")
+    names = ("none", "random", "destroy-all", "central-most", "track-outlier", "reader(weights='untrained')")
+    names += ("reader(policy='map')",)
     columns = across("detector", names, mean("J"), "`{}`: J") | across("detector", names[-1:], rate("exact"), "exact")
     return pivot(rows, {"game": "cell"}, {"n": lambda part: str(part.episode.nunique()), **columns})
 
