@@ -1,6 +1,6 @@
 """A small field, in which swarms differ in all but size: what PPO learns there, beside the detectors that are quick.
 
-    OMP_NUM_THREADS=1 python benchmarks/small_field.py
+    OMP_NUM_THREADS=1 python benchmarks/small_field.py --trainings 5
     python benchmarks/small_field.py --draw                  # trains and plays nothing: the table of the rows
 
 A row is an episode; all play the same swarms, on none of which PPO trained.

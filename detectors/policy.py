@@ -28,7 +28,7 @@ def choose(
     P1: there is one head; naming k > 1 UAVs costs k - 1 and hits it with the sum of their p.
 
     With probability ``silent`` no UAV leads, so that another round costs nothing and each named UAV is redundant. Else
-    the heads are independent with p / (1 - ``silent``), and naming nobody misses them. The best set may be empty. The
+    the heads are independent with p / (1 - ``silent``), and an empty set misses them. The best set may be empty. The
     numbers ``tie`` ``(N,)`` order UAVs with equal ``probability`` ``(N,)``.
     """
     named = np.zeros(len(alive), bool)
@@ -43,11 +43,11 @@ def choose(
     led = 1.0 - min(max(silent, 0.0), 1.0 - 1e-9)
     p = np.minimum(p / led, 1.0)
     if objective == "P1":
-        cost, nobody = np.arange(len(p)) - led * np.cumsum(p / max(float(p.sum()), 1e-12)), led - 1.0
+        cost, empty = np.arange(len(p)) - led * np.cumsum(p / max(float(p.sum()), 1e-12)), led - 1.0
     else:
         none_left = np.append(np.cumprod((1.0 - p)[::-1])[::-1][1:], 1.0)  # after each place in the order
         cost = led * round_price * (1.0 - none_left) + np.cumsum(1.0 - led * p) / len(alive)
-        nobody = led * round_price
-    if cost.min() < nobody:
+        empty = led * round_price
+    if cost.min() < empty:
         named[order[: int(cost.argmin()) + 1]] = True
     return named

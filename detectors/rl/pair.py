@@ -52,7 +52,7 @@ class PairNetwork(nn.Module):
 def answer(scores: Tensor, values: Tensor, living: Tensor, named: int = 1) -> tuple[Tensor, Tensor]:
     """The logits ``(B, N)`` and the values ``(B,)`` that a network returns, from what it finds about each UAV.
 
-    At the start about ``named`` UAVs are named: naming nobody, or all, teaches little.
+    At the start about ``named`` UAVs are named, since an agent that names none, or all, learns little.
     """
     count = living.sum(dim=1)
     logits = scores - torch.log(count.clamp(min=2 * named) / named - 1.0)[:, None]

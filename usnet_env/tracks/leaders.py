@@ -7,18 +7,19 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from itertools import cycle, product
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
 from usnet_env.arrays import Floats, Indices
 from usnet_env.config import ArgumentError, format_count, quote, whole_number
-from usnet_env.detection import Detection, ask
+from usnet_env.detection import Detection
 from usnet_env.drawing import CLUSTER_COLORS
 from usnet_env.objectives import list_followers
 from usnet_env.parts import describe_error
 from usnet_env.plugins import DetectorLike, detector_label, make_detector
+from usnet_env.tracks.answers import Answer, answer_window
 from usnet_env.tracks.confirm import LEVEL, confirm_leaders, find_confound
 from usnet_env.tracks.events import Event, find_events
 from usnet_env.tracks.tracks import Tracks, TrackWindow
@@ -283,32 +284,6 @@ def find_leaders(
         raise ArgumentError("tracks must hold a window in which at least 2 ids are seen together; no window does.")
     leaders = _summarise(windows, tracks.ids, seen if confirm else None)
     return FoundLeaders(tuple(windows), leaders, detector_label(player), tracks.ids)
-
-
-class Answer(NamedTuple):
-    """A detector's answer to a window, and the window with the shortest step that it was asked for."""
-
-    detection: Detection
-    finest: TrackWindow
-
-
-def answer_window(player: DetectorLike, even: Tracks, cut: TrackWindow, seed: int) -> Answer:
-    """Ask a detector for a window.
-
-    If it tells the probability that nobody leads, it is also asked at :attr:`Tracks.other_steps`, and the answer with
-    the least one counts: a step that doesn't show who follows hides a leader, and hardly ever makes one.
-    """
-
-    def answer(each: TrackWindow) -> Detection:
-        player.reset(seed)
-        return ask(player, each.window)[0]
-
-    cuts, answers = [cut], [answer(cut)]
-    if "silent" in answers[0].extras:
-        cuts += [same for other in even.other_steps if (same := other.cut_like(cut))]
-        answers += map(answer, cuts[1:])
-    detection = min(answers, key=lambda each: float(each.extras.get("silent", 0.0)))
-    return Answer(detection, min(cuts, key=lambda each: each.step))
 
 
 def _try_answer(

@@ -1,0 +1,35 @@
+"""Ask a detector for a window of tracks, at the chosen step and at shorter ones."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from usnet_env.detection import Detection, ask
+from usnet_env.plugins import DetectorLike
+from usnet_env.tracks.tracks import Tracks, TrackWindow
+
+
+class Answer(NamedTuple):
+    """A detector's answer to a window, and the window with the shortest step that it was asked for."""
+
+    detection: Detection
+    finest: TrackWindow
+
+
+def answer_window(player: DetectorLike, even: Tracks, cut: TrackWindow, seed: int) -> Answer:
+    """Ask a detector for a window.
+
+    If it tells the probability that nobody leads, it is also asked at :attr:`Tracks.other_steps`, and the answer with
+    the least one counts: a step that doesn't show who follows hides a leader, and hardly ever makes one.
+    """
+
+    def answer(each: TrackWindow) -> Detection:
+        player.reset(seed)
+        return ask(player, each.window)[0]
+
+    cuts, answers = [cut], [answer(cut)]
+    if "silent" in answers[0].extras:
+        cuts += [same for other in even.other_steps if (same := other.cut_like(cut))]
+        answers += map(answer, cuts[1:])
+    detection = min(answers, key=lambda each: float(each.extras.get("silent", 0.0)))
+    return Answer(detection, min(cuts, key=lambda each: each.step))
