@@ -6,7 +6,7 @@ import numpy as np
 
 from usnet_env.arrays import Floats
 
-PRIOR_VERSION = 6  # increases when a draw changes
+PRIOR_VERSION = 8  # increases when a draw changes
 
 MODELS = {  # follow strategies; flocks are the hardest, and come twice as often; two hold f1 to f6 as parts
     "random": 2.5,
@@ -14,7 +14,8 @@ MODELS = {  # follow strategies; flocks are the hardest, and come twice as often
     **dict.fromkeys(("frontness", "part_time", "partial_turns"), 1.0),
     **dict.fromkeys(("vicsek", "couzin", "predator"), 2.0),
     "informed": 3.5,
-    **dict.fromkeys(("shepherd", "reference", "independent", "shifted", "none"), 1.0),  # nobody leads
+    "reference": 3.0,  # nobody leads in this and the next models
+    **dict.fromkeys(("shepherd", "independent", "shifted", "none"), 1.0),
 }
 FAULTS = {  # what the sensor does to a swarm that follows by one of the models
     **dict.fromkeys(("fault:noise", "fault:correlated", "fault:mix"), 1.4),
@@ -25,13 +26,13 @@ FAULTS = {  # what the sensor does to a swarm that follows by one of the models
 WORLDS = {  # without the simulator
     "star": 8.0,
     "path": 3.5,
-    "springs": 7.0,
+    "springs": 30.0,
     **dict.fromkeys(("people", "initiators", "set_off"), 1.4),
     "graded": 2.0,
     **dict.fromkeys(("file", "boids_signed"), 1.0),
-    "cars": 2.0,
+    "cars": 4.0,
     **dict.fromkeys(("changes", "fission", "convoy"), 0.7),
-    "driver": 4.5,  # no UAV leads in this and the next worlds
+    "driver": 7.0,  # no UAV leads in this and the next worlds
     "route": 3.0,
     "leaderless": 5.0,
     "herd": 2.0,
@@ -39,7 +40,7 @@ WORLDS = {  # without the simulator
 }
 #: How often a sensor spoils a world. With noise, an unseen driver can't be told from a leader, who is more likely.
 OBSERVED = {"star": 0.5, "path": 0.4, "driver": 0.1}  # the others: 0.25
-SHARES = (0.27, MODELS), (0.17, FAULTS), (0.36, WORLDS), (0.20, {"field": 1.0})  # the last: the field environment
+SHARES = (0.24, MODELS), (0.15, FAULTS), (0.44, WORLDS), (0.17, {"field": 1.0})  # the last: the field environment
 
 
 def draw_name(rng: np.random.Generator, weights: Mapping[str, float], without: Collection[str] = ()) -> str:

@@ -129,16 +129,16 @@ def draw_springs(rng: np.random.Generator, stage: Stage) -> Flight:
     """
     windows, uavs = stage.windows, stage.uavs
     stiff = draw_log(rng, 0.0005, 0.2, windows, 1, 1) / np.sqrt(uavs)
-    spring = stiff * (rng.random((windows, uavs, uavs)) < rng.uniform(0.0, 0.7))
+    spring = stiff * (rng.random((windows, uavs, uavs)) < rng.uniform(0.0, 0.8))
     if rng.random() < 0.5:
         spring = np.triu(spring, 1) + np.triu(spring, 1).swapaxes(1, 2)
-    spring[:, 0] *= rng.choice([0.0, 1.0, rng.random()])
+    spring[:, 0] *= rng.choice([0.0, 1.0, 1.0, rng.random()])
     spring[:, :, 0] = stiff[:, 0] * rng.uniform(0.5, 3.0, (windows, uavs)) ** rng.integers(2)
-    pushed, wall = rng.choice([0.0, 0.0, 0.003, 0.02]), np.inf if rng.random() < 0.4 else rng.uniform(2.0, 6.0)
+    pushed, wall = rng.choice([0.0, 0.0, 0.0, 0.003, 0.02]), np.inf if rng.random() < 0.4 else rng.uniform(2.0, 10.0)
     push = pushed * stage.draw_normals(rng, stage.steps, uavs)
     push[:, :, 0] *= rng.uniform(0.0, 3.0)
     drag = float(draw_log(rng, 0.005, 0.3)) if pushed else 0.0
-    places, velocity = [stage.draw_normals(rng, uavs)], draw_log(rng, 0.05, 0.5) * stage.draw_normals(rng, uavs)
+    places, velocity = [stage.draw_normals(rng, uavs)], draw_log(rng, 0.03, 0.5) * stage.draw_normals(rng, uavs)
     for part in range(4 * stage.steps):  # four parts of each step
         force = spring @ places[-1] - spring.sum(-1, keepdims=True) * places[-1]
         velocity = velocity + (push[:, part // 4] - drag * velocity + force) / 4.0

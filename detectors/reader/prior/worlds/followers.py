@@ -53,14 +53,46 @@ def draw_changes(rng: np.random.Generator, stage: Stage) -> Flight:
     return Flight(_copy(rng, stage, source, delay, 0.3), np.zeros(stage.uavs, np.int64), delay)
 
 
+def _keep_gaps(rng: np.random.Generator, stage: Stage, leader: Indices, delay: Indices) -> Floats:
+    """Positions ``(B, T + 1, n, 3)`` on a road along x of cars that keep a gap to their leader.
+
+    A gap is as long as what is driven in the delay: dv_i = k (x_L - x_i - d_i v_i) / d_i + c (v_L - v_i), the optimal
+    velocity with relative velocities (Bando et al. 1995; Jiang et al. 2001). Standing gaps are left out.
+    """
+    windows, one, first = stage.windows, (stage.windows, 1), leader == np.arange(stage.uavs)
+    rate, most = draw_log(rng, 0.5 / stage.steps, 0.2, *one), draw_log(rng, 0.01, 0.3, *one)
+    shake = draw_log(rng, 0.001, 0.05, *one) * (first + 0.3)
+    pulled, copied = stage.draw_each(rng, 0.03, 0.5), stage.draw_each(rng, 0.03, 0.5)
+    target = rng.uniform(0.0, 2.0, one) * np.ones(stage.uavs)
+    speed, place = target.copy(), np.zeros((windows, stage.uavs))
+    for i in np.flatnonzero(~first):
+        place[:, i] = place[:, leader[i]] - delay[:, i] * speed[:, i]
+    places = []
+    for t in range(2 * stage.steps + 1):
+        if t >= stage.steps:
+            places.append(place)
+        drawn = np.maximum(rng.uniform(-0.5, 2.0, target.shape), 0.0)
+        target = np.where(rng.random(target.shape) < rate, drawn, target)
+        follow = pulled * ((place[:, leader] - place) / delay - speed) + copied * (speed[:, leader] - speed)
+        change = np.where(first, np.clip(target - speed, -most, most), follow)
+        change += shake * rng.standard_normal(speed.shape) * (speed > 0)
+        speed = np.maximum(speed + change, 0.0)
+        place = place + speed
+    return np.stack(places, axis=1)[..., None] * np.array([1.0, 0.0, 0.0])
+
+
 def draw_cars(rng: np.random.Generator, stage: Stage) -> Flight:
-    """Traffic in lanes: each car takes on the speed of the one before it after a delay; the first of a lane leads."""
+    """Traffic in lanes: each car takes on the speed of the one before it, or keeps a gap; the first of a lane leads."""
     lanes, own = int(rng.integers(min(4, stage.uavs // 2))) + 1, np.arange(stage.uavs)
     leader, delay = np.where(own < lanes, own, own - lanes), stage.draw_delays(rng, 12)
-    road = stage._replace(axes=np.array([1.0, 0.0, 0.0]))
-    position = _copy(rng, road, np.tile(leader, (stage.steps, 1)), delay, 0.3)
-    position += rng.uniform(1.5, 4.0) * np.arange(stage.steps + 1)[:, None, None] * road.axes - position[:, :1]
-    position[..., 0] -= draw_log(rng, 5.0, 50.0) * (own // lanes + rng.uniform(0.0, 0.5, stage.uavs))
+    road, room = stage._replace(axes=np.array([1.0, 0.0, 0.0])), draw_log(rng, 5.0, 50.0)
+    if rng.random() < 0.5:
+        position, room = _keep_gaps(rng, stage, leader, delay), draw_log(rng, 0.2, 20.0)
+        position[..., 0] -= rng.uniform(0.0, 100.0, lanes)[own % lanes]
+    else:
+        position = _copy(rng, road, np.tile(leader, (stage.steps, 1)), delay, 0.3)
+        position += rng.uniform(1.5, 4.0) * np.arange(stage.steps + 1)[:, None, None] * road.axes - position[:, :1]
+    position[..., 0] -= room * (own // lanes + rng.uniform(0.0, 0.5, stage.uavs))
     position[..., 1] += own % lanes * rng.uniform(1.0, 4.0) + rng.normal(0.0, 0.02, position.shape[:3])
     return Flight(position, leader, delay)
 
