@@ -17,7 +17,8 @@ NO_CHASER, PREDATOR, DRIVER = range(3)
 _ONE, _ZERO, _TINY = np.float32(1.0), np.float32(0.0), np.float32(1e-12)
 _SMALL = 64  # up to this size a flock is searched as a whole
 _X, _Y, _Z, _UX, _UY, _UZ = range(0, 6 * _SMALL, _SMALL)  # rows of `members` in _sum_all
-_OX, _OY, _OZ, _AX, _AY, _AZ, _REPELLED, _ALIGNED, _ATTRACTED = range(0, 9 * _SMALL, _SMALL)  # and of `sums`
+# Rows of `sums`: repulsion, alignment, attraction, and the three counts.
+_RX, _RY, _RZ, _OX, _OY, _OZ, _AX, _AY, _AZ, _REPELLED, _ALIGNED, _ATTRACTED = range(0, 12 * _SMALL, _SMALL)
 
 
 @compiled(inner=True, error_model="numpy")
@@ -78,7 +79,7 @@ def _sum_cells(x, y, z, width, repel, align, attract, begin, cell, p, v):
 
 @compiled(inner=True, error_model="numpy")
 def _sum_all(size, repel, align, attract, members, sums):
-    """Fill ``sums`` for all UAVs of a small flock: alignment, attraction, and the three counts.
+    """Fill ``sums`` for all UAVs of a small flock.
 
     The inner loop is over the UAVs that get a term, so the sums have the same bits with all vector instructions. Rows
     of ``members`` and ``sums`` are ``_SMALL`` apart, from which the compiler knows that they don't overlap.
@@ -87,7 +88,7 @@ def _sum_all(size, repel, align, attract, members, sums):
     for d in range(size):
         x, y, z = members[_X + d], members[_Y + d], members[_Z + d]
         ux, uy, uz = members[_UX + d], members[_UY + d], members[_UZ + d]
-        for c in range(size):
+        for c in range((size + 15) // 16 * 16):  # whole vectors; nobody reads the rest
             dx, dy, dz = x - members[_X + c], y - members[_Y + c], z - members[_Z + c]
             square = dx * dx + dy * dy + dz * dz
             o = _ONE if square < align else _ZERO
@@ -95,27 +96,18 @@ def _sum_all(size, repel, align, attract, members, sums):
             sums[_OX + c] += o * ux
             sums[_OY + c] += o * uy
             sums[_OZ + c] += o * uz
-            q = _ONE if square < attract else _ZERO
-            sums[_REPELLED + c] += _ONE if square < repel else _ZERO
+            r, q = _ONE if square < repel else _ZERO, _ONE if square < attract else _ZERO
+            sums[_REPELLED + c] += r
             sums[_ATTRACTED + c] += q
-            q /= np.sqrt(square + _TINY)
+            inverse = _ONE / np.sqrt(square + _TINY)
+            r *= inverse
+            sums[_RX + c] -= r * dx
+            sums[_RY + c] -= r * dy
+            sums[_RZ + c] -= r * dz
+            q *= inverse
             sums[_AX + c] += q * dx
             sums[_AY + c] += q * dy
             sums[_AZ + c] += q * dz
-
-
-@compiled(inner=True, error_model="numpy")
-def _sum_repulsion(c, size, repel, members):
-    """Sum the directions away from the UAVs of a small flock within the range of repulsion of UAV c."""
-    rx, ry, rz = _ZERO, _ZERO, _ZERO
-    for d in range(size):
-        dx, dy = members[_X + d] - members[_X + c], members[_Y + d] - members[_Y + c]
-        dz = members[_Z + d] - members[_Z + c]
-        square = dx * dx + dy * dy + dz * dz
-        if square < repel:
-            inverse = _ONE / np.sqrt(square + _TINY)
-            rx, ry, rz = rx - inverse * dx, ry - inverse * dy, rz - inverse * dz
-    return rx, ry, rz
 
 
 @compiled(inner=True, error_model="numpy")
@@ -178,7 +170,7 @@ def fly_flock(
     while buckets < 2 * uavs:
         buckets *= 2
     begin = np.empty(buckets + 1, np.int64)
-    few, sums = np.empty(6 * _SMALL, np.float32), np.empty(9 * _SMALL, np.float32)
+    few, sums = np.zeros(6 * _SMALL, np.float32), np.empty(12 * _SMALL, np.float32)
     middle = np.zeros((width, 3), np.float32)
     for b in range(episodes):
         members = _sort_members(motion[b], source[b], bystander[b], uavs, label, order, first)
@@ -215,12 +207,10 @@ def fly_flock(
                             px[c], py[c], pz[c], outer, repel, align, attract, begin[: small + 1], cell, near_p, near_v
                         )
                     else:
+                        rx, ry, rz = sums[_RX + c], sums[_RY + c], sums[_RZ + c]
                         ox, oy, oz = sums[_OX + c], sums[_OY + c], sums[_OZ + c]
                         ax, ay, az = sums[_AX + c], sums[_AY + c], sums[_AZ + c]
                         repelled, aligned, attracted = sums[_REPELLED + c], sums[_ALIGNED + c], sums[_ATTRACTED + c]
-                        rx, ry, rz = _ZERO, _ZERO, _ZERO
-                        if repelled > np.float32(1.5):
-                            rx, ry, rz = _sum_repulsion(c, size, repel, few)
                     if repelled > np.float32(1.5):  # the UAV itself is counted
                         x, y, z = norm(rx, ry, rz)
                     elif max(aligned, attracted) > np.float32(1.5):
