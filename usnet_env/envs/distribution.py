@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -89,7 +90,7 @@ class Distribution(Config):
                 raise ArgumentError(f"{name} must go from a number to a larger one, got {quote(rule)}.")
         return self
 
-    @property
+    @cached_property
     def rules(self) -> dict[str, Any]:
         """What is drawn, by name."""
         return {name: rule for name, rule in self if name != "version" and rule is not None}

@@ -163,9 +163,7 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
         if len(ended):
             begun = self._start(ended)
             state = begun if len(ended) == self.num_envs else state.with_rows(ended, begun)
-            for name, values in game.initial_info(self.rules, begun).items():
-                metrics[name] = metrics[name].copy()
-                metrics[name][ended] = values
+            metrics = {name: np.where(over, np.zeros_like(values), values) for name, values in metrics.items()}
         self._game, window = game.observe_windows(self._configs, state, self._rngs)
         shown = self._show(window, ended, played)
         return shown, reward, terminated, truncated, self._infos(metrics, self._game.swarm) | final
