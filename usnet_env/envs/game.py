@@ -14,8 +14,9 @@ from pydantic import Field
 from usnet_env.arrays import Floats, Indices, Mask, Observation
 from usnet_env.config import ArgumentError, Config, format_count, quote
 from usnet_env.objectives import hits_and_redundant, single_cluster_objective
-from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState, advance, destroy, start
+from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState, destroy, start
 from usnet_env.swarm.config import Count, Price
+from usnet_env.swarm.simulator import advance_each, sort_kinds
 
 Part = Literal["position", "velocity", "seen", "alive", "round"]
 PARTS: tuple[Part, ...] = ("position", "velocity", "seen", "alive", "round")  # of an observation
@@ -128,17 +129,9 @@ def check_options(options: Any) -> None:
         raise ArgumentError(f"options must be empty, since a game is changed by its arguments, got {quote(options)}.")
 
 
-def _sort_games(configs: Sequence[SwarmConfig]) -> list[tuple[SwarmConfig, NDArray[np.intp]]]:
-    """Each configuration with the indices of its games, which fly together."""
-    games: dict[int, list[int]] = {}
-    for b, config in enumerate(configs):
-        games.setdefault(id(config), []).append(b)
-    return [(configs[rows[0]], np.array(rows)) for rows in games.values()]
-
-
 def start_games(configs: Sequence[SwarmConfig], rngs: Sequence[np.random.Generator]) -> GameState:
     """Start B games, each with its configuration and its generator."""
-    kinds = _sort_games(configs)
+    kinds = sort_kinds(configs)
     swarm = SwarmState.join([start(config, [rngs[b] for b in rows]) for config, rows in kinds])
     if len(kinds) > 1:
         swarm = swarm.rows(np.argsort(np.concatenate([rows for _, rows in kinds])))
@@ -224,19 +217,16 @@ def observe_windows(
         The games at the end of the window, and the observation with a leading axis B.
     """
     running = np.flatnonzero(~state.terminated)
-    kinds = [(config, running[rows]) for config, rows in _sort_games([configs[int(b)] for b in running])]
-    if len(kinds) == 1 and len(running) == len(rngs):
-        swarm, window = advance(configs[0], state.swarm, rngs)
+    if len(running) == len(rngs):
+        swarm, window = advance_each(configs, state.swarm, rngs)
         return replace(state, swarm=swarm), show_window(window, state.rounds[:, None])
-    window, flown = ObservationBatch.unseen(configs[0], state.swarm.alive), [state.swarm]
-    for config, rows in kinds:
-        part, observed = advance(config, state.swarm.rows(rows), [rngs[b] for b in rows])
-        flown.append(part)
+    window, swarm = ObservationBatch.unseen(configs[0], state.swarm.alive), state.swarm
+    if len(running):
+        rows = running.tolist()
+        after, observed = advance_each([configs[b] for b in rows], swarm.rows(running), [rngs[b] for b in rows])
+        swarm = swarm.with_rows(running, after)
         for name in ("position", "velocity", "seen"):
-            getattr(window, name)[rows] = getattr(observed, name)
-    order = np.arange(len(rngs))
-    order[[b for _, rows in kinds for b in rows]] = len(order) + np.arange(len(running))
-    swarm = SwarmState.join(flown).rows(order) if kinds else state.swarm
+            getattr(window, name)[running] = getattr(observed, name)
     return replace(state, swarm=swarm), show_window(window, state.rounds[:, None])
 
 

@@ -192,7 +192,8 @@ class ProbingEnv(UsnetEnv):
         """The window so far. The sensor observes it anew with the same random numbers, so that the past stays."""
         flight, state = self._flight, game.require_game(self._game)
         sensor, elapsed = np.random.default_rng(flight["sensor"]), flight["elapsed"]
-        seen = sense(self.config, flight["position"][None], flight["velocity"][None], state.swarm.alive, [sensor])
+        flown, swarm = (flight["position"][None], flight["velocity"][None]), state.swarm
+        seen = sense([self.config], *flown, swarm.alive, [sensor], swarm.free)
         window = {name: values[0] for name, values in game.show_window(seen, state.rounds[:, None]).items()}
         window |= {"intruders": flight["intruders"], "elapsed": np.full(1, elapsed, np.float32)}
         for name, first in {"position": elapsed + 1, "seen": elapsed + 1, "velocity": elapsed}.items():

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from usnet_env.arrays import Floats, Mask, Singles
+from usnet_env.arrays import Floats, Mask
 from usnet_env.config import ArgumentError, Config, quote
-from usnet_env.swarm import ObservationBatch, SwarmConfig, kernels
+from usnet_env.swarm import ObservationBatch, SwarmConfig
 from usnet_env.swarm.config import Few, Metres, Price, Rate
 from usnet_env.swarm.formation import ARENA
-from usnet_env.swarm.sensing import sense
 
 
 class SensorConfig(Config):
@@ -52,27 +50,6 @@ class SensorConfig(Config):
     def draw_positions(self, rng: np.random.Generator) -> Floats:
         """Draw the positions of the observers in an episode, ``(K, 3)`` in metres."""
         return _PLACEMENTS[self.placement](rng, self.observers)
-
-
-def sense_windows(
-    sensor: SwarmConfig,
-    place: Floats,
-    reach: float,
-    position: Singles,
-    velocity: Singles,
-    alive: Mask,
-    rngs: Sequence[np.random.Generator],
-) -> ObservationBatch:
-    """Observe a window of B swarms, each with an observer at ``place`` ``(B, 3)`` that sees as far as ``reach``, m.
-
-    ``sensor`` is the swarm's configuration with the noise, miss rate and sampling of the observers. Position and
-    velocity are true.
-    """
-    sighting = sense(sensor, position, velocity, alive, rngs)
-    flown = np.ascontiguousarray(position[:, :: sensor.sample_every])
-    seen, shown, moved = sighting.seen, np.array(sighting.position, order="C"), np.array(sighting.velocity, order="C")
-    kernels.hide_far(place, float(reach), flown, seen, shown, moved)
-    return replace(sighting, position=shown, velocity=moved)
 
 
 def merge_sightings(sightings: Sequence[ObservationBatch], sample_every: int) -> ObservationBatch:

@@ -16,9 +16,10 @@ from usnet_env.envs import game
 from usnet_env.envs.usnet import OBSERVATION
 from usnet_env.multiagent import base
 from usnet_env.multiagent.batch import OBSERVER, WINDOW, ByRole, GameBatch, Observations
-from usnet_env.multiagent.sensors import SensorConfig, combine_votes, sense_windows
+from usnet_env.multiagent.sensors import SensorConfig, combine_votes
 from usnet_env.swarm import SwarmConfig, SwarmState, advance
 from usnet_env.swarm.config import MobilityArguments
+from usnet_env.swarm.sensing import sense
 
 
 class BatchArguments(base.GameArguments, MobilityArguments, SensorConfig):
@@ -84,12 +85,12 @@ class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
 
     def _fly_rows(self, swarm: SwarmState, rows: Indices) -> tuple[SwarmState, Observation]:
         after, truth = advance(self._flight, swarm, [self._rngs[b] for b in rows])
+        count, noise = len(self._sensors), [rng for b in rows for rng in self._noise[b]]
+        near = self.places[rows].reshape(-1, 3), np.tile(self._ranges, len(rows))
         flown = truth.position, truth.velocity, truth.alive
-        sightings = [
-            sense_windows(sensor, self.places[rows, k], reach, *flown, [self._noise[b][k] for b in rows])
-            for k, (sensor, reach) in enumerate(zip(self._sensors, self._ranges, strict=True))
-        ]
-        return after, {name: np.stack([getattr(one, name) for one in sightings], axis=1) for name in WINDOW}
+        window = sense(self._sensors * len(rows), *flown, noise, swarm.free, *near)
+        split = {name: getattr(window, name) for name in WINDOW}
+        return after, {name: part.reshape(len(rows), count, *part.shape[1:]) for name, part in split.items()}
 
     def _observe(self) -> Observations:
         shown = self._show(self._find_seen())

@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from usnet_env.arrays import Indices, Mask, Singles
+from usnet_env.arrays import Floats, Indices, Mask, Singles
 from usnet_env.swarm import kernels
 from usnet_env.swarm.config import NOISE_BOUND, SWAP_RANGE, SwarmConfig
 
@@ -52,14 +52,16 @@ def draw_normals(rngs: Generators, *shape: int) -> Singles:
 
 
 def sense(
-    config: SwarmConfig,
+    configs: Sequence[SwarmConfig],
     position: Singles,
     velocity: Singles,
     alive: Mask,
     rngs: Generators,
-    clutter: Indices | None = None,
+    free: Indices,
+    place: Floats | None = None,
+    reach: Floats | None = None,
 ) -> ObservationBatch:
-    """Observe B swarms.
+    """Observe B swarms by R observers, R / B of each swarm, with the same sampling.
 
     If every step is sampled without noise, the observed velocity is the true velocity. Otherwise it is the difference
     of two observed positions, divided by the number of steps between them.
@@ -70,56 +72,60 @@ def sense(
     states (Gilbert 1960) with the miss rate as its stationary distribution.
 
     Args:
-        config: the sensor: ``sample_every`` k and the fields of ``SensorArguments`` are used.
+        configs: for each observer its sensor: ``sample_every`` k and the fields of ``SensorArguments`` are used.
         position: ``(B, T_ob * k + 1, N, 3)`` float32, metres, the true positions from the start of the window.
         velocity: ``(B, T_ob * k, N, 3)`` float32, metres per step, the true velocities.
         alive: ``(B, N)`` bool.
-        rngs: one generator per episode.
-        clutter: ``(B, c)`` int64, the indices of false tracks.
+        rngs: one generator per observer.
+        free: for each swarm its free UAVs, ``(B, n)`` or ``(B,)`` of arrays; the last are false tracks.
+        place: ``(R, 3)`` metres, where the observers are, if there is a limit of what they see.
+        reach: ``(R,)`` metres, this limit.
     """
-    k = config.sample_every
-    differenced = k > 1 or config.position_noise > 0 or config.swap_rate > 0
-    if k > 1:
-        position = position[:, ::k]
-    # Drawn in this order, and used below: an exchange of identities depends on which false tracks are present.
-    swaps = [rng.random(position.shape[1:3]) < config.swap_rate for rng in rngs] if config.swap_rate > 0 else []
-    if config.position_noise > 0:
-        noise = draw_normals(rngs, *position.shape[1:])
-    seen = np.broadcast_to(alive[:, None], position.shape[:3]).copy()
-    present = seen.copy()
-    for row, rng in zip(seen, rngs, strict=True):
+    k, each = configs[0].sample_every, len(rngs) // len(alive)
+    position, alive = position[:, ::k], np.repeat(alive, each, axis=0)
+    seen = np.repeat(alive[:, None], position.shape[1], axis=1)
+    faulty = [r for r, sensor in enumerate(configs) if _has_faults(sensor)]
+    if k == 1 and reach is None and not faulty:
+        return ObservationBatch(position, velocity, seen, alive)
+    observers, instants, uavs = seen.shape
+    swaps = any(configs[r].swap_rate > 0 for r in faulty)
+    position = np.repeat(position, each, axis=0) if swaps else np.ascontiguousarray(position)
+    noise = np.empty((sum(configs[r].position_noise > 0 for r in faulty), instants, uavs, 3), np.float32)
+    noisy, differs = np.full(observers, -1), np.full(observers, k > 1)  # the rows of the noise
+    sensors = np.zeros((observers, 4), np.float32)
+    for r in faulty:
+        config, rng, row = configs[r], rngs[r], seen[r]
+        present = row.copy()
+        # Drawn first, and used last: an exchange of identities depends on which false tracks are present.
+        swapped = rng.random(row.shape) < config.swap_rate if config.swap_rate > 0 else None
+        differs[r] |= config.swap_rate > 0 or config.position_noise > 0
+        if config.position_noise > 0:
+            noisy[r] = noisy.max() + 1
+            rng.standard_normal(out=noise[noisy[r]], dtype=np.float32)
+            bound = NOISE_BOUND * max(1.0, config.course_noise)
+            sensors[r] = config.noise_memory, config.course_noise - 1, bound, config.position_noise
         if config.miss_rate > 0:
             row &= _detect(rng.random(row.shape, dtype=np.float32), config.miss_rate, config.miss_burst)
         if config.partial_tracks > 0:
-            row &= _cover(rng, row.shape[0], row.shape[1], config.partial_tracks)
-    if config.clutter and clutter is not None:
-        for row, rng, false in zip(present, rngs, clutter, strict=True):
-            row[:, false] &= _appear(rng, row.shape[0], len(false))
-    if config.swap_rate > 0:
-        holder = np.stack([_swap(*episode) for episode in zip(position, present, swaps, alive, strict=True)])
-        if (holder != np.arange(holder.shape[2])).any():
-            position = np.take_along_axis(position, holder[..., None], axis=2)
-            present = np.take_along_axis(present, holder, axis=2)
-    seen &= present
-    if config.position_noise > 0:
-        if config.noise_memory > 0:
-            kernels.remember(np.float32(config.noise_memory), noise)
-        if config.course_noise != 1:
-            course = np.diff(position, axis=1, append=2 * position[:, -1:] - position[:, -2:-1])
-            course /= np.maximum(np.linalg.norm(course, axis=-1, keepdims=True), np.float32(1e-6))
-            noise += np.float32(config.course_noise - 1) * (noise * course).sum(axis=-1, keepdims=True) * course
-        bound = NOISE_BOUND * max(1.0, config.course_noise)
-        np.clip(noise, -bound, bound, out=noise)
-        noise *= np.float32(config.position_noise)
-        noise.swapaxes(1, 2)[~alive] = 0.0
-        position = position + noise
-    if differenced:
-        velocity = np.diff(position, axis=1) / np.float32(k)
-    if config.miss_rate > 0 or config.partial_tracks > 0 or config.clutter:
-        # `where` instead of a product: a product with 0 would keep the sign of the hidden value.
-        position = np.where(seen[..., None], position, np.float32(0.0))
-        velocity = np.where((seen[:, 1:] & seen[:, :-1])[..., None], velocity, np.float32(0.0))
-    return ObservationBatch(position, velocity, seen, alive.copy())
+            _cut_tracks(rng, row, config.partial_tracks)
+        if config.clutter:
+            false = free[r // each][-config.clutter :]
+            present[:, false] &= _appear(rng, instants, len(false))
+        if swapped is not None:
+            kernels.exchange(np.float32(SWAP_RANGE), swapped, alive[r], position[r], present)
+        row &= present
+    shown = [np.empty((observers, length, uavs, 3), np.float32) for length in (instants, instants - 1)]
+    if reach is None:
+        place, reach = np.zeros((observers, 3)), np.full(observers, np.inf)
+    how = sensors, k, noisy, noise, differs, place, reach
+    kernels.observe(*how, alive, position, np.ascontiguousarray(velocity), seen, *shown)
+    return ObservationBatch(shown[0], shown[1], seen, alive)
+
+
+def _has_faults(sensor: SwarmConfig) -> bool:
+    """Whether the sensor shows anything but the truth."""
+    hides = sensor.miss_rate > 0 or sensor.partial_tracks > 0 or sensor.clutter > 0
+    return hides or sensor.position_noise > 0 or sensor.swap_rate > 0
 
 
 def shift_tracks(position: Singles, velocity: Singles, source: Indices, rngs: Generators) -> tuple[Singles, Singles]:
@@ -148,11 +154,12 @@ def _detect(drawn: Singles, rate: float, burst: float) -> Mask:
     return detected
 
 
-def _cover(rng: np.random.Generator, instants: int, uavs: int, share: float) -> Mask:
-    """Which instants the tracks cover, ``(T_ob + 1, N)``: a partial track begins or ends in the middle three fifths."""
+def _cut_tracks(rng: np.random.Generator, seen: Mask, share: float) -> None:
+    """Cut tracks in ``seen`` ``(T_ob + 1, N)``: a partial track begins or ends in the middle three fifths."""
+    instants, uavs = len(seen), int(seen.shape[1])
     partial, cut, early = rng.random(uavs) < share, rng.uniform(0.2, 0.8, uavs), rng.random(uavs) < 0.5
-    time = np.arange(instants)[:, None] / max(instants - 1, 1)
-    return ~partial | np.where(early, time <= cut, time >= cut)
+    time, cuts = np.arange(instants)[:, None] / max(instants - 1, 1), cut[partial]
+    seen[:, partial] &= np.where(early[partial], time <= cuts, time >= cuts)
 
 
 def _appear(rng: np.random.Generator, instants: int, tracks: int) -> Mask:
@@ -161,23 +168,3 @@ def _appear(rng: np.random.Generator, instants: int, tracks: int) -> Mask:
     begin = np.floor(rng.random(tracks) * (instants - length + 1))
     time = np.arange(instants)[:, None]
     return np.asarray((time >= begin) & (time < begin + length))
-
-
-def _swap(position: Singles, present: Mask, swaps: Mask, alive: Mask) -> Indices:
-    """Whose track each identity shows, ``(T_ob + 1, N)`` int64; a UAV switches at most once in an instant.
-
-    ``swaps`` ``(T_ob + 1, N)`` marks the identities that switch if another one is near and present.
-    """
-    holder = np.arange(len(alive))  # the true UAV of each identity
-    shown = np.tile(holder, (len(swaps), 1))
-    for t in np.flatnonzero(swaps.any(axis=1)):
-        place, free = position[t], alive & present[t][holder]
-        for i in np.flatnonzero(swaps[t] & free):
-            distance = np.linalg.norm(place[holder] - place[holder[i]], axis=1)
-            distance[~free | (np.arange(len(alive)) == i)] = np.inf
-            j = int(distance.argmin())
-            if free[i] and distance[j] <= SWAP_RANGE:
-                holder[i], holder[j] = holder[j], holder[i]
-                free[i] = free[j] = False
-        shown[t:] = holder
-    return shown

@@ -8,6 +8,7 @@ first what the UAVs want, then what they fly. If all parts are compiled, one com
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -127,17 +128,47 @@ def _find_each(chosen: Mask) -> Indices:
 
 
 def advance(config: SwarmConfig, state: SwarmState, rngs: Generators) -> tuple[SwarmState, ObservationBatch]:
+    """:func:`advance_each` of B swarms with one configuration."""
+    return advance_each([config] * len(rngs), state, rngs)
+
+
+def advance_each(
+    configs: Sequence[SwarmConfig], state: SwarmState, rngs: Generators
+) -> tuple[SwarmState, ObservationBatch]:
     """Simulate the next round of B swarms: T_0 unobserved steps, then the observed window of T_ob samples.
 
     Each swarm has at least one living head unless no UAV leads it. It returns the state at the end of the window, and
     the windows.
     """
+    kinds = sort_kinds(configs)
+    if len(kinds) == 1:
+        after, position, velocity = _fly_window(configs[0], state, rngs)
+    else:
+        steps, uavs = configs[0].steps - configs[0].memory, state.alive.shape[1]
+        position = np.empty((len(rngs), steps + 1, uavs, 3), np.float32)
+        velocity, parts = np.empty((len(rngs), steps, uavs, 3), np.float32), []
+        for config, rows in kinds:
+            part, position[rows], velocity[rows] = _fly_window(config, state.rows(rows), [rngs[b] for b in rows])
+            parts.append(part)
+        after = SwarmState.join(parts).rows(np.argsort(np.concatenate([rows for _, rows in kinds])))
+    return after, sense(configs, position, velocity, state.alive, rngs, state.free)
+
+
+def sort_kinds(configs: Sequence[SwarmConfig]) -> list[tuple[SwarmConfig, Indices]]:
+    """Each configuration with the indices of its swarms, which fly together."""
+    kinds: dict[int, list[int]] = {}
+    for b, config in enumerate(configs):
+        kinds.setdefault(id(config), []).append(b)
+    return [(configs[rows[0]], np.array(rows)) for rows in kinds.values()]
+
+
+def _fly_window(config: SwarmConfig, state: SwarmState, rngs: Generators) -> tuple[SwarmState, Singles, Singles]:
+    """The state after a round, and the true positions and velocities of its window."""
     after, position, velocity = fly_steps(config, state, rngs, config.steps)
     flown = position[:, config.memory :], velocity[:, config.memory :]
     if config.follow_strategy is not None and config.follow_strategy.shifts_tracks:
         flown = shift_tracks(*flown, state.source, rngs)
-    observed = sense(config, *flown, state.alive, rngs, state.free[:, state.free.shape[1] - config.clutter :])
-    return after, observed
+    return after, *flown
 
 
 def fly_steps(

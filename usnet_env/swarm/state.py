@@ -147,7 +147,7 @@ class SwarmState:
     def rows(self, episodes: Rows) -> Self:
         """The state of some episodes of the batch."""
         chosen = {name: array[episodes] for name, array in vars(self).items()}
-        return replace(self, **{name: _pack(part) if part.dtype == object else part for name, part in chosen.items()})
+        return type(self)(**{name: _pack(part) if part.dtype == object else part for name, part in chosen.items()})
 
     @classmethod
     def join(cls, states: Sequence[Self]) -> Self:
