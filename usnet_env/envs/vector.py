@@ -189,9 +189,9 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
         if self.reveal_truth and self._draws.names:
             drawn = [self._draws.reveal(self._configs[b]) for b in (range(self.num_envs) if games is None else games)]
             values |= {name: _make_array([each[name] for each in drawn]) for name in self._draws.names}
-        mask = np.ones(self.num_envs, bool)
+        mask = np.full(self.num_envs, games is None)
         if games is not None:
-            mask = np.isin(np.arange(self.num_envs), games)
+            mask[games] = True
             spread = {name: np.zeros((self.num_envs, *part.shape[1:]), part.dtype) for name, part in values.items()}
             for name, part in values.items():
                 if part.dtype == object:

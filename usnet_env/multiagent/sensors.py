@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -48,8 +49,9 @@ class SensorConfig(Config):
         ]
 
     def draw_positions(self, rng: np.random.Generator) -> Floats:
-        """Draw the positions of the observers in an episode, ``(K, 3)`` in metres."""
-        return _PLACEMENTS[self.placement](rng, self.observers)
+        """The positions of the observers in an episode, ``(K, 3)`` metres, on a grid or uniform in the arena."""
+        grid = self.placement == "grid"
+        return _find_grid(self.observers) if grid else rng.uniform(0.0, ARENA, (self.observers, 3))
 
 
 def merge_sightings(sightings: Sequence[ObservationBatch], sample_every: int) -> ObservationBatch:
@@ -70,7 +72,8 @@ def merge_sightings(sightings: Sequence[ObservationBatch], sample_every: int) ->
     return ObservationBatch(position, velocity, seen, first.alive.copy())
 
 
-def _grid(_rng: np.random.Generator, observers: int) -> Floats:
+@cache
+def _find_grid(observers: int) -> Floats:
     """The centres of K equal rectangles of the arena, at half its height."""
     rows = max(d for d in range(1, int(observers**0.5) + 1) if observers % d == 0)
     columns = observers // rows
@@ -78,11 +81,6 @@ def _grid(_rng: np.random.Generator, observers: int) -> Floats:
     y = (np.arange(rows) + 0.5) / rows * ARENA[1]
     middle = np.full(observers, ARENA[2] / 2)
     return np.stack([np.tile(x, rows), np.repeat(y, columns), middle], axis=1)
-
-
-def _uniform(rng: np.random.Generator, observers: int) -> Floats:
-    """Uniform in the arena, anew for each episode."""
-    return rng.uniform(0.0, ARENA, (observers, 3))
 
 
 def combine_votes(fusion: str, votes: Floats, seen: Mask) -> Mask:
@@ -97,6 +95,3 @@ def combine_votes(fusion: str, votes: Floats, seen: Mask) -> Mask:
     if fusion == "union":
         return np.asarray((votes > 0.5).any(axis=-2))
     return np.asarray(votes.sum(axis=-2) > 0.5 * seen.sum(axis=-2))
-
-
-_PLACEMENTS = {"grid": _grid, "uniform": _uniform}

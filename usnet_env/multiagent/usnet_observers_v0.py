@@ -59,6 +59,9 @@ class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
         self._noise: list[list[np.random.Generator]] = [[] for _ in range(num_envs)]  # of each observer of each game
         self.places = np.zeros((num_envs, count, 3))  #: of the observers in metres
         self._messages = np.zeros((num_envs, count, self._size), np.float32)
+        self._seen: Mask = np.zeros(
+            (num_envs, count, uavs), bool
+        )  # which UAVs each observer sees; none that is destroyed
 
     def _begin(self, rngs: Mapping[int, np.random.Generator]) -> None:
         self.places, self._messages = self.places.copy(), self._messages.copy()
@@ -69,13 +72,9 @@ class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
             self._messages[b] = 0.0
         self._fly(np.array(list(rngs)))
 
-    def _find_seen(self) -> Mask:
-        """Which UAVs each observer sees, ``(B, K, N)``; none that is destroyed."""
-        return np.asarray(self._window["seen"].any(axis=2))
-
     def _combine(self, actions: ByRole) -> tuple[Mask, Floats]:
         """Combine the votes for UAVs that the observers see."""
-        seen = self._find_seen()
+        seen = self._seen
         votes = actions[OBSERVER][..., : self.config.uavs] * seen
         return combine_votes(self.fusion, votes, seen), votes.sum(axis=1)
 
@@ -93,7 +92,8 @@ class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
         return after, {name: part.reshape(len(rows), count, *part.shape[1:]) for name, part in split.items()}
 
     def _observe(self) -> Observations:
-        shown = self._show(self._find_seen())
+        self._seen = np.asarray(self._window["seen"].any(axis=2))
+        shown = self._show(self._seen)
         shown["place"] = self.places.astype(np.float32)
         if self._size:
             shown["messages"] = np.repeat(self._messages[:, None], self.roles[OBSERVER], axis=1)

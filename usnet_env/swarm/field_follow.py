@@ -8,7 +8,7 @@ which no UAV leads or follows another.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -105,7 +105,7 @@ class Chain(Links):
             )
             above = np.arange(len(members)) // branches - 1
             source[members] = np.where(above < 0, roles.drawn[cluster], members[above])
-        return replace(roles, source=source)
+        return roles._replace(source=source)
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ class Hierarchy(Links):
         for cluster in range(len(roles.drawn)):
             order = np.concatenate([roles.drawn[cluster : cluster + 1], rng.permutation(roles.members(cluster))])
             source[order[1:]] = order[rng.integers(np.arange(1, len(order)))]
-        return replace(roles, source=source)
+        return roles._replace(source=source)
 
 
 @dataclass(frozen=True)

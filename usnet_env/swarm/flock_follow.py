@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -70,7 +70,7 @@ class Informed(Couzin):
             informed = members[: max(1, round(self.share * len(members)))]
             source[members], root[members] = len(source) + cluster, -1
             head[informed], root[informed] = True, informed
-        return replace(roles, head=head, source=source, root=root)
+        return roles._replace(head=head, source=source, root=root)
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class Predator(Couzin):
         for cluster in range(len(roles.drawn)):
             predator = rng.choice(roles.members(cluster))
             bystander[predator], root[predator] = True, predator
-        return replace(roles, bystander=bystander, root=root)
+        return roles._replace(bystander=bystander, root=root)
 
 
 @dataclass(frozen=True)

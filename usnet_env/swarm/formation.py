@@ -11,6 +11,7 @@ from usnet_env.parts import Registry, check_factory
 from usnet_env.swarm.state import Roles
 
 ARENA = (1000.0, 1000.0, 100.0)  # metres, the box of the paper's simulations
+_SIZE = np.array(ARENA)
 CORRIDORS = 3  # of civil traffic
 AROUND_RADIUS = 60.0  # metres; equals kappa_r of f6, so that `around` followers start within the range of their head
 FARTHEST = max(ARENA) + AROUND_RADIUS  # metres, the largest initial coordinate
@@ -32,7 +33,7 @@ def draw_corridors(rng: np.random.Generator, uavs: int) -> tuple[Floats, Floats]
 
 def _uniform(rng: np.random.Generator, roles: Roles) -> Floats:
     """All UAVs uniform in the arena."""
-    return np.asarray(rng.random((len(roles.root), 3)) * ARENA)
+    return np.asarray(rng.random((len(roles.root), 3)) * _SIZE)
 
 
 def _draw_offsets(rng: np.random.Generator, uavs: int) -> Floats:
@@ -45,7 +46,7 @@ def _draw_offsets(rng: np.random.Generator, uavs: int) -> Floats:
 def _around(rng: np.random.Generator, roles: Roles) -> Floats:
     """Heads and decoys uniform in the arena, followers uniform in a ball of 60 m around their head."""
     uavs = len(roles.root)
-    position = rng.random((uavs, 3)) * ARENA
+    position = rng.random((uavs, 3)) * _SIZE
     offset = _draw_offsets(rng, uavs)
     followers = ~(roles.head | roles.decoy | roles.bystander)
     return np.where(followers[:, None], position[roles.root] + offset, position)
@@ -58,7 +59,7 @@ def _gathered(rng: np.random.Generator, roles: Roles) -> Floats:
     place tells a head from its followers.
     """
     uavs = len(roles.root)
-    place = rng.random((uavs, 3)) * ARENA
+    place = rng.random((uavs, 3)) * _SIZE
     gathered = _draw_offsets(rng, uavs)
     ball = np.where(roles.decoy | roles.bystander, rng.choice(roles.drawn, uavs), roles.root)
     gathered += place[ball]

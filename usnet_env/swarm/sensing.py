@@ -84,7 +84,8 @@ def sense(
     k, each = configs[0].sample_every, len(rngs) // len(alive)
     position, alive = position[:, ::k], np.repeat(alive, each, axis=0)
     seen = np.repeat(alive[:, None], position.shape[1], axis=1)
-    faulty = [r for r, sensor in enumerate(configs) if _has_faults(sensor)]
+    faults = {number: _has_faults(sensor) for number, sensor in {id(one): one for one in configs}.items()}
+    faulty = [r for r, sensor in enumerate(configs) if faults[id(sensor)]] if any(faults.values()) else []
     if k == 1 and reach is None and not faulty:
         return ObservationBatch(position, velocity, seen, alive)
     observers, instants, uavs = seen.shape

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,8 +36,7 @@ def _join(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
     return _pack([row for part in parts for row in part])
 
 
-@dataclass(frozen=True)
-class Roles:
+class Roles(NamedTuple):
     """The role of every UAV in one swarm, or in B swarms with a leading axis B.
 
     ``head``, ``decoy``, ``root`` and ``bystander`` are those of :class:`SwarmState`.
@@ -60,8 +59,7 @@ class Roles:
 
     def split(self) -> list[Self]:
         """The roles of each of B swarms."""
-        arrays = self.head, self.decoy, self.root, self.bystander, self.traffic, self.clutter, self.source, self.drawn
-        return [type(self)(*rows) for rows in zip(*arrays, strict=True)]
+        return [type(self)(*rows) for rows in zip(*self, strict=True)]
 
     def members(self, cluster: int) -> Indices:
         """The followers of a cluster, as drawn, in the order of their indices."""
@@ -71,7 +69,7 @@ class Roles:
     def without_heads(self, **changes: Any) -> Self:
         """These roles with changes, and without heads: the UAVs of the clusters have the root -1."""
         root = np.where(self.decoy | self.bystander, self.root, -1)
-        return replace(self, **{"head": np.zeros_like(self.head), "root": root, **changes})
+        return self._replace(**{"head": np.zeros_like(self.head), "root": root, **changes})
 
 
 @dataclass(frozen=True)
