@@ -59,9 +59,8 @@ class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
         self._noise: list[list[np.random.Generator]] = [[] for _ in range(num_envs)]  # of each observer of each game
         self.places = np.zeros((num_envs, count, 3))  #: of the observers in metres
         self._messages = np.zeros((num_envs, count, self._size), np.float32)
-        self._seen: Mask = np.zeros(
-            (num_envs, count, uavs), bool
-        )  # which UAVs each observer sees; none that is destroyed
+        #: Which UAVs each observer sees; none that is destroyed.
+        self._seen: Mask = np.zeros((num_envs, count, uavs), bool)
 
     def _begin(self, rngs: Mapping[int, np.random.Generator]) -> None:
         self.places, self._messages = self.places.copy(), self._messages.copy()
