@@ -1,4 +1,4 @@
-"""A small field, in which swarms differ in all but size: what PPO learns there, beside the detectors that are quick.
+"""A small field, in which swarms differ in all but size: what PPO learns there, beside every detector.
 
     OMP_NUM_THREADS=1 python benchmarks/small_field.py --trainings 5
     python benchmarks/small_field.py --draw                  # trains and plays nothing: the table of the rows
@@ -19,7 +19,6 @@ from usnet_env import evaluate
 
 ROWS = shared.RESULTS / "small_field.csv.gz"
 PPO, EPISODES = "PPO", 50
-QUICK = [name for name in DETECTORS if "gassl" not in name and "neural" not in name]
 STUDY = learning.Study(
     "USNET/SingleCluster-Field-v0",
     {"followers": [5, 9], "bystanders": 0, "traffic": 0, "observation_steps": 30},
@@ -51,7 +50,7 @@ def report(rows: Any) -> str:
 def main(argv: list[str] | None = None) -> None:
     parser = shared.parse(__doc__, ROWS)
     parser.add_argument("--trainings", type=int, default=1)
-    parser.add_argument("--detector", nargs="*", default=[PPO, "reader(objective='P1')", *QUICK])
+    parser.add_argument("--detector", nargs="*", default=[PPO, "reader(objective='P1')", *DETECTORS])
     given = parser.parse_args(argv)
     trainings = {name: given.trainings if name == PPO else 1 for name in given.detector}
     games = [{"detector": name, "training": k} for name, count in trainings.items() for k in range(count)]
