@@ -82,9 +82,14 @@ def test_the_oracle_predicts_what_followers_do_next_but_for_the_noise():
 
 
 def test_probers_are_played_and_told_in_their_order(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(probing, "CELLS", {"short": {"observation_steps": 10}})
-    probing.main(["--rows", str(tmp_path / "rows.csv"), "--episodes", "1", "--detector", "lagged-regression"])
+    pytest.importorskip("stable_baselines3")
+    monkeypatch.setattr(probing, "WEIGHTS", tmp_path / "weights.safetensors")
+    monkeypatch.setattr(probing, "SETTINGS", {"n_steps": 4, "batch_size": 32})
+    monkeypatch.setattr(probing, "CELLS", {"short": {"observation_steps": 10}, "decoy": {"decoys": 1}})
+    words = ["--rows", str(tmp_path / "rows.csv"), "--episodes", "1", "--detector", "lagged-regression"]
+    probing.main([*words, "--train", "64"])
     rows = read_rows(tmp_path / "rows.csv")
-    assert set(rows.target) == {"none", "random", "nearest", "information"}
-    assert (rows.elapsed <= 10).all()
-    assert capsys.readouterr().out.count("| short |") == 4
+    assert set(rows.target) == {"none", "random", "nearest", "information", "ppo", "oracle"}
+    assert (rows[rows["cell"] == "short"].elapsed <= 10).all()
+    assert rows.reward.between(-1.3, 0).all()
+    assert capsys.readouterr().out.count("| short |") == 6

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -44,39 +45,60 @@ class Prober:
 
     def act(self, observation: Mapping[str, Any]) -> dict[str, Any]:
         """The action for an observation, with the belief as ``self.belief``."""
-        elapsed, uavs = int(observation["elapsed"][0]), len(observation["alive"])
-        candidates, velocity = np.zeros(uavs, np.int8), np.zeros((self.arguments.intruders, 3))
-        self.belief = self._believe(observation, elapsed) if elapsed else np.full(uavs, 1 / uavs)
-        if self.belief.max() >= self.confidence or elapsed == self.arguments.observation_steps:
-            candidates[self.belief.argmax()] = 1
-        elif self.target != "none":
-            place = last_seen_position(observation["position"], observation["seen"].astype(bool))
-            velocity = self._steer(observation["intruders"][elapsed], place.astype(float))
-        return {"velocity": velocity.astype(np.float32), "candidates": candidates}
+        self.look(observation)
+        if self.belief.max() >= self.confidence or self.full:
+            return self.stay(int(self.belief.argmax()))
+        return self.stay() if self.target == "none" else self.fly(partial(TARGETS[self.target], self))
 
-    def _believe(self, observation: Mapping[str, Any], elapsed: int) -> Floats:
+    def look(self, observation: Mapping[str, Any]) -> None:
+        """Take in an observation: the belief, where UAVs and intruders are, and whether the window is ``full``.
+
+        ``self.evidence`` ``(2, N)`` has the logarithms that the belief is made of: the probability by the detector, and
+        the likelihood of the reactions.
+        """
+        elapsed, uavs = int(observation["elapsed"][0]), len(observation["alive"])
+        self.full = elapsed == self.arguments.observation_steps
+        self.evidence = self._weigh(observation, elapsed) if elapsed else np.zeros((2, uavs))
+        total = self.evidence.sum(axis=0)
+        belief = np.exp(total - total.max())
+        self.belief = belief / belief.sum()
+        self._place = last_seen_position(observation["position"], observation["seen"].astype(bool)).astype(float)
+        self._intruders = observation["intruders"][elapsed]
+
+    def _weigh(self, observation: Mapping[str, Any], elapsed: int) -> Floats:
         cut = {name: observation[name][: elapsed + 1] for name in ("position", "seen")}
         window = Window.from_observation({**observation, **cut, "velocity": observation["velocity"][:elapsed]})
         answer, _ = ask(self.detector, window)
         probability = np.asarray(answer.extras.get("probability", answer.candidates), float)
-        evidence = np.log(np.clip(probability, 1e-3, 1))
-        evidence += weigh_reactions(window, observation["intruders"][:elapsed], self.arguments)
-        belief = np.exp(evidence - evidence.max())
-        return np.asarray(belief / belief.sum())
+        reactions = weigh_reactions(window, observation["intruders"][:elapsed], self.arguments)
+        return np.stack([np.log(np.clip(probability, 1e-3, 1)), reactions])
 
-    def _steer(self, intruders: Floats, place: Floats) -> Floats:
-        """Fly each intruder to the outer side of another target, so that it pushes few others."""
-        free, velocity = np.isfinite(place[:, 0]), np.zeros(intruders.shape)
-        middle, speed = place[free].mean(axis=0), self.arguments.top_speed * self.arguments.sample_every
-        for k, intruder in enumerate(intruders):
-            steps = np.linalg.norm(place - intruder, axis=1) / speed
-            chosen = int(np.where(free, TARGETS[self.target](self, steps), -np.inf).argmax())
+    def stay(self, named: int = -1) -> dict[str, Any]:
+        """The action that leaves the intruders where they are, and names a UAV; -1: nobody."""
+        candidates = (np.arange(len(self.belief)) == named).astype(np.int8)
+        return {"velocity": np.zeros(self._intruders.shape, np.float32), "candidates": candidates}
+
+    def count_steps(self) -> Floats:
+        """The steps of the way of each intruder to each UAV, ``(K, N)``; NaN to one that has not been seen."""
+        speed = self.arguments.top_speed * self.arguments.sample_every
+        return np.asarray(np.linalg.norm(self._place - self._intruders[:, None], axis=2) / speed)
+
+    def fly(self, judge: Callable[[Floats], Floats]) -> dict[str, Any]:
+        """The action that flies each intruder to the outer side of another UAV, so that it pushes few others.
+
+        Args:
+            judge: what it is worth to test each UAV, ``(N,)``, given the steps of the way there, ``(N,)``.
+        """
+        free, velocity = np.isfinite(self._place[:, 0]), np.zeros(self._intruders.shape)
+        middle, speed = self._place[free].mean(axis=0), self.arguments.top_speed * self.arguments.sample_every
+        for k, steps in enumerate(self.count_steps()):
+            chosen = int(np.where(free, judge(steps), -np.inf).argmax())
             free[chosen] = False
-            outward = place[chosen] - middle
-            goal = place[chosen] + self.arguments.reach / 3 * outward / max(float(np.linalg.norm(outward)), 1e-6)
-            velocity[k] = (goal - intruder) / (speed * self.arguments.look_every)
+            outward = self._place[chosen] - middle
+            goal = self._place[chosen] + self.arguments.reach / 3 * outward / max(float(np.linalg.norm(outward)), 1e-6)
+            velocity[k] = (goal - self._intruders[k]) / (speed * self.arguments.look_every)
         length = np.linalg.norm(velocity, axis=1, keepdims=True)
-        return np.asarray(velocity / np.maximum(length, 1 + 1e-6))
+        return self.stay() | {"velocity": (velocity / np.maximum(length, 1 + 1e-6)).astype(np.float32)}
 
 
 def weigh_reactions(window: Window, intruders: Singles, arguments: ProbingArguments) -> Floats:
