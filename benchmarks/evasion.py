@@ -1,16 +1,20 @@
 """usnet_evasion_v0 at short windows: swarms and observers learn best responses to each other, in turn.
 
-    OMP_NUM_THREADS=1 python benchmarks/evasion.py --trainings 3    # trains; every swarm plays every observer
+    OMP_NUM_THREADS=1 python benchmarks/evasion.py --trainings 3    # goes on after those that the rows have
     python benchmarks/evasion.py --draw                             # trains nothing: the tables of the rows
 
 Of every pair of players the pay-off is known: J_m minus the price, which the swarm gets and the observer loses. PPO
 trains a new swarm against the observers' mixture in the equilibrium of this matrix, then a new observer against the
-swarms' mixture in the new one (PSRO, Lanctot et al. 2017). A row is a game that no training has seen.
+swarms' mixture in the new one (PSRO, Lanctot et al. 2017). A row is a game that no training has seen. The even games
+tell the equilibria, so that the odd ones, which tell what a best response gains, are fresh. The players of the first
+training are kept: :func:`read_players` returns them.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import permutations, product
 from typing import Any, ClassVar
 
@@ -20,18 +24,19 @@ import pandas as pd
 from gymnasium import spaces
 from paper import shared
 from pivot import across, mean, pivot
+from policies import read_policies, write_policies
 from scipy.optimize import linprog
 
 from usnet_env import Window, make_detector
 from usnet_env.multiagent import usnet_evasion_v0
 
-ROWS = shared.RESULTS / "evasion.csv.gz"
+ROWS, WEIGHTS = shared.RESULTS / "evasion.csv.gz", shared.RESULTS / "evasion.safetensors"
 ID = "Evasion/OneSide-v0"  # of the games in which one side learns
 GAME: dict[str, Any] = {"clusters": 2, "uavs": 12, "observation_steps": 10, "max_rounds": 6}
 SCRIPTED = ("reader", "destroy-all")  # the first observers; the first swarm does nothing
 SIDES = {"head": "swarm", "observer": "observer"}  # what the learned players of a role are called
 PLAYED, BATCH = 1_000_000, 64  # the first seed of the games of rows, which no training reaches; games of a training
-DECISIONS = {"head": 10_240, "observer": 40_960}  # of a training
+DECISIONS = {"head": 10_240, "observer": 32_768}  # of a training
 PPO_OF = {  # each role's arguments of PPO
     "head": {"n_steps": 4, "learning_rate": 5e-3, "ent_coef": 0.01},
     "observer": {"n_steps": 16, "learning_rate": 3e-3},
@@ -148,8 +153,8 @@ def play(swarm: Player, observer: Player, episodes: int) -> pd.DataFrame:
     return pd.DataFrame({"episode": range(episodes), "J": total[0], "price": total[1]})
 
 
-def train(role: str, others: Sequence[Player], shares: np.ndarray, seed: int, length: float, start: Any) -> Any:
-    """Train a policy of a side against a mixture of the other side's players, from the policy ``start`` if any."""
+def make_model(role: str, others: Sequence[Player] = (), shares: Sequence[float] = (), seed: int = 0) -> Any:
+    """PPO for a side, against a mixture of the other side's players."""
     from stable_baselines3 import PPO
 
     from detectors.rl.sb3 import PairPolicy
@@ -157,10 +162,18 @@ def train(role: str, others: Sequence[Player], shares: np.ndarray, seed: int, le
 
     policy: Any = PairPolicy if role == "observer" else "MlpPolicy"
     envs = SwarmVecEnv(ID, BATCH, role=role, others=others, shares=shares)
-    model = PPO(policy, envs, seed=seed, gamma=1.0, batch_size=256, n_epochs=4, device="cpu", **PPO_OF[role])
-    if start is not None:
-        model.policy.load_state_dict(start.state_dict())
-    return model.learn(int(length * DECISIONS[role])).policy
+    return PPO(policy, envs, seed=seed, gamma=1.0, batch_size=256, n_epochs=4, device="cpu", **PPO_OF[role])
+
+
+def read_players() -> dict[str, dict[str, Player]]:
+    """The swarms and the observers that learned in the first training, by role and name."""
+    players: dict[str, dict[str, Player]] = {role: {} for role in SIDES}
+    for name, weights in read_policies(WEIGHTS).items():
+        (role,) = (role for role, side in SIDES.items() if name.startswith(side))
+        policy = make_model(role).policy
+        policy.load_state_dict(weights, strict=False)
+        players[role][name] = follow(policy, role)
+    return players
 
 
 def solve(payoff: pd.DataFrame) -> tuple[float, dict[str, np.ndarray]]:
@@ -174,13 +187,15 @@ def solve(payoff: pd.DataFrame) -> tuple[float, dict[str, np.ndarray]]:
 
 
 def tabulate(rows: pd.DataFrame) -> pd.DataFrame:
-    """The mean pay-offs, a line for each swarm and a column for each observer, in the order of the rows."""
-    payoff = rows.assign(payoff=rows.J - rows.price).pivot_table("payoff", "head", "observer")
+    """The mean pay-offs in even games, a line for each swarm and a column for each observer, as the rows order them."""
+    even = rows[rows.episode % 2 == 0]
+    payoff = even.assign(payoff=even.J - even.price).pivot_table("payoff", "head", "observer")
     return payoff.loc[rows["head"].unique(), rows.observer.unique()]
 
 
-def learn(seed: int, rounds: int, length: float, episodes: int) -> pd.DataFrame:
-    """Train swarms and observers in turn, and return the rows of all pairs."""
+def learn(game: shared.Game, rounds: int, length: float, episodes: int) -> list[dict[str, Any]]:
+    """Train swarms and observers in turn, and return the rows of all pairs. Those of the first training are written."""
+    seed = game["training"]
     players: dict[str, dict[str, Player]] = {"head": {"nothing": choose(0, 0, 0, 0)}, "observer": {}}
     parts, policies = list[pd.DataFrame](), dict[str, Any]()
 
@@ -188,22 +203,28 @@ def learn(seed: int, rounds: int, length: float, episodes: int) -> pd.DataFrame:
         players[role][name] = player
         for pair in product(*(players[side] if side != role else [name] for side in SIDES)):
             found = play(players["head"][pair[0]], players["observer"][pair[1]], episodes)
-            parts.append(found.assign(training=seed, head=pair[0], observer=pair[1]))
+            parts.append(found.assign(head=pair[0], observer=pair[1]))
 
     for name in SCRIPTED:
         add("observer", name, detect(name))
     for number, (role, other) in product(range(1, rounds + 1), permutations(SIDES)):
         _, mixtures = solve(tabulate(pd.concat(parts)))
-        policies[role] = train(role, [*players[other].values()], mixtures[other], seed, length, policies.get(role))
-        add(role, f"{SIDES[role]} {number}", follow(policies[role], role))
-        print(tabulate(pd.concat(parts)).round(2).to_string(), flush=True)
-    return pd.concat(parts, ignore_index=True)
+        name, model = f"{SIDES[role]} {number}", make_model(role, [*players[other].values()], mixtures[other], seed)
+        if number > 1:  # from the last policy of this side
+            model.policy.load_state_dict(policies[f"{SIDES[role]} {number - 1}"].state_dict())
+        policies[name] = model.learn(int(length * DECISIONS[role])).policy
+        add(role, name, follow(policies[name], role))
+        print(f"training {seed}, {name}, {time.process_time():.0f} s", flush=True)
+    if seed == 0:
+        write_policies(WEIGHTS, policies, {"decisions": DECISIONS, "length": length, "ppo": PPO_OF, "game": GAME})
+    print(tabulate(pd.concat(parts)).round(2).to_string(), flush=True)
+    return pd.concat(parts).assign(**game).to_dict("records")
 
 
 def find_gains(rows: pd.DataFrame) -> pd.DataFrame:
-    """What each best response of a training gained when it was new, in each game, and the pay-off before."""
+    """What each best response of a training gained when it was new, in each odd game, and the pay-off before."""
     table, parts = tabulate(rows), []
-    games = rows.set_index(["head", "observer", "episode"]).payoff.unstack()
+    games = rows[rows.episode % 2 == 1].set_index(["head", "observer", "episode"]).payoff.unstack()
     known = {"head": ["nothing"], "observer": list(SCRIPTED)}
 
     def mix(shares: dict[str, dict[str, float]]) -> pd.Series:
@@ -220,11 +241,16 @@ def find_gains(rows: pd.DataFrame) -> pd.DataFrame:
     return pd.concat(parts)
 
 
+def tell_mean(rows: pd.DataFrame) -> str:
+    """The mean pay-off, without an interval."""
+    return f"{rows.payoff.mean():.2f}"
+
+
 def report(rows: pd.DataFrame) -> str:
     """The pay-offs of the first training, and of all trainings what each best response gained when it was new."""
     rows = rows.assign(payoff=rows.J - rows.price)
     seeds, first = sorted(rows.training.unique()), rows[rows.training == rows.training.min()]
-    table = pivot(first, {"swarm": "head"}, across("observer", first.observer.unique(), mean("payoff")))
+    table = pivot(first, {"swarm": "head"}, across("observer", first.observer.unique(), tell_mean))
     gains = pd.concat([find_gains(part).assign(training=seed) for seed, part in rows.groupby("training")])
     columns = across("training", seeds, mean("value"), "value before, seed {}")
     columns |= across("training", seeds, mean("gain"), "gain, seed {}")
@@ -234,16 +260,13 @@ def report(rows: pd.DataFrame) -> str:
 def main(argv: list[str] | None = None) -> None:
     parser = shared.parse(__doc__, ROWS)
     parser.add_argument("--trainings", type=int, default=1, help="number of seeds")
-    parser.add_argument("--rounds", type=int, default=3, help="swarms, and observers, that a training learns")
+    parser.add_argument("--rounds", type=int, default=8, help="swarms, and observers, that a training learns")
     parser.add_argument("--length", type=float, default=1.0, help="of each best response, as a share of the default")
     parser.add_argument("--episodes", type=int, default=200)
     given = parser.parse_args(argv)
-    rows = shared.read_rows(given.rows) if given.rows.exists() else pd.DataFrame({"training": np.zeros(0, int)})
-    for seed in [] if given.draw else sorted(set(range(given.trainings)) - set(rows.training)):
-        found = [rows, learn(seed, given.rounds, given.length, given.episodes).round(4)]
-        rows = pd.concat(found, ignore_index=True)
-        shared.write_rows(given.rows, rows)
-    print(report(rows))
+    play_all = partial(learn, rounds=given.rounds, length=given.length, episodes=given.episodes)
+    games = [{"training": seed} for seed in range(given.trainings)]
+    print(report(shared.measure(given, games, play_all)))
 
 
 if __name__ == "__main__":

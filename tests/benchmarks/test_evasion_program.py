@@ -32,6 +32,7 @@ def test_whoever_names_all_uavs_ends_each_game_at_once():
 
 def test_both_sides_learn_in_turn_and_meet_all_others(tmp_path, monkeypatch, capsys):
     path = tmp_path / "rows.csv"
+    monkeypatch.setattr(evasion, "WEIGHTS", tmp_path / "players.safetensors")
     monkeypatch.setattr(evasion, "SCRIPTED", ("lagged-regression", "destroy-all"))
     words = ["--rows", str(path), "--length", "0.01", "--episodes", "3"]
     evasion.main([*words, "--rounds", "2"])
@@ -42,5 +43,13 @@ def test_both_sides_learn_in_turn_and_meet_all_others(tmp_path, monkeypatch, cap
     assert rows.J.between(1, 7).all()
     said = capsys.readouterr().out
     assert "| swarm 2 |" in said
+    players = evasion.read_players()
+    assert {role: list(found) for role, found in players.items()} == {
+        "head": ["swarm 1", "swarm 2"],
+        "observer": ["observer 1", "observer 2"],
+    }
+    again = evasion.play(evasion.choose(0, 0, 0, 0), players["observer"]["observer 2"], 3)
+    known = rows[(rows["head"] == "nothing") & (rows.observer == "observer 2")]
+    np.testing.assert_allclose(again[["J", "price"]], known[["J", "price"]], atol=1e-4)
     evasion.main([*words, "--rounds", "1", "--trainings", "2"])  # the first one is there already
     assert read_rows(path).groupby("training")["head"].nunique().to_dict() == {0: 3, 1: 2}
