@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from typing import Any, Literal, TypeVar
@@ -67,7 +67,8 @@ class Samples:
     frame: str = "metres"
     notes: tuple[str, ...] = ()
     step: float | None = None
-    make_others: Callable[[], tuple[Any, ...]] | None = None
+    source: Any = None
+    max_gap: float | None = None
 
     def __post_init__(self) -> None:
         for values in vars(self).values():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -81,7 +81,8 @@ class Tracks(Samples):
         frame: what the positions are, in words.
         notes: what the reader decided or found, a sentence each.
         step: seconds between the samples if they lie on the common grid of :meth:`resample`, otherwise ``None``.
-        make_others: makes :attr:`other_steps`, if the step was chosen.
+        source: the tracks of which :attr:`other_steps` are made, if the step was chosen.
+        max_gap: longest time in seconds that was interpolated, as :meth:`resample` got it.
     """
 
     @classmethod
@@ -153,19 +154,18 @@ class Tracks(Samples):
                 notes.append(f"{format_count(jumps, 'jump')} closed: the track goes on from where it was before.")
             if noise:
                 notes.append(f"Heights are left out: their noise of about {noise:.2g} m hides the movement in a step.")
-        others = None
+        source = replace(tracks, leader=None) if step is None else None
         if step is None:
             step, why = choose_step(tracks, length)
             notes.append(why)
-            others = partial(resample_others, replace(tracks, leader=None), step, max_gap)
         if spikes := self.samples - tracks.samples:
             notes.append(f"{format_count(spikes, 'spike')} left out, unless keep_spikes (--keep-spikes) is given.")
-        return replace(resample_positions(tracks, step, max_gap), notes=tuple(notes), make_others=others)
+        return replace(resample_positions(tracks, step, max_gap), notes=tuple(notes), source=source, max_gap=max_gap)
 
     @cached_property
     def other_steps(self) -> tuple[Tracks, ...]:
         """The tracks at a quarter and a half of a chosen step, if samples are so near; else none."""
-        return self.make_others() if self.make_others else ()
+        return resample_others(self.source, self.step, self.max_gap) if self.source and self.step else ()
 
     def cut_like(self, cut: TrackWindow) -> TrackWindow | None:
         """The window with the ids and times of ``cut`` in tracks with another step, or ``None`` if it is of no use."""
