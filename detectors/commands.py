@@ -92,9 +92,13 @@ def check_detector(ctx: click.Context, name: str, expected: tuple[str, ...]) -> 
     from detectors import checks
 
     reasons = {check.strip(): reason.strip() for check, _, reason in (text.partition("=") for text in expected)}
-    results = checks.check_detector(name, expected_failed_checks=reasons, on_fail=None)
+    failed = False
+    try:
+        results = checks.check_detector(name, expected_failed_checks=reasons)
+    except checks.DetectorChecksError as error:
+        results, failed = error.results, True
     click.echo(checks.results_table(results))
     if os.environ.get("USNET_TRACEBACK"):
-        for error in filter(None, (result.error for result in results)):
-            click.echo("".join(traceback.format_exception(error)), err=True)
-    ctx.exit(int(any(result.status == "failed" for result in results)))
+        for problem in filter(None, (result.error for result in results)):
+            click.echo("".join(traceback.format_exception(problem)), err=True)
+    ctx.exit(int(failed))

@@ -6,7 +6,7 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 from unittest import SkipTest
 
 from detectors.checks.contract import CHECKS, CheckError
@@ -33,18 +33,12 @@ class DetectorChecksError(AssertionError):
         super().__init__(f"{type(detector).__name__} fails {len(failed)} of {len(results)} checks:{''.join(failed)}")
 
 
-def check_detector(
-    detector: Any,
-    *,
-    expected_failed_checks: Mapping[str, str] | None = None,
-    on_fail: Literal["raise"] | None = "raise",
-) -> list[CheckResult]:
+def check_detector(detector: Any, *, expected_failed_checks: Mapping[str, str] | None = None) -> list[CheckResult]:
     """Run all conformance checks on copies of a detector; one result per check, in the order of :data:`CHECKS`.
 
     Args:
         detector: an object with ``detect`` and ``reset``, or a name as :func:`usnet_env.make_detector` takes it.
         expected_failed_checks: names of checks that this detector can't pass, each with the reason.
-        on_fail: ``"raise"`` to raise an error after a failure, or ``None`` to only return the results.
 
     Raises:
         DetectorChecksError: a check failed unexpectedly. It is raised after all checks have run.
@@ -52,7 +46,7 @@ def check_detector(
     """
     detector, excuses = find_detector(detector), _check_names(expected_failed_checks or {})
     results = [_run_check(check, detector, excuses) for check in CHECKS]
-    if on_fail == "raise" and any(result.status == "failed" for result in results):
+    if any(result.status == "failed" for result in results):
         raise DetectorChecksError(detector, results)
     return results
 
