@@ -66,7 +66,7 @@ class Reader(Detector):
         """
         arguments = self.check_arguments()
         check_pairs(window.uavs)
-        flying = np.flatnonzero(window.velocity_seen.any(axis=0))
+        flying = np.flatnonzero(window.velocity.any(axis=(0, 2)))
         probability, away, free, delay = np.zeros((4, window.uavs))
         leader, root, clusters = np.full((3, window.uavs), -1, np.int64)
         attention = np.zeros((window.uavs, window.uavs)) if len(flying) <= _DENSE else None
