@@ -169,7 +169,8 @@ def report_families(windows: pd.DataFrame) -> str:
 
 def report(rows: pd.DataFrame, study: str) -> str:
     """The tables of a study."""
-    rows = rows.assign(set=rows.source.str.partition("/")[0], sure=pd.cut(rows.confidence, CONFIDENCES).astype(str))
+    sure = pd.cut(rows.confidence.clip(1e-6), CONFIDENCES).astype(str)
+    rows = rows.assign(set=rows.source.str.partition("/")[0], sure=sure)
     windows = rows.drop_duplicates(KEYS)
     says = {"windows": size, "exact": rate("exact"), "mean confidence": say_confidence}
     says["errors by 1 - confidence"] = measure_doubt
