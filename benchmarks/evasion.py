@@ -39,7 +39,7 @@ PLAYED, BATCH = 1_000_000, 64  # the first seed of the games of rows, which no t
 DECISIONS = {"head": 10_240, "observer": 32_768}  # of a training
 PPO_OF = {  # each role's arguments of PPO
     "head": {"n_steps": 4, "learning_rate": 5e-3, "ent_coef": 0.01},
-    "observer": {"n_steps": 16, "learning_rate": 3e-3},
+    "observer": {"n_steps": 16, "learning_rate": 2e-3, "ent_coef": 0.05},
 }
 #: Plays one side: the actions ``(n, agents, ...)`` in some games ``(n,)``, of all of which it gets the observations.
 Player = Callable[[dict[str, Any], np.ndarray], np.ndarray]
@@ -128,9 +128,6 @@ class OneSide(gym.vector.VectorEnv[Any, Any, Any]):
         return [getattr(self, name)] * self.num_envs
 
 
-gym.register(ID, vector_entry_point=OneSide)
-
-
 def play_step(games: Any, actions: dict[str, np.ndarray]) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
     """Play a step: what all see, ``(2, B)`` its part of J_m and the price, and which games are over, ``(B,)``."""
     seen, rewards, _, _, infos = games.step(actions)
@@ -160,6 +157,8 @@ def make_model(role: str, others: Sequence[Player] = (), shares: Sequence[float]
     from detectors.rl.sb3 import PairPolicy
     from usnet_env.frameworks.sb3 import SwarmVecEnv
 
+    if ID not in gym.registry:  # in each process
+        gym.register(ID, vector_entry_point=OneSide)
     policy: Any = PairPolicy if role == "observer" else "MlpPolicy"
     envs = SwarmVecEnv(ID, BATCH, role=role, others=others, shares=shares)
     return PPO(policy, envs, seed=seed, gamma=1.0, batch_size=256, n_epochs=4, device="cpu", **PPO_OF[role])
