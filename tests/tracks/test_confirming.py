@@ -184,11 +184,11 @@ def group(seed, followers, others, steps, shared):
 
 
 def test_an_independent_group_is_removed_from_the_followers():
-    windows = [w for seed in range(4) for w in find_leaders(group(seed, 6, 3, 402, True), names_the_first()).windows]
+    windows = [w for seed in range(4) for w in find_leaders(group(seed, 4, 5, 402, True), names_the_first()).windows]
     named = [window.leaders[0].followers for window in windows if window.leaders]
     assert len(named) >= 0.7 * len(windows)
-    assert sum(set(range(1, 7)) <= set(followers) for followers in named) >= 0.8 * len(named)
-    assert sum(max(followers) > 6 for followers in named) <= 0.2 * len(named)
+    assert sum(set(range(1, 5)) <= set(followers) for followers in named) >= 0.8 * len(named)
+    assert sum(max(followers) > 4 for followers in named) <= 0.2 * len(named)
 
 
 def test_a_head_of_a_small_group_does_not_follow_independent_ids():

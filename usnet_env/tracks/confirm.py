@@ -38,14 +38,13 @@ def confirm_leaders(
 ) -> tuple[Mask, list[list[int]]]:
     """Which of c leaders are confirmed, ``(c,)`` bool, and the followers that each keeps.
 
-    All its followers together copy its velocity later (:func:`confirm_lead`) and it doesn't follow another
-    (:func:`find_followers`); it keeps those that move alike (:func:`keep_group`). Or else they go on its way later
-    (:func:`follow_places`), by the window with the shortest step, ``finest``, if there are several.
+    Its followers copy its velocity later (:func:`keep_group`, :func:`confirm_lead`) and it doesn't follow another
+    (:func:`find_followers`); or else they go on its way later (:func:`follow_places`), by the window with the shortest
+    step, ``finest``, if there are several.
     """
-    groups = [(int(leader), members) for leader, members in zip(leaders, followers, strict=True)]
-    leads = [confirm_lead(window, leader, members) for leader, members in groups]
+    kept = [keep_group(window, int(leader), members) for leader, members in zip(leaders, followers, strict=True)]
+    leads = [confirm_lead(window, int(leader), members) for leader, members in zip(leaders, kept, strict=True)]
     confirmed = np.array(leads, bool) & ~find_followers(window, leaders, followers)
-    kept = [keep_group(window, leader, members) for leader, members in groups]
     for c in np.flatnonzero(~confirmed).tolist():
         if behind := follow_places(finest or window, int(leaders[c]), followers[c]):
             confirmed[c], kept[c] = True, behind
@@ -176,10 +175,10 @@ def confirm_lead(window: Window, leader: int, followers: Sequence[int]) -> bool:
     The lead is max_τ C(τ) - max_τ C(-τ), τ = 1, ..., 4, where C is the correlation of the followers' mean velocity with
     the leader's velocity τ steps earlier, both centred over the window. Its score is the lead in standard deviations of
     those of 40 surrogates, in which time is reversed in half of the blocks, of about 8 steps each: these keep what both
-    do at the same time, and cancel leads. The scores of the velocities and of their changes must be positive, and their
-    sum must exceed z times its standard deviation, 1.8; z is the quantile of a normal distribution at 0.05 / n,
-    because the leader was chosen from the n members of its group. It is false without followers, and true in a window
-    of fewer than 16 steps, which is too short for the test.
+    do at the same time, and cancel leads. The scores of the velocities and of their changes must exceed 1, and their
+    sum z times its standard deviation, 1.8; z is the quantile of a normal distribution at 0.05 / n, because the leader
+    was chosen from the n members of its group. It is false without followers, and true in a window of fewer than 16
+    steps, which is too short for the test.
     """
     if not followers or window.observation_steps < LEAST_STEPS:
         return bool(followers)
@@ -239,13 +238,13 @@ def find_alike(window: Window, uavs: Indices, half: slice) -> list[list[int]]:
 def _is_ahead(group: Floats, ahead: Floats, both: Mask, level: float) -> bool:
     """Whether ``group`` ``(T, 3)`` repeats ``ahead`` later: by the sum of the scores of both and of their changes.
 
-    ``both`` ``(T,)``: where both are seen. At a strict level, both scores must be positive.
+    ``both`` ``(T,)``: where both are seen. At a strict level, each score must exceed 1, too.
     """
     group, ahead = _centre(group, both), _centre(ahead, both)
     velocity = _measure_score(group, ahead, -1.0)
     changes = _measure_score(np.diff(group, axis=0), np.diff(ahead, axis=0), 1.0)
     limit = max(0.0, -NormalDist().inv_cdf(level))
-    return velocity + changes > _DEVIATION_OF_BOTH * limit and (limit == 0.0 or min(velocity, changes) > 0.0)
+    return velocity + changes > _DEVIATION_OF_BOTH * limit and (limit == 0.0 or min(velocity, changes) > 1.0)
 
 
 def _measure_score(group: Floats, ahead: Floats, sign: float) -> float:
