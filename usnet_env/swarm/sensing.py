@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 
 from usnet_env.arrays import Floats, Indices, Mask, Singles
-from usnet_env.swarm import kernels
+from usnet_env.swarm import sensing_kernels
 from usnet_env.swarm.config import NOISE_BOUND, SWAP_RANGE, SwarmConfig
 
 Generators = Sequence[np.random.Generator]
@@ -113,13 +113,13 @@ def sense(
             false = free[r // each][-config.clutter :]
             present[:, false] &= _appear(rng, instants, len(false))
         if swapped is not None:
-            kernels.exchange(np.float32(SWAP_RANGE), swapped, alive[r], position[r], present)
+            sensing_kernels.exchange(np.float32(SWAP_RANGE), swapped, alive[r], position[r], present)
         row &= present
     shown = [np.empty((observers, length, uavs, 3), np.float32) for length in (instants, instants - 1)]
     if reach is None:
         place, reach = np.zeros((observers, 3)), np.full(observers, np.inf)
     how = sensors, k, noisy, noise, differs, place, reach
-    kernels.observe(*how, alive, position, np.ascontiguousarray(velocity), seen, *shown)
+    sensing_kernels.observe(*how, alive, position, np.ascontiguousarray(velocity), seen, *shown)
     return ObservationBatch(shown[0], shown[1], seen, alive)
 
 
@@ -151,7 +151,7 @@ def _detect(drawn: Singles, rate: float, burst: float) -> Mask:
     if burst == 0:
         return drawn >= rate
     detected = drawn >= rate
-    kernels.miss_in_bursts(rate / (burst * (1.0 - rate)), 1.0 - 1.0 / burst, drawn, detected)
+    sensing_kernels.miss_in_bursts(rate / (burst * (1.0 - rate)), 1.0 - 1.0 / burst, drawn, detected)
     return detected
 
 
