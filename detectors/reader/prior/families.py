@@ -14,7 +14,7 @@ MODELS = {  # follow strategies; flocks are the hardest, and come twice as often
     **dict.fromkeys(("frontness", "part_time", "partial_turns"), 1.0),
     **dict.fromkeys(("vicsek", "couzin", "predator"), 2.0),
     "informed": 3.5,
-    "reference": 3.0,  # nobody leads in this and the next models
+    "reference": 3.0,  # no UAV leads in this and in the next models
     **dict.fromkeys(("shepherd", "independent", "shifted", "none"), 1.0),
 }
 FAULTS = {  # what the sensor does to a swarm that follows by one of the models
