@@ -108,13 +108,15 @@ def _scale_window(position: Singles, velocity: Singles, seen: Mask) -> tuple[Sin
     """Places (T + 1, 3, n) and velocities (T, 3, n) in steps of flight; what is seen of both, (T + 1, n), (T, n)."""
     s = _align(seen)
     m = _align(s[1:] * s[:-1])
-    v = np.where(m[..., None] > 0, velocity, 0).astype(np.float64)
+    p, v = (
+        np.where(shown[:, None] > 0, x.transpose(0, 2, 1), 0).astype(np.float64, order="C")
+        for x, shown in ((position, s), (velocity, m))
+    )
     rms = float(np.sqrt((v**2).sum() / max(float(m.sum()), 1)))
     rms = rms if rms > 1e-9 else 1.0
-    p = np.where(seen[..., None], position, 0).astype(np.float64)
-    middle = p.sum((0, 1)) / max(float(s.sum()), 1)
-    p = (p - middle) * s[..., None] / rms
-    return _align(series.hold_positions(p.transpose(0, 2, 1), s)), _align((v / rms).transpose(0, 2, 1)), s, m
+    p -= p.sum((0, 2))[:, None] / max(float(s.sum()), 1)
+    p *= s[:, None]
+    return _align(series.hold_positions(p / rms, s)), _align(v / rms), s, m
 
 
 def _make_signals(p: Singles, v: Singles, seen: Singles, m: Singles) -> _Signals:
@@ -286,8 +288,8 @@ def _fill_ways(out: Singles, s: _Signals) -> list[Singles]:
         found += flock.compare_companions(way, known, weight, _WAY_LAGS)
         rows[0] = _log(weight, 1e-3)
         both = weight.max(1, keepdims=True) * np.eye(n, dtype=np.float32) + weight
-        share, stride = known @ both.T, max(width // 4, 1)
-        mean, given = way @ both.T / np.maximum(share, np.float32(0.1))[:, None], np.minimum(share, 1)
+        mean, share = flock.average_companions(way, known, both)
+        given, stride = np.minimum(share, 1), max(width // 4, 1)
         powers = (mean**2).sum(1), (way**2).sum(1)
         for row, lag in zip(rows[1:], (lag for lag in _WAY_LAGS if 2 * lag < len(way)), strict=False):
             later, earlier = slice(lag, None, stride), slice(0, len(way) - lag, stride)
@@ -311,7 +313,7 @@ def _fill_joint(out: Singles, s: _Signals) -> list[Singles]:
     size = np.sqrt((change**2).sum(1, keepdims=True))
     change *= size < 8 * size.mean(0, keepdims=True) + np.float32(1e-9)
     now = [x - x.mean(0) for x in (s["p"][1:-1], s["v"][:-1])]
-    flat = np.stack([*now, change]).reshape(3, -1, change.shape[2]).astype(np.float64)
+    flat = np.stack([*now, change], axis=2).reshape(-1, 3, change.shape[2]).astype(np.float64)
     found = series.regress_jointly(flat, _JOINT)
     flying = s["m"].sum(0) > 0
     out[::2] = [np.arcsinh(sure) for sure, _ in found]

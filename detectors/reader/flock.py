@@ -6,7 +6,14 @@ import itertools
 
 import numpy as np
 
-from detectors.reader.kernels import BANK, multiply_columns, multiply_series, solve_ridges, sum_neighbours
+from detectors.reader.kernels import (
+    BANK,
+    compare_series,
+    multiply_columns,
+    multiply_series,
+    solve_ridges,
+    sum_neighbours,
+)
 from detectors.reader.series import delay_series
 from usnet_env.arrays import Singles
 
@@ -23,9 +30,10 @@ def survey_neighbours(p: Singles, seen: Singles, v: Singles, m: Singles) -> tupl
     sums = sum_neighbours(p, seen, v, m)
     count, bank = sums[:, :BANK, 0], np.empty((len(v), 3, 1 + 2 * BANK, v.shape[2]), np.float32)
     bank[:, :, 0] = sums[:, BANK, 1:4]
+    some, several = np.maximum(count, np.float32(0.3)), np.maximum(count, np.float32(0.5))
     for axis in range(3):
-        bank[:, axis, 1 : 1 + BANK] = sums[:, :BANK, 1 + axis] / np.maximum(count, np.float32(0.3))
-        bank[:, axis, 1 + BANK :] = sums[:, :BANK, 4 + axis] / np.maximum(count, np.float32(0.5))
+        np.divide(sums[:, :BANK, 1 + axis], some, out=bank[:, axis, 1 : 1 + BANK])
+        np.divide(sums[:, :BANK, 4 + axis], several, out=bank[:, axis, 1 + BANK :])
     return bank, count, sums[:, BANK, 0]
 
 
@@ -92,19 +100,20 @@ def find_companions(p: Singles, seen: Singles, width: int) -> tuple[Singles, Sin
     return way, known, weight / weight.sum(1, keepdims=True)
 
 
+def average_companions(way: Singles, known: Singles, weight: Singles) -> tuple[Singles, Singles]:
+    """The weighted mean of those ways (S, 3, n) that are seen, and the weight that is: (S, 3, n), (S, n)."""
+    share = known @ weight.T
+    return (way.reshape(-1, way.shape[2]) @ weight.T).reshape(way.shape) / np.maximum(share, 0.1)[:, None], share
+
+
 def compare_companions(way: Singles, known: Singles, weight: Singles, lags: tuple[int, ...]) -> list[Singles]:
     """How a UAV's ways differ from the mean of its companions', some steps later: (n,) each.
 
     Followers have errors of their own, so the UAV that all copy has the least distance. Returns the logarithm of the
     mean square without a lag, and for each lag its standard score among the companions' own.
     """
-    share = known @ weight.T
-    mean, sizes = way @ weight.T / np.maximum(share, np.float32(0.1))[:, None], []
-    for lag in lags:
-        rows = max(len(way) - lag, 0)
-        mask = known[:rows] * (share[lag:] > 0.1)
-        square = (((mean[lag:] - way[:rows]) ** 2).sum(1) * mask).sum(0) / np.maximum(mask.sum(0), 1)
-        sizes.append(np.log(square + np.float32(1e-4)))
+    mean, share = average_companions(way, known, weight)
+    sizes = [np.log(compare_series(mean, way, share, known, lag) + np.float32(1e-4)) for lag in lags]
     scores = [size - weight @ size for size in sizes]
     return [sizes[0], *(score / np.sqrt(weight @ score**2 + np.float32(0.02)) for score in scores)]
 

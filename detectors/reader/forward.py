@@ -46,6 +46,7 @@ def load_reader(weights: str = "shipped") -> Weights:
 
     Those of a network that is ``"untrained"`` are drawn anew; it scales its inputs as the shipped one does.
     """
+    np.empty(2**22, np.float32)  # once it is freed, glibc keeps such blocks, and windows don't ask the system for them
     if weights in ("shipped", "untrained"):
         arrays, rng = packaged_arrays("detectors.reader", "reader"), np.random.default_rng(0)
         drawn = {name: rng.standard_normal(old.shape, np.float32) for name, old in arrays.items() if old.ndim == 2}
@@ -102,13 +103,14 @@ def _update(weights: Weights, block: str, normed: Singles, state: Singles, both:
     given = np.exp(given - given.max(axis=2, keepdims=True))
     given /= given.sum(axis=2, keepdims=True)
     known, heads = _normalise(state), given.shape[1]
-    vectors, seen = np.zeros((2, n, heads, width), np.float32), np.zeros_like(state)
-    _gather(given, pair, known, *vectors, seen)
+    taken = np.ascontiguousarray(given.transpose(2, 1, 0))  # (n, heads, n): of j by i
+    vectors = np.stack([given @ pair, taken @ pair.transpose(1, 0, 2)])
+    seen = np.hstack([given[:, h] @ part for h, part in enumerate(np.split(known, heads, axis=1))])
     matrix = weights[f"{block}.gathered.weight"].reshape(heads, -1, 2, width).transpose(2, 0, 3, 1)  # (2, h, w, d)
     chosen, received = np.matmul(vectors.swapaxes(1, 2), matrix).swapaxes(1, 2).reshape(2, n, width)
     received = np.sign(received) * np.log1p(np.abs(received))
     whole = np.broadcast_to(state.mean(axis=0), state.shape)
-    gathered = [known, chosen, received, seen, whole, np.log1p(given.sum(axis=0)).T]
+    gathered = [known, chosen, received, seen, whole, np.log1p(taken.sum(axis=2))]
     state = state + _apply_layers(weights, f"{block}.uav", np.hstack(gathered))
     row, column = (_normalise(state) @ half.T for half in np.split(weights[f"{block}.ends.weight"], 2))
     forth, back = np.split(weights[f"{block}.mix.weight"], 2, axis=1)
@@ -183,19 +185,3 @@ def _add_and_normalise(pair, change, normed):
         scale = _ONE / np.float32(math.sqrt(square / width + _NORM_NOISE))
         for c in range(pair.shape[1]):
             normed[k, c] *= scale
-
-
-@compiled(**_FAST)
-def _gather(given, pair, state, chosen, received, seen):
-    """Add up what each head gathers over j by its attention ``given`` ``(n, heads, n)``."""
-    n, heads, _ = given.shape
-    part = state.shape[1] // heads
-    for i in range(n):
-        for h in range(heads):
-            for j in range(n):
-                weight = given[i, h, j]
-                for c in range(pair.shape[2]):
-                    chosen[i, h, c] += weight * pair[i, j, c]
-                    received[j, h, c] += weight * pair[i, j, c]
-                for c in range(h * part, (h + 1) * part):
-                    seen[i, c] += weight * state[j, c]

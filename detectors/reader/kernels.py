@@ -34,6 +34,21 @@ def multiply_series(x, y, lag=0):
 
 
 @compiled(**_FAST)
+def compare_series(later, earlier, share, known, lag):
+    """The mean square of later(t + lag) - earlier(t), where more than a tenth of one and all of the other is known."""
+    total, count, weight = np.zeros((3, later.shape[2]), np.float32)
+    for t in range(len(later) - lag):
+        for i in range(later.shape[2]):
+            weight[i] = known[t, i] if share[t + lag, i] > np.float32(0.1) else _ZERO
+            count[i] += weight[i]
+        for a in range(later.shape[1]):
+            for i in range(later.shape[2]):
+                difference = later[t + lag, a, i] - earlier[t, a, i]
+                total[i] += weight[i] * difference * difference
+    return total / np.maximum(count, _ONE)
+
+
+@compiled(**_FAST)
 def multiply_columns(x, y):
     """The sums over rows of x (S, k, n) times y (S, q, n): (k, q, n)."""
     out = np.zeros((x.shape[1], y.shape[1], x.shape[2]), np.float32)

@@ -18,7 +18,7 @@ _LINKS = 12  # of each UAV
 _STRONG = 2.3  # weight of a link that isn't due to chance
 _JOINING = 2  # UAVs that join a community because they explain most, and because they turn first
 _FEW = 2000  # UAVs of which each may join; of more, those without a community and those of divided ones
-_RIVALS = 200  # UAVs that may come first, of each community
+_RIVALS = 100  # UAVs that may come first, of each community
 _LAST_LAG = 12  # steps
 _WORK = 3e10  # products in a comparison of all pairs; in a larger swarm, steps are averaged before
 _CHUNK = 512  # UAVs whose pairs are compared at once
@@ -167,8 +167,8 @@ def _explain_turns(velocity: Singles, seen: Mask, turns: Singles, target: Single
 
 def _squares(white: Singles, target: Singles) -> Singles:
     """Sums of squared products ``(p, g)`` of series ``(p, d, t)`` and ``(t, 3 g)``."""
-    product = (white.reshape(-1, white.shape[2]) @ target).reshape(*white.shape[:2], -1, 3)
-    return np.asarray(np.einsum("pdga,pdga->pg", product, product))
+    product = (white.reshape(-1, white.shape[2]) @ target).reshape(*white.shape[:2], -1)
+    return np.asarray(np.einsum("pdx,pdx->px", product, product).reshape(len(white), -1, 3).sum(axis=2))
 
 
 def _choose_first(share: Floats, turns: Singles) -> Indices:

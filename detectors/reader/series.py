@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg
 
 from detectors.reader.kernels import multiply_columns, multiply_series, solve_ridges
 from usnet_env.arrays import Floats, Singles
 
 
-def hold_positions(p: Singles, seen: Singles) -> Singles:
+def hold_positions(p: NDArray[Any], seen: Singles) -> NDArray[Any]:
     """``p`` (T + 1, 3, n) with the last seen place (before the first: the first) where a UAV isn't seen."""
     t = np.arange(len(seen))[:, None]
     last = np.maximum.accumulate(np.where(seen > 0, t, -1), 0)
@@ -87,18 +89,18 @@ def square_series(v: Singles) -> Singles:
 def regress_jointly(
     series: Floats, models: Sequence[tuple[int, int, tuple[float, ...]]]
 ) -> list[tuple[Floats, Floats]]:
-    """Regress column i of the last of some ``series`` (S, R, n) on all columns of a first one and column i of a second.
+    """Regress column i of the last of some ``series`` (R, S, n) on all columns of a first one and column i of a second.
 
     Columns have the length 1 in a ridge regression; a model is the first series, the second one, and ridges. Returns
     for each model and ridge, and for i and j, the t statistic of j's column, and its coefficient in the units of the
     data, (n, n) each. All i have one inverse, which the column of their own extends (Frisch and Waugh 1933).
     """
-    scale, found, (rows, n) = np.sqrt((series**2).sum(1)) + 1e-9, [], series.shape[1:]
-    series = series / scale[:, None]
-    y, size = series[-1], scale[-1]
+    (rows, _, n), scale, found = series.shape, np.sqrt((series**2).sum(0)) + 1e-9, []
+    flat = (series / scale).reshape(rows, -1)
+    products = (flat.T @ flat).reshape(*scale.shape, *scale.shape)
     for first, second, ridges in models:
-        x, own = series[first], series[second]
-        gram, across, target, fitted = x.T @ x, x.T @ own, x.T @ y, np.einsum("ri,ri->i", own, y)
+        gram, across, target = (np.ascontiguousarray(products[first, :, k]) for k in (first, second, -1))
+        fitted = products[second, :, -1].diagonal()
         free = max(rows - int((scale[first] > 1e-8).sum()) - 1, rows / 4)
         for ridge in ridges:
             half = np.tril(linalg.lapack.dpotri(linalg.lapack.dpotrf(gram + ridge * np.eye(n))[0])[0].T)
@@ -107,9 +109,9 @@ def regress_jointly(
             left = np.maximum(1.0 + ridge - (across * turned).sum(0), 1e-9)
             drag = (fitted - (across * plain).sum(0)) / left
             part = plain - turned * drag
-            left_over = x @ part - y
-            left_over += own * drag
-            rest = np.einsum("ri,ri->i", left_over, left_over) / free + 1e-12
+            # what is left of y'y = 1, by the normal equations of a ridge regression
+            errors = 1.0 - (part * target).sum(0) - drag * fitted - ridge * ((part**2).sum(0) + drag**2)
+            rest = np.maximum(errors, 0.0) / free + 1e-12
             spread = np.diag(inverse)[:, None] + turned**2 / left
-            found.append(((part / np.sqrt(rest * spread)).T, (part * size / scale[first][:, None]).T))
+            found.append(((part / np.sqrt(rest * spread)).T, (part * scale[-1] / scale[first][:, None]).T))
     return found
