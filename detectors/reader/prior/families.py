@@ -6,7 +6,7 @@ import numpy as np
 
 from usnet_env.arrays import Floats
 
-PRIOR_VERSION = 8  # increases when a draw changes
+PRIOR_VERSION = 9  # increases when a draw changes
 
 MODELS = {  # follow strategies; flocks are the hardest, and come twice as often; two hold f1 to f6 as parts
     "random": 2.5,
@@ -24,7 +24,7 @@ FAULTS = {  # what the sensor does to a swarm that follows by one of the models
     "fault:swaps": 2.0,
 }
 WORLDS = {  # without the simulator
-    "star": 8.0,
+    "star": 9.0,
     "path": 3.5,
     "springs": 30.0,
     **dict.fromkeys(("people", "initiators", "set_off"), 1.4),
@@ -32,7 +32,7 @@ WORLDS = {  # without the simulator
     **dict.fromkeys(("file", "boids_signed"), 1.0),
     "cars": 4.0,
     **dict.fromkeys(("changes", "fission", "convoy"), 0.7),
-    "driver": 7.0,  # no UAV leads in this and the next worlds
+    "driver": 3.5,  # no UAV leads in this and the next worlds
     "route": 3.0,
     "leaderless": 5.0,
     "herd": 2.0,
