@@ -180,6 +180,28 @@ def test_the_answer_at_the_step_at_which_somebody_leads_counts():
         assert [leader.id for leader in found.leaders] == ["uav-0"]
 
 
+class NamesMoreAtOneStep:
+    """A detector that is surest that somebody leads at the step at which it names one UAV more."""
+
+    def __init__(self, step):
+        self.step = step
+
+    def reset(self, seed=None):
+        pass
+
+    def detect(self, window):
+        answer, alone = answer_of(window.uavs, 0), window.step == self.step
+        named = answer.candidates | (alone & (np.arange(window.uavs) == 1))
+        return replace(answer, candidates=named, extras={"silent": 0.1 if alone else 0.2})
+
+
+def test_of_steps_at_which_somebody_leads_the_usual_answer_counts():
+    even = dense(wandering(steps=1500, delay=30)).resample()
+    for factor in (0.25, 0.5, 1.0):
+        found = find_leaders(even, NamesMoreAtOneStep(factor * even.step), length=80, confirm=False)
+        assert [leader.id for leader in found.leaders] == ["uav-0"]
+
+
 def test_where_no_id_follows_the_sampling_interval_stays():
     rng = np.random.default_rng(0)
     places = np.cumsum(rng.normal(size=(600, 5, 3)), axis=0)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from usnet_env.detection import Detection, ask
 from usnet_env.plugins import DetectorLike
 from usnet_env.tracks.tracks import Tracks, TrackWindow
@@ -19,17 +21,24 @@ class Answer(NamedTuple):
 def answer_window(player: DetectorLike, even: Tracks, cut: TrackWindow, seed: int) -> Answer:
     """Ask a detector for a window.
 
-    If it tells the probability that nobody leads, it is also asked at :attr:`Tracks.other_steps`, and the answer with
-    the least one counts: a step that doesn't show who follows hides a leader, and hardly ever makes one.
+    If it tells the probability that nobody leads, it is also asked at :attr:`Tracks.other_steps`. A step that doesn't
+    show who follows hides a leader, so only those count at which somebody probably leads. Of their answers, the one
+    that names most nearly what all of them name is returned, or of several the one that is surest that somebody leads.
     """
 
     def answer(each: TrackWindow) -> Detection:
         player.reset(seed)
         return ask(player, each.window)[0]
 
+    def tell_silence(each: Detection) -> float:
+        return float(each.extras.get("silent", 0.0))
+
     cuts, answers = [cut], [answer(cut)]
     if "silent" in answers[0].extras:
         cuts += [same for other in even.other_steps if (same := other.cut_like(cut))]
         answers += map(answer, cuts[1:])
-    detection = min(answers, key=lambda each: float(each.extras.get("silent", 0.0)))
+    answers.sort(key=tell_silence)
+    answers = [each for each in answers if tell_silence(each) < 0.5] or answers[:1]
+    usual = np.mean([each.candidates for each in answers], axis=0)
+    detection = min(answers, key=lambda each: round(float(np.abs(each.candidates - usual).sum()), 6))
     return Answer(detection, min(cuts, key=lambda each: each.step))
