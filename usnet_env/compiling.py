@@ -32,7 +32,8 @@ def _say_that_it_compiles() -> None:
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Return a decorator that compiles a function at its first call; ``options`` are those of :func:`numba.njit`.
 
-    With ``inner=True`` it may be called by compiled functions only, and compiles faster. Where no folder can be
+    With ``inner=True`` it may be called by compiled functions only, and compiles faster. With ``_nrt=False`` it
+    makes no arrays, and counts no references to arrays, which takes longer than a short loop. Where no folder can be
     written, a function is compiled again in every process. Of several processes that need the same code, one compiles
     it, and the others wait and load it (except on Windows): Numba's own cache mixes up the code of two processes that
     compile different signatures of one function at the same time.
@@ -40,7 +41,7 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     from numba import njit  # it takes a quarter of a second, also where nothing is compiled
 
     # They are always given: Numba compiles a function without options by those of its first caller.
-    options = {"fastmath": False, "error_model": "python", **options}
+    options = {"fastmath": False, "error_model": "python", "_nrt": True, **options}
     # Each wrapper holds the loop's machine code again: one for callers in C, which are none, and one for Python.
     options |= {"no_cfunc_wrapper": True, "no_cpython_wrapper": options.pop("inner", False)}
 

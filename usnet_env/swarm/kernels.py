@@ -64,7 +64,7 @@ def _uniform(z):
     return min(max(0.5 * math.erfc(-z / math.sqrt(2.0)), 1e-12), 1.0 - 1e-12)
 
 
-@compiled(inner=True)
+@compiled(inner=True, _nrt=False, error_model="numpy")
 def _turn_towards(state, x, y, z, limit):
     """Turn the unit direction ``state[0:3]`` towards (x, y, z) by at most ``limit`` radians."""
     length = math.sqrt(x * x + y * y + z * z)
@@ -87,7 +87,7 @@ def _turn_towards(state, x, y, z, limit):
     state[0], state[1], state[2] = c * state[0] + s * px, c * state[1] + s * py, c * state[2] + s * pz
 
 
-@compiled(inner=True)
+@compiled(inner=True, _nrt=False, error_model="numpy")
 def _draw_turn(state, z, rate, max_angle):
     """Draw a turn: its axis (perpendicular to the direction), its angle per step and its duration in steps."""
     x, y, w = float(z[0]), float(z[1]), float(z[2])
@@ -101,43 +101,44 @@ def _draw_turn(state, z, rate, max_angle):
     state[7] = -math.log(_uniform(z[4])) / rate
 
 
-@compiled(inner=True)
-def _step_mobility(code, state, z, p, numbers, out):
-    """One step of one free UAV: update ``state`` and write the direction of flight (3 float32) to ``out``."""
+@compiled(inner=True, _nrt=False, error_model="numpy")
+def _step_mobility(code, state, z, px, py, pz, numbers):
+    """One step of one free UAV at (px, py, pz): update ``state`` and return the direction of flight, float32."""
+    x, y, w = np.float64(z[0]), 0.0, 0.0
     if code == IID:
-        out[0], out[1], out[2] = z[0], z[1], z[2]
-        return
-    if code == GAUSS_MARKOV:  # state: azimuth, pitch, and their means
+        y, w = np.float64(z[1]), np.float64(z[2])
+    elif code == GAUSS_MARKOV:  # state: azimuth, pitch, and their means
         keep = numbers[0]  # lag-one autocorrelation
         push = math.sqrt(1.0 - keep * keep)
         state[0] = keep * state[0] + (1.0 - keep) * state[2] + push * math.sqrt(numbers[1]) * z[0]
         state[1] = keep * state[1] + (1.0 - keep) * state[3] + push * math.sqrt(numbers[2]) * z[1]
-        out[0] = math.cos(state[0]) * math.cos(state[1])
-        out[1] = math.sin(state[0]) * math.cos(state[1])
-        out[2] = math.sin(state[1])
-        return
-    if code == SMOOTH_TURN:  # state: direction, axis, angle per step, remaining steps
-        if state[7] <= 0.0:
-            _draw_turn(state, z, 1.0 / numbers[0], numbers[1])
-        c, s = math.cos(state[6]), math.sin(state[6])
-        x = c * state[0] + s * (state[4] * state[2] - state[5] * state[1])
-        y = c * state[1] + s * (state[5] * state[0] - state[3] * state[2])
-        w = c * state[2] + s * (state[3] * state[1] - state[4] * state[0])
-        size = math.sqrt(x * x + y * y + w * w)
-        state[0], state[1], state[2] = x / size, y / size, w / size
-        state[7] -= 1.0
-    elif code in (WAYPOINT, LOCAL_WAYPOINT):  # state: direction, goal
-        dx, dy, dz = state[3] - p[0], state[4] - p[1], state[5] - p[2]
-        if not dx * dx + dy * dy + dz * dz >= numbers[1] * numbers[1]:  # reached, or no goal yet (NaN)
-            if code == WAYPOINT:
-                for axis in range(3):
-                    state[3 + axis] = numbers[2 + axis] * _uniform(z[axis])
-            else:
-                for axis in range(3):
-                    state[3 + axis] = p[axis] + numbers[2] * z[axis]
-            dx, dy, dz = state[3] - p[0], state[4] - p[1], state[5] - p[2]
-        _turn_towards(state, dx, dy, dz, numbers[0])
-    out[0], out[1], out[2] = state[0], state[1], state[2]
+        x = math.cos(state[0]) * math.cos(state[1])
+        y = math.sin(state[0]) * math.cos(state[1])
+        w = math.sin(state[1])
+    else:
+        if code == SMOOTH_TURN:  # state: direction, axis, angle per step, remaining steps
+            if state[7] <= 0.0:
+                _draw_turn(state, z, 1.0 / numbers[0], numbers[1])
+            c, s = math.cos(state[6]), math.sin(state[6])
+            x = c * state[0] + s * (state[4] * state[2] - state[5] * state[1])
+            y = c * state[1] + s * (state[5] * state[0] - state[3] * state[2])
+            w = c * state[2] + s * (state[3] * state[1] - state[4] * state[0])
+            size = math.sqrt(x * x + y * y + w * w)
+            state[0], state[1], state[2] = x / size, y / size, w / size
+            state[7] -= 1.0
+        elif code in (WAYPOINT, LOCAL_WAYPOINT):  # state: direction, goal
+            dx, dy, dz = state[3] - px, state[4] - py, state[5] - pz
+            if not dx * dx + dy * dy + dz * dz >= numbers[1] * numbers[1]:  # reached, or no goal yet (NaN)
+                if code == WAYPOINT:
+                    for axis in range(3):
+                        state[3 + axis] = numbers[2 + axis] * _uniform(z[axis])
+                else:
+                    state[3], state[4] = px + numbers[2] * z[0], py + numbers[2] * z[1]
+                    state[5] = pz + numbers[2] * z[2]
+                dx, dy, dz = state[3] - px, state[4] - py, state[5] - pz
+            _turn_towards(state, dx, dy, dz, numbers[0])
+        x, y, w = state[0], state[1], state[2]
+    return np.float32(x), np.float32(y), np.float32(w)
 
 
 class Craft(NamedTuple):
@@ -164,29 +165,24 @@ FLOWN = Craft(
 )  # fmt: skip
 
 
-@compiled(inner=True)
+@compiled(inner=True, _nrt=False, error_model="numpy")
 def _fly_free_uavs(b, start, first, last, craft, noise, position, velocity):
     """Velocities of the free UAVs of swarm b from instant ``first`` to ``last`` - 1; step 0 is at instant ``start``."""
-    out = np.empty(3, np.float32)
-    p = np.empty(3, np.float64)
     for j in range(craft.free.shape[1]):
         i = craft.free[b, j]
-        for axis in range(3):
-            p[axis] = position[b, first, i, axis]
+        state, numbers, code = craft.state[b, j], craft.constants[j], craft.mobility[j]
+        place = position[b, first, i]
+        px, py, pz = np.float64(place[0]), np.float64(place[1]), np.float64(place[2])
         for t in range(first, last):
             s = t - start
-            _step_mobility(craft.mobility[j], craft.state[b, j], craft.normals[b, s, j], p, craft.constants[j], out)
-            x, y, z = norm(out[0], out[1], out[2])
+            x, y, z = norm(*_step_mobility(code, state, craft.normals[b, s, j], px, py, pz, numbers))
             if j < craft.jittered:
                 x += craft.jitter * noise[b, s, i, 0]
                 y += craft.jitter * noise[b, s, i, 1]
                 z += craft.jitter * noise[b, s, i, 2]
                 x, y, z = norm(x, y, z)
-            v = velocity[b, t, i]
-            v[0], v[1], v[2] = x, y, z
-            p[0] += x
-            p[1] += y
-            p[2] += z
+            velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = x, y, z
+            px, py, pz = px + x, py + y, pz + z
 
 
 @compiled()
@@ -227,7 +223,7 @@ def _steer(x, y, z, u, v, w, limit):
     return x, y, z, cosine
 
 
-@compiled(inner=True, error_model="numpy")
+@compiled(inner=True, _nrt=False, error_model="numpy")
 def steer(code, numbers, b, s, t, motion, normals, state, position, velocity):
     """Replace the wanted directions of swarm b in step t by velocities; ``normals`` ``(B, S, N, k)`` has step s."""
     for i in range(motion.shape[1]):
