@@ -15,10 +15,10 @@ from usnet_env.swarm.kernels import DESTROYED, FOLLOWS, begin_step, end_step, fi
 NO_CHASER, PREDATOR, DRIVER = range(3)
 
 _ONE, _ZERO, _TINY = np.float32(1.0), np.float32(0.0), np.float32(1e-12)
-_SMALL = 64  # up to this size a flock is searched as a whole
-_X, _Y, _Z, _UX, _UY, _UZ = range(0, 6 * _SMALL, _SMALL)  # rows of `members` in _sum_all
+_SMALL, _MIDDLE = 64, 128  # sizes up to which a flock is searched as a whole: unsorted, or sorted by cell
+_X, _Y, _Z, _UX, _UY, _UZ = range(0, 6 * _MIDDLE, _MIDDLE)  # rows of `members` in _sum_all
 # Rows of `sums`: repulsion, alignment, attraction, and the three counts.
-_RX, _RY, _RZ, _OX, _OY, _OZ, _AX, _AY, _AZ, _REPELLED, _ALIGNED, _ATTRACTED = range(0, 12 * _SMALL, _SMALL)
+_RX, _RY, _RZ, _OX, _OY, _OZ, _AX, _AY, _AZ, _REPELLED, _ALIGNED, _ATTRACTED = range(0, 12 * _MIDDLE, _MIDDLE)
 
 
 @compiled(inner=True, error_model="numpy")
@@ -46,6 +46,22 @@ def _build_cells(first, last, p, v, width, place, begin, cell, near_p, near_v):
         for axis in range(3):
             cell[axis, k] = int(np.floor(p[axis, c] / width))
             near_p[axis, k], near_v[axis, k] = p[axis, c], v[axis, c]
+
+
+@compiled(inner=True, error_model="numpy")
+def _sort_by_cell(low, p, width, key, rank):
+    """Sort ``rank``, the UAVs of a flock that begins at ``low``, by cell as :func:`_sum_cells` does: sums are equal."""
+    for c in rank:
+        key[c] = 0
+        for axis in range(3):
+            key[c] = (key[c] << 18) + int(np.floor(p[axis, low + c] / width))
+        key[c] = (key[c] << 9) - c
+    for k in range(1, len(rank)):  # few are out of order, since the order is that of the step before
+        c, j = rank[k], k
+        while j and key[rank[j - 1]] > key[c]:
+            rank[j] = rank[j - 1]
+            j -= 1
+        rank[j] = c
 
 
 @compiled(inner=True, error_model="numpy")
@@ -82,13 +98,15 @@ def _sum_all(size, repel, align, attract, members, sums):
     """Fill ``sums`` for all UAVs of a small flock.
 
     The inner loop is over the UAVs that get a term, so the sums have the same bits with all vector instructions. Rows
-    of ``members`` and ``sums`` are ``_SMALL`` apart, from which the compiler knows that they don't overlap.
+    of ``members`` and ``sums`` are ``_MIDDLE`` apart, from which the compiler knows that they don't overlap.
     """
-    sums[:] = _ZERO
+    last = (size + 3) // 4 * 4  # whole vectors of all widths; nobody reads the rest
+    for row in range(0, len(sums), _MIDDLE):
+        sums[row : row + last] = _ZERO
     for d in range(size):
         x, y, z = members[_X + d], members[_Y + d], members[_Z + d]
         ux, uy, uz = members[_UX + d], members[_UY + d], members[_UZ + d]
-        for c in range((size + 15) // 16 * 16):  # whole vectors; nobody reads the rest
+        for c in range(last):
             dx, dy, dz = x - members[_X + c], y - members[_Y + c], z - members[_Z + c]
             square = dx * dx + dy * dy + dz * dz
             o = _ONE if square < align else _ZERO
@@ -170,10 +188,14 @@ def fly_flock(
     while buckets < 2 * uavs:
         buckets *= 2
     begin = np.empty(buckets + 1, np.int64)
-    few, sums = np.zeros(6 * _SMALL, np.float32), np.empty(12 * _SMALL, np.float32)
+    rank, key = np.empty(uavs, np.int64), np.empty(_MIDDLE, np.int64)
+    few, sums = np.zeros(6 * _MIDDLE, np.float32), np.empty(12 * _MIDDLE, np.float32)
     middle = np.zeros((width, 3), np.float32)
     for b in range(episodes):
         members = _sort_members(motion[b], source[b], bystander[b], uavs, label, order, first)
+        flocks = np.flatnonzero(first[1:] > first[:-1])
+        for f in flocks:
+            rank[first[f] : first[f + 1]] = np.arange(first[f + 1] - first[f])
         chasers = np.flatnonzero(bystander[b] & (motion[b, :uavs] == FOLLOWS))
         for s in range(steps):
             t = start + s
@@ -181,36 +203,38 @@ def fly_flock(
             for c in range(members):
                 for axis in range(3):
                     p[axis, c], v[axis, c] = position[b, t, order[c], axis], velocity[b, t - 1, order[c], axis]
-            for f in range(width):
+            for f in flocks:
                 low, size = first[f], first[f + 1] - first[f]
-                if not size:
-                    continue
                 px, py, pz = p[0, low : low + size], p[1, low : low + size], p[2, low : low + size]
-                middle[f, 0], middle[f, 1], middle[f, 2] = px.mean(), py.mean(), pz.mean()
+                if chaser == DRIVER:
+                    middle[f, 0], middle[f, 1], middle[f, 2] = px.mean(), py.mean(), pz.mean()
                 small = 1
-                if size > _SMALL:
+                if _SMALL < size <= _MIDDLE:
+                    _sort_by_cell(low, p, outer, key, rank[low : low + size])
+                if size > _MIDDLE:
                     while small < 2 * size:
                         small *= 2
                     _build_cells(low, low + size, p, v, outer, place, begin[: small + 1], cell, near_p, near_v)
                 else:
                     for axis in range(3):
-                        for c in range(size):
-                            few[_X + axis * _SMALL + c] = p[axis, low + c]
-                            few[_UX + axis * _SMALL + c] = v[axis, low + c]
+                        for k in range(size):
+                            few[_X + axis * _MIDDLE + k] = p[axis, low + rank[low + k]]
+                            few[_UX + axis * _MIDDLE + k] = v[axis, low + rank[low + k]]
                     _sum_all(size, repel, align, attract, few, sums)
-                for c in range(size):
+                for k in range(size):
+                    c = rank[low + k]
                     i = order[low + c]
                     if motion[b, i] != FOLLOWS:
                         continue
-                    if size > _SMALL:
+                    if size > _MIDDLE:
                         rx, ry, rz, ox, oy, oz, ax, ay, az, repelled, aligned, attracted = _sum_cells(
                             px[c], py[c], pz[c], outer, repel, align, attract, begin[: small + 1], cell, near_p, near_v
                         )
                     else:
-                        rx, ry, rz = sums[_RX + c], sums[_RY + c], sums[_RZ + c]
-                        ox, oy, oz = sums[_OX + c], sums[_OY + c], sums[_OZ + c]
-                        ax, ay, az = sums[_AX + c], sums[_AY + c], sums[_AZ + c]
-                        repelled, aligned, attracted = sums[_REPELLED + c], sums[_ALIGNED + c], sums[_ATTRACTED + c]
+                        rx, ry, rz = sums[_RX + k], sums[_RY + k], sums[_RZ + k]
+                        ox, oy, oz = sums[_OX + k], sums[_OY + k], sums[_OZ + k]
+                        ax, ay, az = sums[_AX + k], sums[_AY + k], sums[_AZ + k]
+                        repelled, aligned, attracted = sums[_REPELLED + k], sums[_ALIGNED + k], sums[_ATTRACTED + k]
                     if repelled > np.float32(1.5):  # the UAV itself is counted
                         x, y, z = norm(rx, ry, rz)
                     elif max(aligned, attracted) > np.float32(1.5):
@@ -220,7 +244,7 @@ def fly_flock(
                         y = align_scale * oy + attract_scale * ay
                         z = align_scale * oz + attract_scale * az
                     else:
-                        x, y, z = norm(middle[f, 0] - px[c], middle[f, 1] - py[c], middle[f, 2] - pz[c])
+                        x, y, z = norm(px.mean() - px[c], py.mean() - py[c], pz.mean() - pz[c])
                     if preference > _ZERO and root[b, i] == i:
                         x, y, z = norm(x, y, z)
                         x += preference * velocity[b, t - 1, f, 0]
