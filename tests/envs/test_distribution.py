@@ -115,12 +115,14 @@ def test_swarms_of_p1_of_several_sizes():
 
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
 def test_a_batch_of_games_that_differ_equals_single_games(mode):
-    arguments = {**DRAWN, "observation_steps": 3, "max_rounds": 2, "reveal_truth": True}
+    laws = ["f1", "f7", "reference", "open-1"]  # with references or without, compiled or not
+    arguments = {**DRAWN, "follow": laws, "memory": 12, "observation_steps": 3, "max_rounds": 2, "reveal_truth": True}
     batch = gym.make_vec("USNET/MultiCluster-v0", num_envs=6, autoreset_mode=mode, **arguments)
     options = {"vectorization_mode": "sync", "vector_kwargs": {"autoreset_mode": batch.metadata["autoreset_mode"]}}
     singles = gym.make_vec("USNET/MultiCluster-v0", num_envs=6, **options, **arguments)
     rng = np.random.default_rng(0)
     (one, info), (other, known) = batch.reset(seed=0), singles.reset(seed=0)
+    assert {"reference", "open-1"} < {*info["follow"]}
     for _ in range(5):
         np.testing.assert_equal(one, other)
         assert list(info["follow"]) == list(known["follow"])

@@ -32,11 +32,11 @@ def test_only_the_followers_of_a_uav_turn_with_it(follow, kinematics):
         far = np.full((1, 1, 3), 1e5, np.float32)
         place = far if near is None else state.position[:, None, near] + np.float32(5.0)
         model = Avoidance(config.kinematics_model, place, np.zeros_like(place), 15.0, 3.0, 8)
-        return fly_steps(config.model_copy(update={"kinematics": model}), state, rngs, 30)[1][0]
+        return fly_steps([config.model_copy(update={"kinematics": model})], state, rngs, 30)[1][0]
 
     rngs = [np.random.default_rng(4)]
     state = start(config, rngs)
-    free = fly_steps(config, state, rngs, 30)[1][0]
+    free = fly_steps([config], state, rngs, 30)[1][0]
     np.testing.assert_array_equal(flown(None), free)
     for near in range(8):
         moved = (flown(near) != free).any(axis=(0, 2))

@@ -153,7 +153,7 @@ class ProbingEnv(UsnetEnv):
     def _observe(self, state: game.GameState) -> Observation:
         """Begin the window: fly the unobserved steps, and place the intruders around the swarm."""
         config, steps = self.config, self.config.observation_steps
-        swarm, *_ = fly_steps(config, state.swarm, [self.np_random], config.memory)
+        swarm, *_ = fly_steps([config], state.swarm, [self.np_random], config.memory)
         self._game = game.GameState(swarm, state.rounds, state.redundant, state.terminated, state.truncated)
         place = swarm.position[0]
         middle = place.mean(axis=0)
@@ -179,10 +179,11 @@ class ProbingEnv(UsnetEnv):
         place, model = flight["intruders"][begin], self.config.kinematics_model
         avoidance = Avoidance(model, place[None], velocity[None], arguments.reach, arguments.push, self.config.uavs)
         config, first = self.config.model_copy(update={"kinematics": avoidance}), begin * every
-        swarm, flown, speed = fly_steps(config, state.swarm, [self.np_random], samples * every)
-        flight["position"][first : first + samples * every + 1] = flown[0]
-        flight["position"][first + samples * every + 1 :] = flown[0, -1]
-        flight["velocity"][first : first + samples * every] = speed[0]
+        swarm, flown, speed = fly_steps([config], state.swarm, [self.np_random], samples * every)
+        flown, speed = flown[0, config.memory :, : config.uavs], speed[0, config.memory :, : config.uavs]
+        flight["position"][first : first + samples * every + 1] = flown
+        flight["position"][first + samples * every + 1 :] = flown[-1]
+        flight["velocity"][first : first + samples * every] = speed
         passed = np.minimum(np.arange(len(flight["intruders"]) - begin), samples)[:, None, None]
         flight["intruders"][begin:] = place + np.float32(every) * passed.astype(np.float32) * velocity
         flight["elapsed"] = begin + samples
@@ -192,7 +193,7 @@ class ProbingEnv(UsnetEnv):
         """The window so far. The sensor observes it anew with the same random numbers, so that the past stays."""
         flight, state = self._flight, game.require_game(self._game)
         sensor, elapsed = np.random.default_rng(flight["sensor"]), flight["elapsed"]
-        flown, swarm = (flight["position"][None], flight["velocity"][None]), state.swarm
+        flown, swarm = (flight["position"][None].copy(), flight["velocity"][None]), state.swarm
         seen = sense([self.config], *flown, swarm.alive, [sensor], swarm.free)
         window = {name: values[0] for name, values in game.show_window(seen, state.rounds[:, None]).items()}
         window |= {"intruders": flight["intruders"], "elapsed": np.full(1, elapsed, np.float32)}

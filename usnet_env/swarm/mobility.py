@@ -8,6 +8,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -67,6 +68,7 @@ class CompiledMobility(Mobility):
     numbers: tuple[float, ...] = ()
     description: str = ""
 
+    @cached_property
     def constants(self) -> Floats:
         """``(6,)`` float64, the constants for the kernel, padded with zeros."""
         return np.array([*self.numbers, *[0.0] * (6 - len(self.numbers))])
@@ -107,7 +109,7 @@ class CompiledMobility(Mobility):
             first += count
         craft = kernels.FLOWN._replace(
             mobility=np.full(1, self.code),
-            constants=self.constants()[None],
+            constants=self.constants[None],
             free=np.zeros((len(swarms), 1), np.int64),
             normals=normals,
             state=swarms,

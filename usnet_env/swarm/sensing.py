@@ -60,6 +60,7 @@ def sense(
     free: Indices,
     place: Floats | None = None,
     reach: Floats | None = None,
+    first: int = 0,
 ) -> ObservationBatch:
     """Observe B swarms by R observers, R / B of each swarm, with the same sampling.
 
@@ -67,31 +68,34 @@ def sense(
     of two observed positions, divided by the number of steps between them.
 
     Noise with a memory φ is an autoregressive process of order 1. With ``course_noise`` ρ the noise n of a UAV with the
-    course e, the direction of its next step, becomes n + (ρ - 1) (n · e) e. A false track is seen in one part of the
-    window, of a tenth to three fifths of its instants. Missed detections in bursts are a Markov chain of two
-    states (Gilbert 1960) with the miss rate as its stationary distribution.
+    course e, the direction of its next step, becomes n + (ρ - 1) (n · e) e. A partial track begins or ends in the
+    middle three fifths of the window, and a false track is seen in one part of it, of a tenth to three fifths. Missed
+    detections in bursts are a Markov chain of two states (Gilbert 1960) with the miss rate as its stationary
+    distribution.
 
     Args:
         configs: for each observer its sensor: ``sample_every`` k and the fields of ``SensorArguments`` are used.
-        position: ``(B, T_ob * k + 1, N, 3)`` float32, metres, the true positions from the start of the window.
-        velocity: ``(B, T_ob * k, N, 3)`` float32, metres per step, the true velocities.
+        position: ``(B, first + T_ob * k + 1, N + R, 3)`` float32, metres, the true positions, which exchanges of
+            identities change in place.
+        velocity: ``(B, first + T_ob * k, N + R, 3)`` float32, metres per step, the true velocities.
         alive: ``(B, N)`` bool.
         rngs: one generator per observer.
         free: for each swarm its free UAVs, ``(B, n)`` or ``(B,)`` of arrays; the last are false tracks.
         place: ``(R, 3)`` metres, where the observers are, if there is a limit of what they see.
         reach: ``(R,)`` metres, this limit.
+        first: the instant of the flight at which the window begins.
     """
     k, each = configs[0].sample_every, len(rngs) // len(alive)
-    position, alive = position[:, ::k], np.repeat(alive, each, axis=0)
-    seen = np.repeat(alive[:, None], position.shape[1], axis=1)
+    uavs, alive = alive.shape[1], np.repeat(alive, each, axis=0)
+    seen = np.repeat(alive[:, None], len(range(first, position.shape[1], k)), axis=1)
     faults = {number: _has_faults(sensor) for number, sensor in {id(one): one for one in configs}.items()}
     faulty = [r for r, sensor in enumerate(configs) if faults[id(sensor)]] if any(faults.values()) else []
     if k == 1 and reach is None and not faulty:
-        return ObservationBatch(position, velocity, seen, alive)
-    observers, instants, uavs = seen.shape
-    swaps = any(configs[r].swap_rate > 0 for r in faulty)
-    position = np.repeat(position, each, axis=0) if swaps else np.ascontiguousarray(position)
-    noise = np.empty((sum(configs[r].position_noise > 0 for r in faulty), instants, uavs, 3), np.float32)
+        return ObservationBatch(position[:, first:, :uavs], velocity[:, first:, :uavs], seen, alive)
+    observers, instants = seen.shape[:2]
+    if each > 1 and any(configs[r].swap_rate > 0 for r in faulty):
+        position = np.repeat(position, each, axis=0)
+    noise = np.empty((sum(configs[r].position_noise > 0 for r in faulty), instants, 3 * uavs), np.float32)
     noisy, differs = np.full(observers, -1), np.full(observers, k > 1)  # the rows of the noise
     sensors = np.zeros((observers, 4), np.float32)
     for r in faulty:
@@ -108,19 +112,20 @@ def sense(
         if config.miss_rate > 0:
             row &= _detect(rng.random(row.shape, dtype=np.float32), config.miss_rate, config.miss_burst)
         if config.partial_tracks > 0:
-            _cut_tracks(rng, row, config.partial_tracks)
+            sensing_kernels.cut_tracks(config.partial_tracks, rng.random((3, uavs)), row)
         if config.clutter:
             false = free[r // each][-config.clutter :]
             present[:, false] &= _appear(rng, instants, len(false))
         if swapped is not None:
-            sensing_kernels.exchange(np.float32(SWAP_RANGE), swapped, alive[r], position[r], present)
+            sensing_kernels.exchange(np.float32(SWAP_RANGE), swapped, alive[r], position[r, first::k, :uavs], present)
         row &= present
-    shown = [np.empty((observers, length, uavs, 3), np.float32) for length in (instants, instants - 1)]
+    shown = [np.empty((observers, length, 3 * uavs), np.float32) for length in (instants, instants - 1)]
+    flown = [np.ascontiguousarray(part).reshape(*part.shape[:2], -1) for part in (position, velocity)]
     if reach is None:
         place, reach = np.zeros((observers, 3)), np.full(observers, np.inf)
-    how = sensors, k, noisy, noise, differs, place, reach
-    sensing_kernels.observe(*how, alive, position, np.ascontiguousarray(velocity), seen, *shown)
-    return ObservationBatch(shown[0], shown[1], seen, alive)
+    sensing_kernels.observe(first, k, sensors, noisy, noise, differs, place, reach, *flown, seen, *shown)
+    seen_position, seen_velocity = (part.reshape(observers, -1, uavs, 3) for part in shown)
+    return ObservationBatch(seen_position, seen_velocity, seen, alive)
 
 
 def _has_faults(sensor: SwarmConfig) -> bool:
@@ -153,14 +158,6 @@ def _detect(drawn: Singles, rate: float, burst: float) -> Mask:
     detected = drawn >= rate
     sensing_kernels.miss_in_bursts(rate / (burst * (1.0 - rate)), 1.0 - 1.0 / burst, drawn, detected)
     return detected
-
-
-def _cut_tracks(rng: np.random.Generator, seen: Mask, share: float) -> None:
-    """Cut tracks in ``seen`` ``(T_ob + 1, N)``: a partial track begins or ends in the middle three fifths."""
-    instants, uavs = len(seen), int(seen.shape[1])
-    partial, cut, early = rng.random(uavs) < share, rng.uniform(0.2, 0.8, uavs), rng.random(uavs) < 0.5
-    time, cuts = np.arange(instants)[:, None] / max(instants - 1, 1), cut[partial]
-    seen[:, partial] &= np.where(early[partial], time <= cuts, time >= cuts)
 
 
 def _appear(rng: np.random.Generator, instants: int, tracks: int) -> Mask:

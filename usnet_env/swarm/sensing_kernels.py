@@ -19,27 +19,39 @@ def miss_in_bursts(after_hit, after_miss, drawn, detected):
             detected[t, i] = drawn[t, i] >= (after_hit if detected[t - 1, i] else after_miss)
 
 
+@compiled()
+def cut_tracks(share, drawn, seen):
+    """Cut tracks in ``seen`` ``(T, N)`` by uniform numbers ``(3, N)``: whether, where, and which part stays."""
+    last = max(len(seen) - 1, 1)
+    for i in range(seen.shape[1]):
+        cut = 0.2 + (0.8 - 0.2) * drawn[1, i]
+        for t in range(len(seen) if drawn[0, i] < share else 0):
+            seen[t, i] &= t / last <= cut if drawn[2, i] < 0.5 else t / last >= cut
+
+
 @compiled(inner=True, error_model="numpy")
-def _add_noise(sensor, noise, t, alive, track, now):
-    """Add a sensor's noise at instant t to the positions ``now`` ``(N, 3)`` of ``track`` ``(T + 1, N, 3)``."""
+def _add_noise(sensor, noise, t, track, now):
+    """Add a sensor's noise at instant t to the positions ``now`` ``(3 N,)`` of ``track`` ``(T + 1, W)``."""
     keep, along, bound, scale = sensor[0], sensor[1], sensor[2], sensor[3]
-    push, last, u, e = np.sqrt(_ONE - keep * keep), len(track) - 1, np.empty(3, np.float32), np.empty(3, np.float32)
-    for i in range(len(now)):
-        for axis in range(3):
-            if keep > _ZERO and t > 0:
-                noise[t, i, axis] = keep * noise[t - 1, i, axis] + push * noise[t, i, axis]
-            u[axis] = noise[t, i, axis]
-        if along != _ZERO:  # stretch the part along the course, that of the next step; at the end of the last one
+    push, last, e = np.sqrt(_ONE - keep * keep), len(track) - 1, np.empty(3, np.float32)
+    if keep > _ZERO and t > 0:
+        for n in range(len(now)):
+            noise[t, n] = keep * noise[t - 1, n] + push * noise[t, n]
+    u = noise[t]
+    if along != _ZERO:  # stretch the part along the course, that of the next step; at the end of the last one
+        u = noise[t].copy()
+        for n in range(0, len(now), 3):
             for axis in range(3):
-                here = track[t, i, axis]
-                ahead = track[t + 1, i, axis] if t < last else np.float32(2.0) * here - track[t - 1, i, axis]
+                here = track[t, n + axis]
+                ahead = track[t + 1, n + axis] if t < last else np.float32(2.0) * here - track[t - 1, n + axis]
                 e[axis] = ahead - here
             size = max(np.sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2]), np.float32(1e-6))
             e[0], e[1], e[2] = e[0] / size, e[1] / size, e[2] / size
-            part = along * (u[0] * e[0] + u[1] * e[1] + u[2] * e[2])
-            u[0], u[1], u[2] = u[0] + part * e[0], u[1] + part * e[1], u[2] + part * e[2]
-        for axis in range(3 if alive[i] else 0):
-            now[i, axis] += min(max(u[axis], -bound), bound) * scale
+            part = along * (u[n] * e[0] + u[n + 1] * e[1] + u[n + 2] * e[2])
+            for axis in range(3):
+                u[n + axis] += part * e[axis]
+    for n in range(len(now)):
+        now[n] += min(max(u[n], -bound), bound) * scale
 
 
 @compiled()
@@ -49,9 +61,11 @@ def exchange(reach, swaps, alive, position, present):
     Both UAVs must be ``alive`` ``(N,)`` and present. It changes ``position`` ``(T, N, 3)`` and ``present`` ``(T, N)``,
     which are given by UAV, to those of each identity.
     """
-    uavs = len(alive)
+    uavs, exchanged = len(alive), False
     holder, ready = np.arange(uavs), np.empty(uavs, np.bool_)  # the true UAV of each identity
     for t in range(len(swaps)):
+        if not (exchanged or swaps[t].any()):
+            continue
         place, there = position[t].copy(), present[t].copy()
         for i in range(uavs):
             ready[i] = alive[i] and there[holder[i]]
@@ -69,43 +83,45 @@ def exchange(reach, swaps, alive, position, present):
             if best <= reach:
                 holder[i], holder[nearest] = holder[nearest], holder[i]
                 ready[i] = ready[nearest] = False
+                exchanged = True
         for i in range(uavs):
-            position[t, i], present[t, i] = place[holder[i]], there[holder[i]]
+            if holder[i] != i:
+                position[t, i], present[t, i] = place[holder[i]], there[holder[i]]
 
 
 @compiled(error_model="numpy")
-def observe(sensors, every, noisy, noise, differs, place, reach, alive, flown, moved, seen, position, velocity):
-    """Write what R observers see, of which R / B watch each of B flights ``flown`` ``(B, T + 1, N, 3)``.
+def observe(first, every, sensors, noisy, noise, differs, place, reach, flown, moved, seen, position, velocity):
+    """Write what R observers see, of which R / B watch each of B flights ``flown`` ``(B, first + T every + 1, W)``.
 
-    ``sensors`` ``(R, 4)`` float32 are the memory of the noise, the course noise minus 1, its bound and its scale;
-    ``every`` is the number of steps between two instants. ``noisy`` ``(R,)`` are the rows of ``noise``
-    ``(n, T + 1, N, 3)``, which is changed in place, or -1. Velocities of observers that ``differs`` ``(R,)`` marks are
-    differences of positions, the others those ``moved`` ``(B, T, N, 3)``. Observers at ``place`` ``(R, 3)`` see as far
-    as ``reach`` ``(R,)``; what is too far is taken out of ``seen`` ``(R, T + 1, N)``. ``alive`` is ``(R, N)``;
-    ``position`` ``(R, T + 1, N, 3)`` and ``velocity`` ``(R, T, N, 3)`` are filled.
+    The window begins at the instant ``first``, ``every`` is the number of steps between two instants, and 3 N of the W
+    coordinates are seen. ``sensors`` ``(R, 4)`` float32 are the memory of the noise, the course noise minus 1, the
+    bound and the scale. ``noisy`` ``(R,)`` are the rows of ``noise`` ``(n, T + 1, 3 N)``, which is changed in place,
+    or -1. Velocities of observers that ``differs`` ``(R,)`` marks are differences of positions, the others those
+    ``moved`` ``(B, first + T, W)``. Observers at ``place`` ``(R, 3)`` see as far as ``reach`` ``(R,)``; what is too
+    far is taken out of ``seen`` ``(R, T + 1, N)``. ``position`` ``(R, T + 1, 3 N)`` and ``velocity`` ``(R, T, 3 N)``
+    are filled.
+    Loops over all coordinates become vector instructions.
     """
     instants, uavs = seen.shape[1], seen.shape[2]
-    two = np.empty((2, uavs, 3), np.float32)  # what would be seen now and an instant before
+    two = np.empty((2, 3 * uavs), np.float32)  # what would be seen now and an instant before
     for r in range(len(seen)):
         b = r // (len(seen) // len(flown))
         for t in range(instants):
             now, before = two[t % 2], two[1 - t % 2]
-            now[:] = flown[b, t]
-            if reach[r] < np.inf:
-                for i in range(uavs):
-                    x, y, z = now[i, 0] - place[r, 0], now[i, 1] - place[r, 1], now[i, 2] - place[r, 2]
-                    seen[r, t, i] &= math.sqrt(x * x + y * y + z * z) <= reach[r]
+            now[:] = flown[b, first + t * every, : 3 * uavs]
+            for i in range(uavs if reach[r] < np.inf else 0):
+                x, y, z = now[3 * i] - place[r, 0], now[3 * i + 1] - place[r, 1], now[3 * i + 2] - place[r, 2]
+                seen[r, t, i] &= math.sqrt(x * x + y * y + z * z) <= reach[r]
             if noisy[r] >= 0:
-                _add_noise(sensors[r], noise[noisy[r]], t, alive[r], flown[b], now)
+                _add_noise(sensors[r], noise[noisy[r]], t, flown[b, first::every], now)
+            position[r, t] = now
+            if t and differs[r]:
+                for n in range(3 * uavs):
+                    velocity[r, t - 1, n] = (now[n] - before[n]) / np.float32(every)
+            elif t:
+                velocity[r, t - 1] = moved[b, first + t - 1, : 3 * uavs]
             for i in range(uavs):
-                hit = seen[r, t, i]
-                for axis in range(3):
-                    position[r, t, i, axis] = now[i, axis] if hit else _ZERO
-            for i in range(uavs if t else 0):
-                both = seen[r, t, i] and seen[r, t - 1, i]
-                for axis in range(3):
-                    if differs[r]:
-                        step = (now[i, axis] - before[i, axis]) / np.float32(every)
-                    else:
-                        step = moved[b, t - 1, i, axis]
-                    velocity[r, t - 1, i, axis] = step if both else _ZERO
+                if not seen[r, t, i]:
+                    position[r, t, 3 * i : 3 * i + 3] = _ZERO
+                if t and not (seen[r, t, i] and seen[r, t - 1, i]):
+                    velocity[r, t - 1, 3 * i : 3 * i + 3] = _ZERO

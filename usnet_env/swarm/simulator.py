@@ -22,11 +22,13 @@ from usnet_env.swarm.formation import FORMATIONS, draw_corridors
 from usnet_env.swarm.kinematics import CompiledKinematics, Unit
 from usnet_env.swarm.mobility import MOBILITIES, CompiledMobility, Mobility
 from usnet_env.swarm.sensing import Generators, ObservationBatch, draw_normals, sense, shift_tracks
-from usnet_env.swarm.state import LASTING, Roles, SwarmState, destroy
+from usnet_env.swarm.state import LASTING, Roles, SwarmState, destroy, join_rows
 from usnet_env.swarm.strategy import TrajectoryBatch
 
 Laws = list[tuple[Mobility, slice]]  # the mobilities, each with its columns of ``SwarmState.free``
 
+# The arrays of a SwarmState that a flight changes and whose shapes may differ between swarms.
+CHANGED = ("mobility_state", "kinematic_state", "reference_position", "reference_velocity")
 JITTER = 0.05  # kappa_n of the head jitter with follow="none", which has no follow strategy to define it
 
 
@@ -140,70 +142,73 @@ def advance_each(
     Each swarm has at least one living head unless no UAV leads it. It returns the state at the end of the window, and
     the windows.
     """
-    kinds = sort_kinds(configs)
-    if len(kinds) == 1:
-        after, position, velocity = _fly_window(configs[0], state, rngs)
-    else:
-        steps, uavs = configs[0].steps - configs[0].memory, state.alive.shape[1]
-        position = np.empty((len(rngs), steps + 1, uavs, 3), np.float32)
-        velocity, parts = np.empty((len(rngs), steps, uavs, 3), np.float32), []
-        for config, rows in kinds:
-            some = slice(rows[0], rows[0] + 1) if len(rows) == 1 else rows  # a view is faster
-            part, position[some], velocity[some] = _fly_window(config, state.rows(some), [rngs[b] for b in rows])
-            parts.append(part)
-        after = SwarmState.join(parts).rows(np.argsort(np.concatenate([rows for _, rows in kinds])))
-    return after, sense(configs, position, velocity, state.alive, rngs, state.free)
+    order = [b for _, rows in sort_kinds(configs) for b in rows]
+    if order != sorted(order):
+        some = [configs[b] for b in order], state.rows(order), [rngs[b] for b in order]
+        (after, window), back = advance_each(*some), np.argsort(order)
+        return after.rows(back), ObservationBatch(**{name: part[back] for name, part in vars(window).items()})
+    after, position, velocity = fly_steps(configs, state, rngs, configs[0].steps)
+    begin, uavs = 2 * configs[0].memory, state.alive.shape[1]  # after the past and the unobserved steps
+    for config, rows in sort_kinds(configs):
+        if config.follow_strategy is not None and config.follow_strategy.shifts_tracks:
+            kind = slice(rows[0], rows[-1] + 1)
+            places, speeds = position[kind, begin:, :uavs], velocity[kind, begin:, :uavs]
+            places[:], speeds[:] = shift_tracks(places, speeds, state.source[kind], rngs[kind])
+    return after, sense(configs, position, velocity, state.alive, rngs, state.free, first=begin)
 
 
-def sort_kinds(configs: Sequence[SwarmConfig]) -> list[tuple[SwarmConfig, Indices]]:
+def sort_kinds(configs: Sequence[SwarmConfig]) -> list[tuple[SwarmConfig, list[int]]]:
     """Each configuration with the indices of its swarms, which fly together."""
-    kinds, numbers = {id(config): config for config in configs}, np.fromiter(map(id, configs), np.int64)
-    return [(config, np.flatnonzero(numbers == number)) for number, config in kinds.items()]
-
-
-def _fly_window(config: SwarmConfig, state: SwarmState, rngs: Generators) -> tuple[SwarmState, Singles, Singles]:
-    """The state after a round, and the true positions and velocities of its window."""
-    after, position, velocity = fly_steps(config, state, rngs, config.steps)
-    flown = position[:, config.memory :], velocity[:, config.memory :]
-    if config.follow_strategy is not None and config.follow_strategy.shifts_tracks:
-        flown = shift_tracks(*flown, state.source, rngs)
-    return after, *flown
+    kinds: dict[int, tuple[SwarmConfig, list[int]]] = {}
+    for b, config in enumerate(configs):
+        kinds.setdefault(id(config), (config, []))[1].append(b)
+    return list(kinds.values())
 
 
 def fly_steps(
-    config: SwarmConfig, state: SwarmState, rngs: Generators, steps: int
+    configs: Sequence[SwarmConfig], state: SwarmState, rngs: Generators, steps: int
 ) -> tuple[SwarmState, Singles, Singles]:
-    """Fly S steps, unobserved: the state after them, positions ``(B, S + 1, N, 3)``, velocities ``(B, S, N, 3)``."""
-    episodes, uavs = state.alive.shape
-    memory = config.memory
-    all_uavs = uavs + state.reference_position.shape[2]
+    """Fly S steps, unobserved: the state after them, and the flight with its past.
+
+    This is positions ``(B, T_0 + S + 1, N + R, 3)`` and velocities ``(B, T_0 + S, N + R, 3)``. Swarms with one
+    configuration stand side by side, and fly together. All have as many references as the one with the most; those
+    that a swarm doesn't have stay where they are.
+    """
+    (episodes, uavs), memory, references = state.alive.shape, configs[0].memory, state.reference_position
+    all_uavs = uavs + max(each.shape[1] for each in references)
     position = np.zeros((episodes, memory + steps + 1, all_uavs, 3), np.float32)
     velocity = np.zeros((episodes, memory + steps, all_uavs, 3), np.float32)
-    position[:, : memory + 1, :uavs], position[:, : memory + 1, uavs:] = state.past_position, state.reference_position
-    velocity[:, :memory, :uavs], velocity[:, :memory, uavs:] = state.past_velocity, state.reference_velocity
-    mobility_state, kinematic_state = state.mobility_state.copy(), state.kinematic_state.copy()
-    motion = np.full((episodes, all_uavs), kernels.FOLLOWS, np.int8)
-    np.put_along_axis(motion, state.free, np.int8(kernels.FREE), axis=1)
+    position[:, : memory + 1, :uavs], velocity[:, :memory, :uavs] = state.past_position, state.past_velocity
+    motion = np.full((episodes, all_uavs), kernels.DESTROYED, np.int8)
+    motion[:, :uavs] = kernels.FOLLOWS
+    for row, free in zip(motion, state.free, strict=True):
+        row[free] = kernels.FREE
     motion[:, :uavs][~state.alive] = kernels.DESTROYED
-    # Random numbers are drawn for destroyed UAVs too, so the draws of the others do not depend on which UAVs live.
-    if config.follow_strategy is not None or config.head_jitter:
-        noise = draw_normals(rngs, steps, all_uavs, 3)
-    else:
-        noise = np.empty((episodes, steps, all_uavs, 3), np.float32)
-    swarm = state.root, state.parameters, state.source, state.bystander, state.clock
-    flight = TrajectoryBatch(position, velocity, noise, motion, *swarm)
-    _fly(config, flight, state.free, mobility_state, kinematic_state, rngs)
+    changed: dict[str, list[NDArray[Any]]] = {name: [] for name in CHANGED}
+    for config, rows in sort_kinds(configs):
+        kind, own = slice(rows[0], rows[-1] + 1), slice(uavs, uavs + references[rows[0]].shape[1])
+        free, parameters, mobility_state, kinematic_state, *past = state.pick(kind, "free", "parameters", *CHANGED)
+        position[kind, : memory + 1, own], velocity[kind, :memory, own] = past
+        # Drawn for destroyed UAVs too, so the draws of the others do not depend on which UAVs live.
+        if config.follow_strategy is not None or config.head_jitter:
+            noise = draw_normals(rngs[kind], steps, own.stop, 3)
+        else:
+            noise = np.empty((len(free), steps, own.stop, 3), np.float32)
+        swarm = state.root[kind], parameters, state.source[kind], state.bystander[kind], state.clock[kind]
+        flight = TrajectoryBatch(position[kind], velocity[kind], noise, motion[kind], *swarm)
+        mobility_state, kinematic_state = mobility_state.copy(), kinematic_state.copy()
+        _fly(config, flight, free, mobility_state, kinematic_state, rngs[kind])
+        ends = position[kind, steps:, own].copy(), velocity[kind, steps:, own].copy()
+        for name, part in zip(CHANGED, (mobility_state, kinematic_state, *ends), strict=True):
+            changed[name].append(part)
     after = replace(
         state,
         past_position=position[:, steps:, :uavs].copy(),
         past_velocity=velocity[:, steps:, :uavs].copy(),
-        mobility_state=mobility_state,
         clock=state.clock + steps,
-        kinematic_state=kinematic_state,
-        reference_position=position[:, steps:, uavs:].copy(),
-        reference_velocity=velocity[:, steps:, uavs:].copy(),
+        **{name: join_rows(parts) for name, parts in changed.items()},
     )
-    return after, position[:, memory:, :uavs], velocity[:, memory:, :uavs]
+    return after, position, velocity
 
 
 def _fly(
@@ -231,10 +236,12 @@ def _fly(
             led.fly(flight)
 
     # Their velocity is assigned, not multiplied: the sign of a zero would show which of them were free.
-    memory, gone = config.memory, motion == kernels.DESTROYED
+    width = noise.shape[2]  # without the references that only other swarms of the batch have
+    memory, gone = config.memory, motion[:, :width] == kernels.DESTROYED
     if isinstance(kinematics, Unit):
         _fly_free(laws, craft, noise, position, velocity, memory, rngs)
-        velocity[:, memory:].swapaxes(1, 2)[gone] = 0.0
+        if gone.any():
+            velocity[:, memory:, :width].swapaxes(1, 2)[gone] = 0.0
         fly_together(flight)
         return
     pushes = draw_normals(rngs, *noise.shape[1:3], kinematics.normals)
@@ -243,6 +250,7 @@ def _fly(
         craft = craft._replace(kinematics=kinematics.code, numbers=kinematics.numbers)
         fly_together(replace(flight, craft=craft._replace(pushes=pushes, kept=kinematic_state)))
         return
+    position, velocity, motion = position[:, :, :width], velocity[:, :, :width], motion[:, :width]
     for s in range(flight.steps):
         t, now = memory + s, slice(s, s + 1)
         step = craft._replace(normals=craft.normals[:, now])
@@ -253,6 +261,7 @@ def _fly(
                 "position": position[:, s : t + 2],
                 "velocity": velocity[:, s : t + 1],
                 "noise": noise[:, now],
+                "motion": motion,
             }
             led.fly(replace(flight, **cut, clock=flight.clock + s))
         kinematics.fly(t, motion, pushes[:, s], kinematic_state, position, velocity)
@@ -278,7 +287,7 @@ def _draw_craft(laws: Laws, steps: int, rngs: Generators) -> kernels.Craft:
     for law, part in laws:
         normals[:, :, part, : law.normals] = draw_normals(rngs, steps, part.stop - part.start, law.normals)
         if isinstance(law, CompiledMobility):
-            codes[part], constants[part] = law.code, law.constants()
+            codes[part], constants[part] = law.code, law.constants
     return kernels.FLOWN._replace(mobility=codes, constants=constants, normals=normals)
 
 

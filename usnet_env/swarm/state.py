@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from usnet_env.arrays import Floats, Indices, Mask, Singles
 from usnet_env.swarm import kernels
 
-Rows = NDArray[np.intp] | slice
+Rows = NDArray[np.intp] | list[int] | slice
 
 LASTING = ("head", "decoy", "root", "bystander", "source")  # the roles that :class:`SwarmState` keeps
 
@@ -29,8 +29,10 @@ def _pack(rows: Sequence[NDArray[Any]]) -> NDArray[Any]:
     return packed
 
 
-def _join(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
+def join_rows(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
     """One array of the rows of several ones."""
+    if len(parts) == 1:
+        return parts[0]
     if len({(part.shape[1:], part.dtype) for part in parts}) == 1:
         return np.concatenate(parts)
     return _pack([row for part in parts for row in part])
@@ -142,10 +144,14 @@ class SwarmState:
         """Copies of all arrays by name; ``SwarmState(**arrays)`` restores the state."""
         return {field.name: getattr(self, field.name).copy() for field in fields(self)}
 
+    def pick(self, episodes: Rows, *names: str) -> list[NDArray[Any]]:
+        """Arrays of some episodes of the batch by name."""
+        chosen = [getattr(self, name)[episodes] for name in names]
+        return [_pack(part) if part.dtype == object else part for part in chosen]
+
     def rows(self, episodes: Rows) -> Self:
         """The state of some episodes of the batch."""
-        chosen = {name: array[episodes] for name, array in vars(self).items()}
-        return type(self)(**{name: _pack(part) if part.dtype == object else part for name, part in chosen.items()})
+        return type(self)(*self.pick(episodes, *vars(self)))
 
     @classmethod
     def join(cls, states: Sequence[Self]) -> Self:
@@ -153,7 +159,7 @@ class SwarmState:
         if len(states) == 1:
             return states[0]
         arrays = {field.name: [getattr(state, field.name) for state in states] for field in fields(cls)}
-        return cls(**{name: _join(parts) for name, parts in arrays.items()})
+        return cls(**{name: join_rows(parts) for name, parts in arrays.items()})
 
     def with_rows(self, episodes: NDArray[np.intp], other: SwarmState) -> Self:
         """A copy of this batch in which ``other`` replaces some episodes."""
