@@ -212,10 +212,9 @@ class GameBatch(ABC):
         return {**shown, "legal": legal.astype(np.int8)}
 
     def _infos(self) -> Observations:
-        shapes = {role: (self.num_envs, count) for role, count in self.roles.items()}
         infos = {
-            role: {name: np.broadcast_to(part[:, None], shape) for name, part in self.metrics.items()}
-            for role, shape in shapes.items()
+            role: {name: part[:, None].repeat(count, axis=1) for name, part in self.metrics.items()}
+            for role, count in self.roles.items()
         }
         for role, price in self._prices.items():
             infos[role]["price"] = price

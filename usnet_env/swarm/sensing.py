@@ -79,13 +79,13 @@ def sense(
             identities change in place.
         velocity: ``(B, first + T_ob * k, N + R, 3)`` float32, metres per step, the true velocities.
         alive: ``(B, N)`` bool.
-        rngs: one generator per observer.
+        rngs: one generator per observer; none is used if no sensor has faults.
         free: for each swarm its free UAVs, ``(B, n)`` or ``(B,)`` of arrays; the last are false tracks.
         place: ``(R, 3)`` metres, where the observers are, if there is a limit of what they see.
         reach: ``(R,)`` metres, this limit.
         first: the instant of the flight at which the window begins.
     """
-    k, each = configs[0].sample_every, len(rngs) // len(alive)
+    k, each = configs[0].sample_every, len(configs) // len(alive)
     uavs, alive = alive.shape[1], np.repeat(alive, each, axis=0)
     seen = np.repeat(alive[:, None], len(range(first, position.shape[1], k)), axis=1)
     faults = {number: _has_faults(sensor) for number, sensor in {id(one): one for one in configs}.items()}
