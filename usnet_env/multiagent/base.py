@@ -64,7 +64,6 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
     Attributes:
         config: the configuration of the swarm.
         rules: the rules of the game.
-        last_round: the round of the last step; ``None`` before the first round.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 1, "is_parallelizable": True}
@@ -81,7 +80,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
             for agent, (role, _) in self._places.items()
         }
         self._spaces = {agent: copy.deepcopy(pair) for agent, pair in own.items()}
-        self.last_round: RoundRecord | None = None
+        self._before: GameBatch | None = None  # the game before its last round, for :attr:`last_round`
         self._frames = EpisodeFrames()
 
     def observation_space(self, agent: str) -> spaces.Dict:
@@ -113,7 +112,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
             ArgumentError: the seed is not a whole number from 0.
         """
         observations, infos = self.games.reset(seed=optional_seed("seed", seed))
-        self.agents, self.last_round = list(self.possible_agents), None
+        self.agents, self._before = list(self.possible_agents), None
         return self._split(observations, self.agents), self._split(infos, self.agents)
 
     def step(self, actions: Any) -> Step:
@@ -122,12 +121,10 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         Raises:
             ArgumentError: an action is missing, or has a wrong shape or wrong values, or the game has ended.
         """
-        whole, playing = self._gather(actions), self.agents
-        sighting, truth = self.games.merge_windows(), self.games.reveal().episode()
+        whole, playing, before = self._gather(actions), self.agents, copy.copy(self.games)
         answers = self.games.play(whole)
-        metrics = {name: values[0].item() for name, values in self.games.metrics.items()}
-        if metrics["round"]:  # the opening of evasion is no round
-            self.last_round = RoundRecord(sighting, truth, self.games.candidates[0], self.games.scores[0], metrics)
+        if self.games.metrics["round"][0]:  # the opening of evasion is no round
+            self._before = before
         active = self._split(self.games.active, playing)
         self.agents = [agent for agent in playing if active[agent]]
         seen, rewards, terminated, truncated, infos = (self._split(part, playing) for part in answers)
@@ -149,11 +146,20 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         """What a batch of one game says about some agents: copies of arrays, and plain numbers."""
 
         def pick(values: Any, j: int) -> Any:
-            if isinstance(values, Mapping):
+            if isinstance(values, dict):
                 return {name: pick(part, j) for name, part in values.items()}
             return values[0, j].copy() if values.ndim > 2 else values[0, j].item()
 
         return {agent: pick(by_role[role], j) for agent in agents for role, j in [self._places[agent]]}
+
+    @property
+    def last_round(self) -> RoundRecord | None:
+        """The round of the last step; ``None`` before the first round."""
+        if self._before is None:
+            return None
+        metrics = {name: values[0].item() for name, values in self.games.metrics.items()}
+        sighting, truth = self._before.merge_windows(), self._before.reveal().episode()
+        return RoundRecord(sighting, truth, self.games.candidates[0], self.games.scores[0], metrics)
 
     def state(self) -> Singles:
         """The true state for a centralised critic, ``(S,)`` float32; see :meth:`GameBatch.state`."""
@@ -163,9 +169,9 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         """Draw the last round, or the current window before the first round, ``(H, W, 3)`` uint8."""
         if not game.has_mode(self.render_mode):
             return None
-        if self.last_round is not None:
-            last, title = self.last_round, game.title_round(self.last_round.metrics)
+        if (last := self.last_round) is not None:
             sighting, truth, candidates = last.sighting, last.truth, last.candidates
+            title = game.title_round(last.metrics)
         else:
             self._frames = EpisodeFrames()
             truth, sighting = self.games.reveal().episode(), self.games.merge_windows()
