@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import pandas as pd
-from pandas.errors import ParserWarning
+from pandas.errors import DtypeWarning, ParserWarning
 from pydantic import Field
 
 from usnet_env.arrays import Floats
@@ -197,7 +197,7 @@ def _read_part(table_of_file: formats.Table, options: _Options, where: str, stem
             rows[role] = roles.read_numbers(column, role, where, options.decimal, options.time_format, skip_few=few)
         if role in ("leader", "confidence") or (role == "z" and not mapping.get("z")):
             continue
-        none = rows[role].isin(["", np.nan]).to_numpy()
+        none = (rows[role].isna() | (rows[role] == "")).to_numpy()
         if none.any() and not skip:
             roles.refuse_cell(role, column, "", where)
         good &= ~none
@@ -210,7 +210,8 @@ def _read_part(table_of_file: formats.Table, options: _Options, where: str, stem
     dated = any(roles.has_timestamps(table[role]) for role in roles.TIMES if role in names)
     timestamps = dated or options.time_format is not None
     counts = Counter(rows=count, marked=count - len(rows), skipped=int((~good).sum()), unsure=int(unsure.sum()))
-    return _Part(names, rows[good & ~unsure], counts, timestamps, for_itself)
+    kept = good & ~unsure
+    return _Part(names, rows if kept.all() else rows[kept], counts, timestamps, for_itself)
 
 
 def _join_date(clock: pd.Series[Any], date: pd.Series[Any] | None) -> pd.Series[Any]:
@@ -279,6 +280,7 @@ def _read_csv(data: bytes, options: _Options) -> formats.Table:
         numbers = [place for place, role in places.items() if role.partition(":")[0] in formats.NUMBERS]
         with warnings.catch_warnings():
             warnings.simplefilter("error", ParserWarning)  # a row has more cells than the header
+            warnings.simplefilter("ignore", DtypeWarning)  # texts among numbers are read, or refused by name, later
             rows = pd.read_csv(
                 io.BytesIO(data),
                 sep=delimiter,
@@ -293,7 +295,6 @@ def _read_csv(data: bytes, options: _Options) -> formats.Table:
                 keep_default_na=False,
                 na_values=dict.fromkeys(numbers, _NO_NUMBER),
                 float_precision="round_trip",
-                low_memory=False,
             )
         return rows[list(places)].rename(columns=places)
 
