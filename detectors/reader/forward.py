@@ -46,7 +46,7 @@ def load_reader(weights: str = "shipped") -> Weights:
 
     Those of a network that is ``"untrained"`` are drawn anew; it scales its inputs as the shipped one does.
     """
-    np.empty(2**22, np.float32)  # once it is freed, glibc keeps such blocks, and windows don't ask the system for them
+    np.empty(2**22, np.float32)  # glibc keeps freed blocks up to the largest so far: windows need no new pages
     if weights in ("shipped", "untrained"):
         arrays, rng = packaged_arrays("detectors.reader", "reader"), np.random.default_rng(0)
         drawn = {name: rng.standard_normal(old.shape, np.float32) for name, old in arrays.items() if old.ndim == 2}

@@ -35,7 +35,7 @@ def multiply_series(x, y, lag=0):
 
 @compiled(**_FAST)
 def compare_series(later, earlier, share, known, lag):
-    """The mean square of later(t + lag) - earlier(t), where more than a tenth of one and all of the other is known."""
+    """The mean square (n,) of later(t + lag) - earlier(t) where ``share`` (T, n) > .1 and ``known`` (T, n) is 1."""
     total, count, weight = np.zeros((3, later.shape[2]), np.float32)
     for t in range(len(later) - lag):
         for i in range(later.shape[2]):
