@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from usnet_env.compiling import compiled
-from usnet_env.swarm.kernels import FOLLOWS, begin_step, end_step, finish_step, gap, norm
+from usnet_env.swarm.kernels import FOLLOWS, UNIT, begin_step, end_step, finish_step, gap, move, norm
 
 COLUMNS = 7  # of the table: delay, gain, noise, salt of the hashed draws, and the three coordinates of the slot
 DELAY, GAIN, NOISE, SALT, OFFSET = 0, 1, 2, 3, 4
@@ -71,7 +71,8 @@ def fly_links(
             salt[i] = table[b, SALT, top % uavs]
         for s in range(steps):
             t = start + s
-            begin_step(b, s, t, motion, craft, noise, position, velocity)
+            if craft.kinematics != UNIT:
+                begin_step(b, s, t, motion, craft, noise, position, velocity)
             now = (clock[b] + s) // block
             for i in range(uavs):
                 if motion[b, i] != FOLLOWS:
@@ -98,7 +99,9 @@ def fly_links(
                         v = velocity[b, t - late[i, k], above[i, k]]
                         x, y, z = x + weight * v[0], y + weight * v[1], z + weight * v[2]
                 finish_step(b, s, t, i, x, y, z, noise_scale, noise, velocity)
-            end_step(b, s, t, motion, craft, position, velocity)
+            if craft.kinematics != UNIT:
+                end_step(b, s, t, motion, craft, position, velocity)
+            move(b, t, position, velocity)
 
 
 @compiled(error_model="numpy")
@@ -115,7 +118,8 @@ def fly_kinds(answers, block, reach, table, source, clock, motion, start, noise,
             salt[i] = table[b, SALT, top % uavs]
         for s in range(steps):
             t = start + s
-            begin_step(b, s, t, motion, craft, noise, position, velocity)
+            if craft.kinematics != UNIT:
+                begin_step(b, s, t, motion, craft, noise, position, velocity)
             now = (clock[b] + s) // block if answers == EACH_CLUSTER else 0
             for i in range(uavs):
                 if motion[b, i] != FOLLOWS:
@@ -137,7 +141,9 @@ def fly_kinds(answers, block, reach, table, source, clock, motion, start, noise,
                     if distance > reach:
                         x, y, z = x + dx / distance, y + dy / distance, z + dz / distance
                 finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], noise, velocity)
-            end_step(b, s, t, motion, craft, position, velocity)
+            if craft.kinematics != UNIT:
+                end_step(b, s, t, motion, craft, position, velocity)
+            move(b, t, position, velocity)
 
 
 @compiled(error_model="numpy")
@@ -154,7 +160,8 @@ def fly_slots(lags, pull, near, table, source, motion, start, noise, position, v
         framed[:] = -1
         for s in range(steps):
             t = start + s
-            begin_step(b, s, t, motion, craft, noise, position, velocity)
+            if craft.kinematics != UNIT:
+                begin_step(b, s, t, motion, craft, noise, position, velocity)
             for i in range(uavs):
                 if motion[b, i] != FOLLOWS:
                     continue
@@ -181,4 +188,6 @@ def fly_slots(lags, pull, near, table, source, motion, start, noise, position, v
                 v = velocity[b, t - np.int64(table[b, DELAY, i]), h]
                 x, y, z = v[0] + weight * gx, v[1] + weight * gy, v[2] + weight * gz
                 finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], noise, velocity)
-            end_step(b, s, t, motion, craft, position, velocity)
+            if craft.kinematics != UNIT:
+                end_step(b, s, t, motion, craft, position, velocity)
+            move(b, t, position, velocity)

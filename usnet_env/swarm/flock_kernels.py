@@ -10,7 +10,7 @@ import numpy as np
 
 from usnet_env.compiling import compiled
 from usnet_env.swarm.field_kernels import NOISE, find_top
-from usnet_env.swarm.kernels import DESTROYED, FOLLOWS, begin_step, end_step, finish_step, norm
+from usnet_env.swarm.kernels import DESTROYED, FOLLOWS, UNIT, begin_step, end_step, finish_step, move, norm
 
 NO_CHASER, PREDATOR, DRIVER = range(3)
 
@@ -199,7 +199,8 @@ def fly_flock(
         chasers = np.flatnonzero(bystander[b] & (motion[b, :uavs] == FOLLOWS))
         for s in range(steps):
             t = start + s
-            begin_step(b, s, t, motion, craft, noise, position, velocity)
+            if craft.kinematics != UNIT:
+                begin_step(b, s, t, motion, craft, noise, position, velocity)
             for c in range(members):
                 for axis in range(3):
                     p[axis, c], v[axis, c] = position[b, t, order[c], axis], velocity[b, t - 1, order[c], axis]
@@ -264,4 +265,6 @@ def fly_flock(
                     chaser, standoff, i, first[f], first[f + 1], f, t, p, middle[f], position[b], velocity[b]
                 )
                 finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], noise, velocity)
-            end_step(b, s, t, motion, craft, position, velocity)
+            if craft.kinematics != UNIT:
+                end_step(b, s, t, motion, craft, position, velocity)
+            move(b, t, position, velocity)

@@ -265,20 +265,21 @@ def fly_kinematics(code, numbers, t, motion, normals, state, position, velocity)
 
 @compiled(inner=True)
 def begin_step(b, s, t, motion, craft, noise, position, velocity):
-    """Fly the free UAVs in step t, if what they want depends on what was flown."""
-    if craft.kinematics != UNIT:
-        _fly_free_uavs(b, t - s, t, t + 1, craft, noise, position, velocity)
-        for i in range(motion.shape[1]):
-            if motion[b, i] == DESTROYED:
-                velocity[b, t, i, 0] = velocity[b, t, i, 1] = velocity[b, t, i, 2] = _ZERO
+    """Fly the free UAVs in step t; with other kinematics than ``unit`` they want what depends on what was flown.
+
+    Whoever flies asks for the kinematics before it calls this: a call with a craft counts references to its arrays,
+    which takes longer than a step of a small swarm.
+    """
+    _fly_free_uavs(b, t - s, t, t + 1, craft, noise, position, velocity)
+    for i in range(motion.shape[1]):
+        if motion[b, i] == DESTROYED:
+            velocity[b, t, i, 0] = velocity[b, t, i, 1] = velocity[b, t, i, 2] = _ZERO
 
 
 @compiled(inner=True)
 def end_step(b, s, t, motion, craft, position, velocity):
-    """Turn what all UAVs want in step t into what they fly, and write their next positions."""
-    if craft.kinematics != UNIT:
-        steer(craft.kinematics, craft.numbers, b, s, t, motion, craft.pushes, craft.kept, position, velocity)
-    move(b, t, position, velocity)
+    """Turn what all UAVs want in step t into what they fly, with other kinematics than ``unit``."""
+    steer(craft.kinematics, craft.numbers, b, s, t, motion, craft.pushes, craft.kept, position, velocity)
 
 
 @compiled(inner=True)
@@ -301,8 +302,11 @@ def fly_alone(motion, start, noise, position, velocity, craft):
     """A flight without followers."""
     for b in range(noise.shape[0]):
         for s in range(noise.shape[1]):
-            begin_step(b, s, start + s, motion, craft, noise, position, velocity)
-            end_step(b, s, start + s, motion, craft, position, velocity)
+            if craft.kinematics != UNIT:
+                begin_step(b, s, start + s, motion, craft, noise, position, velocity)
+            if craft.kinematics != UNIT:
+                end_step(b, s, start + s, motion, craft, position, velocity)
+            move(b, start + s, position, velocity)
 
 
 @compiled()
@@ -318,7 +322,8 @@ def fly_lags(kappa, square, noise_scale, root, motion, start, noise, position, v
         followers, free = split_motion(motion[b])
         for s in range(steps):
             t = start + s
-            begin_step(b, s, t, motion, craft, noise, position, velocity)
+            if craft.kinematics != UNIT:
+                begin_step(b, s, t, motion, craft, noise, position, velocity)
             for h in free:
                 for axis in range(3):
                     total = _ZERO
@@ -329,7 +334,9 @@ def fly_lags(kappa, square, noise_scale, root, motion, start, noise, position, v
             for i in followers:
                 h = root[b, i]
                 finish_step(b, s, t, i, target[h, 0], target[h, 1], target[h, 2], noise_scale, noise, velocity)
-            end_step(b, s, t, motion, craft, position, velocity)
+            if craft.kinematics != UNIT:
+                end_step(b, s, t, motion, craft, position, velocity)
+            move(b, t, position, velocity)
 
 
 @compiled()
@@ -339,7 +346,8 @@ def fly_range(kappa, pull, reach, noise_scale, root, motion, start, noise, posit
         followers, _ = split_motion(motion[b])
         for s in range(noise.shape[1]):
             t = start + s
-            begin_step(b, s, t, motion, craft, noise, position, velocity)
+            if craft.kinematics != UNIT:
+                begin_step(b, s, t, motion, craft, noise, position, velocity)
             for i in followers:
                 h = root[b, i]
                 dx, dy, dz = gap(position, b, t - 1, h, i)
@@ -349,7 +357,9 @@ def fly_range(kappa, pull, reach, noise_scale, root, motion, start, noise, posit
                 y = kappa * velocity[b, t - 1, h, 1] + noise_scale * noise[b, s, i, 1] + gain * dy
                 z = kappa * velocity[b, t - 1, h, 2] + noise_scale * noise[b, s, i, 2] + gain * dz
                 velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = norm(x, y, z)
-            end_step(b, s, t, motion, craft, position, velocity)
+            if craft.kinematics != UNIT:
+                end_step(b, s, t, motion, craft, position, velocity)
+            move(b, t, position, velocity)
 
 
 @compiled(inner=True)
@@ -390,7 +400,8 @@ def fly_mlp(parameters, position_scale, noise_scale, root, motion, start, noise,
         followers, free = split_motion(motion[b])
         for s in range(steps):
             t = start + s
-            begin_step(b, s, t, motion, craft, noise, position, velocity)
+            if craft.kinematics != UNIT:
+                begin_step(b, s, t, motion, craft, noise, position, velocity)
             for h in free:
                 for unit in range(MLP_HIDDEN):
                     from_head[h, unit] = bias[unit]
@@ -421,7 +432,9 @@ def fly_mlp(parameters, position_scale, noise_scale, root, motion, start, noise,
                     y += active * readout[unit, 1]
                     z += active * readout[unit, 2]
                 velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = norm(x, y, z)
-            end_step(b, s, t, motion, craft, position, velocity)
+            if craft.kinematics != UNIT:
+                end_step(b, s, t, motion, craft, position, velocity)
+            move(b, t, position, velocity)
 
 
 @compiled(inner=True)
@@ -463,7 +476,8 @@ def fly_laws(laws, noise_scale, root, motion, start, noise, position, velocity, 
         followers, free = split_motion(motion[b])
         for s in range(noise.shape[1]):
             t = start + s
-            begin_step(b, s, t, motion, craft, noise, position, velocity)
+            if craft.kinematics != UNIT:
+                begin_step(b, s, t, motion, craft, noise, position, velocity)
             for h in free:
                 total[:] = _ZERO
                 for k in range(3):
@@ -485,7 +499,9 @@ def fly_laws(laws, noise_scale, root, motion, start, noise, position, velocity, 
                     weight = end[13] / max(np.sqrt(gx * gx + gy * gy + gz * gz), _ONE)
                     x, y, z = x + weight * gx, y + weight * gy, z + weight * gz
                 finish_step(b, s, t, i, x, y, z, noise_scale, noise, velocity)
-            end_step(b, s, t, motion, craft, position, velocity)
+            if craft.kinematics != UNIT:
+                end_step(b, s, t, motion, craft, position, velocity)
+            move(b, t, position, velocity)
 
 
 @compiled(inner=True)
