@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from usnet_env.compiling import compiled
@@ -100,28 +98,45 @@ def observe(first, every, sensors, noisy, noise, differs, place, reach, flown, m
     ``moved`` ``(B, first + T, W)``. Observers at ``place`` ``(R, 3)`` see as far as ``reach`` ``(R,)``; what is too
     far is taken out of ``seen`` ``(R, T + 1, N)``. ``position`` ``(R, T + 1, 3 N)`` and ``velocity`` ``(R, T, 3 N)``
     are filled.
-    Loops over all coordinates become vector instructions.
+    Loops over all coordinates become vector instructions, and so does a bitwise and with a mask, which hides a number.
     """
     instants, uavs = seen.shape[1], seen.shape[2]
-    two = np.empty((2, 3 * uavs), np.float32)  # what would be seen now and an instant before
+    width, each = 3 * uavs, len(seen) // len(flown)
+    two, way = np.empty((2, width), np.float32), np.empty(width, np.float32)  # positions now and an instant before
+    x, y, z = np.empty(instants * uavs), np.empty(instants * uavs), np.empty(instants * uavs)
+    mask = np.empty((instants, width), np.int32)
+    flat = mask.reshape(-1)
+    shown, shown_way = position.view(np.int32), velocity.view(np.int32)
+    limited = reach.min() < np.inf
     for r in range(len(seen)):
-        b = r // (len(seen) // len(flown))
+        b, near, far = r // each, place[r], reach[r] * reach[r]
+        sees = seen[r].reshape(-1)
+        if limited and r % each == 0:
+            for t in range(instants):
+                for i in range(uavs):
+                    now, m = flown[b, first + t * every], t * uavs + i
+                    x[m], y[m], z[m] = now[3 * i], now[3 * i + 1], now[3 * i + 2]
+        if far < np.inf:
+            for m in range(len(sees)):
+                dx, dy, dz = x[m] - near[0], y[m] - near[1], z[m] - near[2]
+                sees[m] &= dx * dx + dy * dy + dz * dz <= far
+        for m in range(len(sees)):
+            flat[3 * m] = flat[3 * m + 1] = flat[3 * m + 2] = -1 if sees[m] else 0
         for t in range(instants):
-            now, before = two[t % 2], two[1 - t % 2]
-            now[:] = flown[b, first + t * every, : 3 * uavs]
-            for i in range(uavs if reach[r] < np.inf else 0):
-                x, y, z = now[3 * i] - place[r, 0], now[3 * i + 1] - place[r, 1], now[3 * i + 2] - place[r, 2]
-                seen[r, t, i] &= math.sqrt(x * x + y * y + z * z) <= reach[r]
-            if noisy[r] >= 0:
-                _add_noise(sensors[r], noise[noisy[r]], t, flown[b, first::every], now)
-            position[r, t] = now
-            if t and differs[r]:
-                for n in range(3 * uavs):
-                    velocity[r, t - 1, n] = (now[n] - before[n]) / np.float32(every)
-            elif t:
-                velocity[r, t - 1] = moved[b, first + t - 1, : 3 * uavs]
-            for i in range(uavs):
-                if not seen[r, t, i]:
-                    position[r, t, 3 * i : 3 * i + 3] = _ZERO
-                if t and not (seen[r, t, i] and seen[r, t - 1, i]):
-                    velocity[r, t - 1, 3 * i : 3 * i + 3] = _ZERO
+            now = flown[b, first + t * every, :width]
+            if differs[r]:
+                flies, now, before = now, two[t % 2], two[1 - t % 2]
+                for n in range(width):
+                    now[n] = flies[n]
+                if noisy[r] >= 0:
+                    _add_noise(sensors[r], noise[noisy[r]], t, flown[b, first::every], now)
+                for n in range(width):
+                    way[n] = (now[n] - before[n]) / np.float32(every)
+            bits = now.view(np.int32)
+            for n in range(width):
+                shown[r, t, n] = bits[n] & mask[t, n]
+            if t:
+                moves = way if differs[r] else moved[b, first + t - 1, :width]
+                bits = moves.view(np.int32)
+                for n in range(width):
+                    shown_way[r, t - 1, n] = bits[n] & mask[t, n] & mask[t - 1, n]
