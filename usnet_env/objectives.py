@@ -14,6 +14,8 @@ Arguments are trusted: they come from a window and a detection, which check them
 
 from __future__ import annotations
 
+from functools import reduce
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -23,7 +25,7 @@ from usnet_env.detection import Detection
 
 def _count(*masks: ArrayLike) -> Indices:
     """Number of UAVs that are in all sets."""
-    return np.logical_and.reduce(np.broadcast_arrays(*masks)).sum(axis=-1, dtype=np.int64)
+    return np.asarray(np.sum(reduce(np.logical_and, masks, np.True_), axis=-1, dtype=np.int64))
 
 
 def _ratio(part: Indices, whole: Indices) -> Floats:

@@ -17,9 +17,10 @@ from usnet_env.envs.usnet import OBSERVATION
 from usnet_env.multiagent import base
 from usnet_env.multiagent.batch import OBSERVER, WINDOW, ByRole, GameBatch, Observations
 from usnet_env.multiagent.sensors import SensorConfig, combine_votes
-from usnet_env.swarm import SwarmConfig, SwarmState, advance
+from usnet_env.swarm import SwarmConfig, SwarmState
 from usnet_env.swarm.config import MobilityArguments
 from usnet_env.swarm.sensing import sense
+from usnet_env.swarm.simulator import fly_round
 
 
 class BatchArguments(base.GameArguments, MobilityArguments, SensorConfig):
@@ -42,7 +43,7 @@ class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
         config = given.part(SwarmConfig, position_noise=0.0, miss_rate=0.0)  # the observers have their own
         count, uavs, self._size = given.observers, given.uavs, given.message_size
         self._sensors = self.sensor_config.sensor_configs(config)
-        self._ranges = self.sensor_config.expand("sensing_range")
+        self._ranges = np.tile(self.sensor_config.expand("sensing_range"), num_envs)
         self._draws = given.placement == "uniform" or any(s.position_noise or s.miss_rate for s in self._sensors)
         # The swarm flies once, with every step and without noise; then each observer samples this flight.
         every_step = {"sample_every": 1, "observation_steps": config.observation_steps * config.sample_every}
@@ -83,11 +84,11 @@ class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
         return {}
 
     def _fly_rows(self, swarm: SwarmState, rows: Indices) -> tuple[SwarmState, Observation]:
-        after, truth = advance(self._flight, swarm, [self._rngs[b] for b in rows])
-        count, noise = len(self._sensors), [rng for b in rows for rng in self._noise[b]]
-        near = self.places[rows].reshape(-1, 3), np.tile(self._ranges, len(rows))
-        flown = truth.position, truth.velocity, truth.alive
-        window = sense(self._sensors * len(rows), *flown, noise, swarm.free, *near)
+        games, count = rows.tolist(), len(self._sensors)
+        after, *flown, first = fly_round([self._flight] * len(games), swarm, [self._rngs[b] for b in games])
+        noise = [rng for b in games for rng in self._noise[b]]
+        near = self.places[rows].reshape(-1, 3), self._ranges[: count * len(games)]
+        window = sense(self._sensors * len(games), *flown, swarm.alive, noise, swarm.free, *near, first=first)
         split = {name: getattr(window, name) for name in WINDOW}
         return after, {name: part.reshape(len(rows), count, *part.shape[1:]) for name, part in split.items()}
 

@@ -87,8 +87,9 @@ def sense(
     """
     k, each = configs[0].sample_every, len(configs) // len(alive)
     uavs, alive = alive.shape[1], np.repeat(alive, each, axis=0)
-    seen = np.repeat(alive[:, None], len(range(first, position.shape[1], k)), axis=1)
-    faults = {number: _has_faults(sensor) for number, sensor in {id(one): one for one in configs}.items()}
+    seen = np.empty((len(alive), len(range(first, position.shape[1], k)), uavs), bool)
+    seen[:] = alive[:, None]
+    faults = {number: _has_faults(one) for number, one in dict(zip(map(id, configs), configs, strict=True)).items()}
     faulty = [r for r, sensor in enumerate(configs) if faults[id(sensor)]] if any(faults.values()) else []
     if k == 1 and reach is None and not faulty:
         return ObservationBatch(position[:, first:, :uavs], velocity[:, first:, :uavs], seen, alive)

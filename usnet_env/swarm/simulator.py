@@ -142,23 +142,37 @@ def advance_each(
     Each swarm has at least one living head unless no UAV leads it. It returns the state at the end of the window, and
     the windows.
     """
-    order = [b for _, rows in sort_kinds(configs) for b in rows]
-    if order != sorted(order):
+    kinds = sort_kinds(configs)
+    order = [b for _, rows in kinds for b in rows]
+    if len(kinds) > 1 and order != sorted(order):
         some = [configs[b] for b in order], state.rows(order), [rngs[b] for b in order]
         (after, window), back = advance_each(*some), np.argsort(order)
         return after.rows(back), ObservationBatch(**{name: part[back] for name, part in vars(window).items()})
+    after, position, velocity, first = fly_round(configs, state, rngs)
+    return after, sense(configs, position, velocity, state.alive, rngs, state.free, first=first)
+
+
+def fly_round(
+    configs: Sequence[SwarmConfig], state: SwarmState, rngs: Generators
+) -> tuple[SwarmState, Singles, Singles, int]:
+    """Fly the next round, unobserved: what :func:`fly_steps` returns, and the instant at which the window begins.
+
+    Swarms with one configuration stand side by side.
+    """
     after, position, velocity = fly_steps(configs, state, rngs, configs[0].steps)
-    begin, uavs = 2 * configs[0].memory, state.alive.shape[1]  # after the past and the unobserved steps
+    first, uavs = 2 * configs[0].memory, state.alive.shape[1]  # after the past and the unobserved steps
     for config, rows in sort_kinds(configs):
         if config.follow_strategy is not None and config.follow_strategy.shifts_tracks:
             kind = slice(rows[0], rows[-1] + 1)
-            places, speeds = position[kind, begin:, :uavs], velocity[kind, begin:, :uavs]
+            places, speeds = position[kind, first:, :uavs], velocity[kind, first:, :uavs]
             places[:], speeds[:] = shift_tracks(places, speeds, state.source[kind], rngs[kind])
-    return after, sense(configs, position, velocity, state.alive, rngs, state.free, first=begin)
+    return after, position, velocity, first
 
 
 def sort_kinds(configs: Sequence[SwarmConfig]) -> list[tuple[SwarmConfig, list[int]]]:
     """Each configuration with the indices of its swarms, which fly together."""
+    if len(set(map(id, configs))) == 1:
+        return [(configs[0], list(range(len(configs))))]
     kinds: dict[int, tuple[SwarmConfig, list[int]]] = {}
     for b, config in enumerate(configs):
         kinds.setdefault(id(config), (config, []))[1].append(b)
@@ -174,8 +188,9 @@ def fly_steps(
     configuration stand side by side, and fly together. All have as many references as the one with the most; those
     that a swarm doesn't have stay where they are.
     """
-    (episodes, uavs), memory, references = state.alive.shape, configs[0].memory, state.reference_position
-    all_uavs = uavs + max(each.shape[1] for each in references)
+    (episodes, uavs), memory, kinds = state.alive.shape, configs[0].memory, sort_kinds(configs)
+    references = [state.reference_position[rows[0]].shape[1] for _, rows in kinds]
+    all_uavs = uavs + max(references)
     position = np.zeros((episodes, memory + steps + 1, all_uavs, 3), np.float32)
     velocity = np.zeros((episodes, memory + steps, all_uavs, 3), np.float32)
     position[:, : memory + 1, :uavs], velocity[:, :memory, :uavs] = state.past_position, state.past_velocity
@@ -185,8 +200,8 @@ def fly_steps(
         row[free] = kernels.FREE
     motion[:, :uavs][~state.alive] = kernels.DESTROYED
     changed: dict[str, list[NDArray[Any]]] = {name: [] for name in CHANGED}
-    for config, rows in sort_kinds(configs):
-        kind, own = slice(rows[0], rows[-1] + 1), slice(uavs, uavs + references[rows[0]].shape[1])
+    for (config, rows), count in zip(kinds, references, strict=True):
+        kind, own = slice(rows[0], rows[-1] + 1), slice(uavs, uavs + count)
         free, parameters, mobility_state, kinematic_state, *past = state.pick(kind, "free", "parameters", *CHANGED)
         position[kind, : memory + 1, own], velocity[kind, :memory, own] = past
         # Drawn for destroyed UAVs too, so the draws of the others do not depend on which UAVs live.
