@@ -40,7 +40,7 @@ def a_swarm(seed=0, **arguments):
 
 def flown(config, state, rngs, plan, manoeuvres=None, before=None):
     before = np.zeros((1, config.clusters), np.int64) if before is None else before
-    return fly_windows(config, manoeuvres or Manoeuvres(), state, before, plan, rngs)
+    return fly_windows(config, manoeuvres or Manoeuvres(), state, before, plan, select_decoys(state, plan), rngs)
 
 
 def act(env, named=(), **choices):

@@ -167,8 +167,12 @@ def select_decoys(state: SwarmState, plan: Plan) -> tuple[Indices, Mask]:
     gap = state.position[:, None] - place[:, :, None]
     nearest = np.argsort(np.where(followers, (gap * gap).sum(axis=-1), np.inf), axis=-1, kind="stable")
     nearest = nearest[..., : plan.decoys.max(initial=0)]
-    most = np.minimum(plan.decoys, np.maximum(followers.sum(axis=-1) - 1, 0))
-    return nearest, np.arange(nearest.shape[2]) < most[..., None]
+    return nearest, np.arange(nearest.shape[2]) < count_decoys(followers.sum(axis=-1), plan)[..., None]
+
+
+def count_decoys(followers: Indices, plan: Plan) -> Indices:
+    """How many of so many followers ``(B, M)`` become decoys."""
+    return np.minimum(plan.decoys, np.maximum(followers - 1, 0))
 
 
 def compute_prices(manoeuvres: Manoeuvres, state: SwarmState, plan: Plan) -> Floats:
@@ -176,7 +180,8 @@ def compute_prices(manoeuvres: Manoeuvres, state: SwarmState, plan: Plan) -> Flo
 
     A head pays for each choice its price times the share of the swarm that flies differently because of it.
     """
-    followers, decoys = find_followers(state).sum(axis=-1), select_decoys(state, plan)[1].sum(axis=-1)
+    followers = find_followers(state).sum(axis=-1)
+    decoys = count_decoys(followers, plan)
     cluster = np.where(plan.mobility > 0, manoeuvres.mobility_price, 0.0) + manoeuvres.jitter_price * plan.jitter
     cost = (followers + 1) * cluster + manoeuvres.decoy_price * decoys
     cost = cost + manoeuvres.delay_price * plan.delay * (followers - decoys)
@@ -190,15 +195,16 @@ def fly_windows(
     state: SwarmState,
     flown: Indices,
     plan: Plan,
+    decoys: tuple[Indices, Mask],
     rngs: Sequence[np.random.Generator],
 ) -> tuple[SwarmState, ObservationBatch, Indices]:
     """Fly the next windows as the heads planned it; otherwise the same as :func:`usnet_env.swarm.advance`.
 
-    ``flown`` ``(B, M)`` has the mobility of each head before; a head that changes it gets a new state. It returns the
-    state at the end, the windows, and the mobility of each head in them.
+    ``flown`` ``(B, M)`` has the mobility of each head before; a head that changes it gets a new state. ``decoys`` are
+    those of :func:`select_decoys`. It returns the state at the end, the windows, and the mobility of each head in them.
     """
     laws = tuple(MOBILITIES.find(name) for name in manoeuvres.mobilities)
-    heads, (uavs, taken) = find_heads(state), select_decoys(state, plan)
+    heads, (uavs, taken) = find_heads(state), decoys
     now = np.where(np.take_along_axis(state.alive, heads, axis=1), plan.mobility, flown)
     obeys = state.free[..., None] == heads[:, None]
     row = np.tile(np.repeat(np.arange(heads.shape[1]), taken.shape[2]), (len(heads), 1))
@@ -236,6 +242,8 @@ def fly_windows(
         own_state = after.mobility_state[:, : state.free.shape[1]]
         flights.append((replace(after, free=state.free[rows], mobility_state=own_state), window))
         order.append(rows)
+    if len(flights) == 1:
+        return *flights[0], now
     back = np.argsort(np.concatenate(order))
     windows = {name: np.concatenate([getattr(one, name) for _, one in flights])[back] for name in vars(flights[0][1])}
     return SwarmState.join([one for one, _ in flights]).rows(back), ObservationBatch(**windows), now

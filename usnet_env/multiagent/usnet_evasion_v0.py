@@ -98,13 +98,13 @@ class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
 
     def _fly_rows(self, swarm: SwarmState, rows: Indices) -> tuple[SwarmState, Observation]:
         plan, rngs = Plan(*np.moveaxis(self._plan[rows], 2, 0)), [self._rngs[b] for b in rows]
-        uavs, taken = select_decoys(swarm, plan)
+        uavs, taken = decoys = select_decoys(swarm, plan)
         self._decoys = self._decoys.copy()
         self._decoys[rows] = False
         game_of, *which = np.nonzero(taken)
         self._decoys[rows[game_of], uavs[game_of, *which]] = True
         after, window, self._flown[rows] = fly_windows(
-            self.config, self.manoeuvres, swarm, self._flown[rows], plan, rngs
+            self.config, self.manoeuvres, swarm, self._flown[rows], plan, decoys, rngs
         )
         self._opening[rows] = False
         return after, {name: getattr(window, name)[:, None] for name in WINDOW}
