@@ -14,8 +14,6 @@ Arguments are trusted: they come from a window and a detection, which check them
 
 from __future__ import annotations
 
-from functools import reduce
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -25,7 +23,10 @@ from usnet_env.detection import Detection
 
 def _count(*masks: ArrayLike) -> Indices:
     """Number of UAVs that are in all sets."""
-    return np.asarray(np.sum(reduce(np.logical_and, masks, np.True_), axis=-1, dtype=np.int64))
+    both = np.asarray(masks[0], bool)
+    for mask in masks[1:]:
+        both = both & np.asarray(mask, bool)
+    return np.asarray(both.sum(axis=-1, dtype=np.int64))
 
 
 def _ratio(part: Indices, whole: Indices) -> Floats:

@@ -85,10 +85,11 @@ class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
 
     def _fly_rows(self, swarm: SwarmState, rows: Indices) -> tuple[SwarmState, Observation]:
         games, count = rows.tolist(), len(self._sensors)
-        after, *flown, first = fly_round([self._flight] * len(games), swarm, [self._rngs[b] for b in games])
+        rngs, configs = [self._rngs[b] for b in games], self._sensors * len(games)
+        after, position, velocity, first = fly_round([self._flight] * len(games), swarm, rngs)
         noise = [rng for b in games for rng in self._noise[b]]
         near = self.places[rows].reshape(-1, 3), self._ranges[: count * len(games)]
-        window = sense(self._sensors * len(games), *flown, swarm.alive, noise, swarm.free, *near, first=first)
+        window = sense(configs, position, velocity, swarm.alive, noise, swarm.free, *near, first)
         split = {name: getattr(window, name) for name in WINDOW}
         return after, {name: part.reshape(len(rows), count, *part.shape[1:]) for name, part in split.items()}
 
