@@ -19,7 +19,7 @@ from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.swarm import FollowInputs, FollowStrategy, Mobility, ObservationBatch, SwarmConfig, SwarmState, kernels
 from usnet_env.swarm.config import Price
 from usnet_env.swarm.mobility import MOBILITIES
-from usnet_env.swarm.simulator import JITTER, advance
+from usnet_env.swarm.simulator import JITTER, advance, normalise
 from usnet_env.swarm.strategy import TrajectoryBatch
 
 Most = Annotated[int, Field(ge=0, le=1000)]
@@ -88,14 +88,17 @@ class MixedMobility(Mobility):
             if (flown := self.which == number).any():
                 part = law.fly_batch(state, position, flown, steps, rngs)
                 np.copyto(directions, part, where=flown[:, None, :, None])
+        present, drawn = self.which >= 0, np.empty_like(directions)
         for b in np.flatnonzero(self.jitter.any(axis=1)).tolist():
-            own = self.which[b] >= 0
-            noise = rngs[b].standard_normal((steps, own.sum(), 3), dtype=np.float32)[:, self.jitter[b][own]]
-            # A registered law may return directions of any length, but the noise is relative to length 1.
-            wanted = directions[b][:, self.jitter[b]]
-            length = np.sqrt((wanted * wanted).sum(axis=-1, keepdims=True) + np.float32(1e-12))
-            directions[b][:, self.jitter[b]] = wanted / length + noise * np.float32(self.noise)
-        return np.where((self.which < 0)[:, None, :, None], directions[:, :, :1], directions)
+            count = int(present[b].sum())
+            drawn[b, :, :count] = rngs[b].standard_normal((steps, count, 3), dtype=np.float32)
+        swarms, uavs = np.nonzero(self.jitter)
+        noise = drawn[swarms, :, present.cumsum(axis=1)[swarms, uavs] - 1]
+        # A registered law may return directions of any length, but the noise is relative to length 1.
+        directions[swarms, :, uavs] = normalise(directions[swarms, :, uavs]) + noise * np.float32(self.noise)
+        swarms, uavs = np.nonzero(~present)
+        directions[swarms, :, uavs] = directions[swarms, :, 0]
+        return directions
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,10 +136,12 @@ class DelayedFollow(FollowStrategy):
         def add_late(track: Singles) -> Singles:
             when = np.arange(track.shape[1])[:, None] - self.delay[:, None]
             late = track[np.arange(episodes)[:, None, None], np.maximum(when, 0), self.heads[:, None]]
-            return np.concatenate([track, np.where(when[..., None] < 0, np.float32(0.0), late)], axis=2)
+            late[when < 0] = 0.0
+            return np.concatenate([track, late], axis=2)
 
         def widen(array: NDArray[Any], axis: int, value: int = 0) -> NDArray[Any]:
-            return np.insert(array, [uavs] * clusters, value, axis=axis)
+            ghosts = np.full_like(array.take(range(clusters), axis), value)
+            return np.concatenate([array, ghosts], axis=axis)
 
         position, velocity = add_late(flight.position), add_late(flight.velocity)
         noise, motion = widen(flight.noise, 2), widen(flight.motion, 1, kernels.FREE)
@@ -229,7 +234,7 @@ def fly_windows(
     for kind in np.unique(kinds):
         rows = np.flatnonzero(kinds == kind)
         changes: dict[str, Mobility | FollowStrategy] = {}
-        part = before.rows(rows)
+        part = before if len(rows) == len(kinds) else before.rows(rows)
         if kind < 0:
             changes["mobility"] = MixedMobility(laws, np.where(present, which, -1)[rows], jitter[rows], noise)
         else:
@@ -238,7 +243,8 @@ def fly_windows(
         delay = np.where(part.alive[np.arange(len(rows))[:, None], heads[rows]], plan.delay[rows], 0)
         if delay.any() and config.follow_strategy is not None:
             changes["follow"] = DelayedFollow(config.follow_strategy, heads[rows], delay)
-        after, window = advance(config.model_copy(update=changes), part, [rngs[b] for b in rows.tolist()])
+        changed = config.model_copy(update=changes) if changes else config
+        after, window = advance(changed, part, [rngs[b] for b in rows.tolist()])
         own_state = after.mobility_state[:, : state.free.shape[1]]
         flights.append((replace(after, free=state.free[rows], mobility_state=own_state), window))
         order.append(rows)

@@ -79,15 +79,13 @@ class CompiledMobility(Mobility):
         if self.code == kernels.IID:
             return state
         direction = rng.standard_normal((uavs, 3))  # uniform on the sphere, once it has length 1
-        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
         if self.code == kernels.GAUSS_MARKOV:
             state[:, 2] = rng.uniform(-np.pi, np.pi, uavs)  # mean azimuth; the mean pitch is level
-            spread = np.sqrt([self.numbers[1], self.numbers[2]])
-            state[:, 0:2] = state[:, 2:4] + spread * rng.standard_normal((uavs, 2))
+            state[:, 0:2] = state[:, 2:4] + np.sqrt(self.constants[1:3]) * rng.standard_normal((uavs, 2))
             return state
-        state[:, 0:3] = direction
+        state[:, 0:3] = direction / np.sqrt((direction * direction).sum(axis=1, keepdims=True))
         if self.code == kernels.WAYPOINT:
-            state[:, 3:6] = rng.uniform(0.0, ARENA, (uavs, 3))
+            state[:, 3:6] = rng.random((uavs, 3)) * ARENA
         elif self.code == kernels.LOCAL_WAYPOINT:
             state[:, 3:6] = np.nan  # no waypoint yet: `fly` draws one relative to the UAV's position
         return state
@@ -104,9 +102,10 @@ class CompiledMobility(Mobility):
         normals = np.empty((len(swarms), steps, 1, self.normals), np.float32)
         first = 0
         for count, rng in zip(chosen.sum(axis=1).tolist(), rngs, strict=True):
-            drawn = rng.standard_normal((steps, count, self.normals), dtype=np.float32)
-            normals[first : first + count, :, 0] = drawn.swapaxes(0, 1)
-            first += count
+            if count:
+                drawn = rng.standard_normal((steps, count, self.normals), dtype=np.float32)
+                normals[first : first + count, :, 0] = drawn.swapaxes(0, 1)
+                first += count
         craft = kernels.FLOWN._replace(
             mobility=np.full(1, self.code),
             constants=self.constants[None],

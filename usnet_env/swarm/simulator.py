@@ -66,7 +66,8 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
     (episodes, memory, all_uavs, _), uavs = velocity.shape, config.uavs
     position = np.zeros((episodes, memory + 1, all_uavs, 3), np.float32)
     position[:, 0] = place
-    velocity /= np.sqrt((velocity * velocity).sum(axis=-1, keepdims=True))
+    x, y, z = np.moveaxis(velocity, -1, 0)  # faster than a sum over the last axis
+    velocity /= np.sqrt(x * x + y * y + z * z)[..., None]
     craft = _draw_craft(laws := _find_laws(config, drawn["free"].shape[1]), memory, rngs)
     craft = craft._replace(free=drawn["free"], state=drawn["mobility_state"])
     _fly_free(laws, craft, np.empty((0, 0, 0, 3), np.float32), position, velocity, 0, rngs)
@@ -322,17 +323,20 @@ def _fly_free(
     count = velocity.shape[1] - first
     for law, part in laws:
         columns, state, jittered = craft.free[:, part], craft.state[:, part], part.start < craft.jittered
+        swarms = np.arange(len(columns))[:, None]
         if isinstance(law, CompiledMobility):
             one = craft._replace(mobility=craft.mobility[part], constants=craft.constants[part], free=columns)
             one = one._replace(state=state, normals=craft.normals[:, :, part], jittered=jittered * part.stop)
             kernels.fly_free(first, one, noise, position, velocity)
             continue
-        place, where = np.take_along_axis(position[:, first], columns[..., None], axis=1), columns[:, None, :, None]
-        wanted = _normalise(law.fly_batch(state, place, np.ones(columns.shape, bool), count, rngs).astype(np.float32))
+        place = position[swarms, first, columns]
+        wanted = normalise(law.fly_batch(state, place, np.ones(columns.shape, bool), count, rngs).astype(np.float32))
         if jittered:
-            wanted = _normalise(wanted + craft.jitter * np.take_along_axis(noise, where, axis=2))
-        np.put_along_axis(velocity[:, first : first + count], where, wanted, axis=2)
+            wanted = normalise(wanted + craft.jitter * noise[swarms, :, columns].swapaxes(1, 2))
+        velocity[swarms, first : first + count, columns] = wanted.swapaxes(1, 2)
 
 
-def _normalise(vectors: Singles) -> Singles:
-    return np.asarray(vectors / np.sqrt((vectors * vectors).sum(axis=-1, keepdims=True) + 1e-12))
+def normalise(vectors: Singles) -> Singles:
+    """Vectors ``(..., 3)`` scaled to length 1."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    return np.asarray(vectors / np.sqrt(x * x + y * y + z * z + np.float32(1e-12))[..., None])
