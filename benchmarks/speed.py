@@ -15,6 +15,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from functools import partial
+from itertools import cycle
 from pathlib import Path
 from time import process_time
 from timeit import timeit
@@ -161,29 +162,36 @@ def batch(name: str, turns: int) -> dict[str, object]:
     )
 
 
-def several_agents(name: str, turns: int) -> dict[str, object]:
-    """A batch of games of several agents against a single one, in which all do nothing."""
-    module = importlib.import_module(f"usnet_env.multiagent.{name}")
-    games, env = module.batch_env(GAMES, **FEW), module.parallel_env(**FEW)
+def several_agents(name: str, turns: int, chosen: bool = False) -> dict[str, object]:
+    """A batch of small games of several agents against a single one; all do nothing, or heads choose at random."""
+    module, count, rng = importlib.import_module(f"usnet_env.multiagent.{name}"), 4 * GAMES, np.random.default_rng(0)
+    games, env = module.batch_env(count, **FEW), module.parallel_env(**FEW)
     for each in (games, env):
         each.reset(seed=0)
-    still = {
-        role: np.zeros((GAMES, count, *games.action_spaces[role].shape), np.int8) for role, count in games.roles.items()
-    }
+
+    def act(role: str) -> np.ndarray:
+        space, shape = games.action_spaces[role], (count, games.roles[role])
+        sizes = space.nvec if chosen and role == "head" else np.ones(space.shape, int)
+        return rng.integers(0, sizes, (*shape, *space.shape))
+
+    plans = [{role: act(role) for role in games.roles} for _ in range(10)]
+    turn = cycle(plans)
 
     def play_all() -> None:
-        games.step(still)
+        games.step(next(turn))
         if (over := ~games.active["observer"].any(axis=1)).any():
             games.reset(games=over)
 
     def play_alone() -> None:
-        for _ in range(10):
-            env.step({agent: np.zeros(env.action_space(agent).shape, np.int8) for agent in env.agents})
+        for plan in plans:
+            pairs = [(agent, agent.rsplit("_", 1)) for agent in env.agents]
+            env.step({agent: plan[role][0, int(j)] for agent, (role, j) in pairs})
             if not env.agents:
                 env.reset()
 
-    agents, turn = len(env.possible_agents), f"a batch of {GAMES} games over a single one, N = {FEW['uavs']}"
-    return race(turn, turns, (agents * GAMES, play_all), (agents * 10, play_alone))
+    agents = len(env.possible_agents)
+    what = f"a batch of {count} games over a single one, N = {FEW['uavs']}" + ", heads choose at random" * chosen
+    return race(what, turns, (agents * count, play_all), (agents * len(plans), play_alone))
 
 
 def starting(turns: int) -> dict[str, object]:
@@ -237,6 +245,7 @@ PARTS: dict[str, Callable[[int], dict[str, object]]] = {
         {"start of P1": starting(turns)}
         | {name: batch(f"USNET/{name}", turns) for name in BATCHES}
         | {name: several_agents(name, turns) for name in SEVERAL}
+        | {f"{SEVERAL[1]}, choices": several_agents(SEVERAL[1], turns, chosen=True)}
         | {"Stable-Baselines3": sb3(turns), "TorchRL": torchrl(turns)}
     ),
     "memory": memory,
