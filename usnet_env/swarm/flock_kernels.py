@@ -15,10 +15,15 @@ from usnet_env.swarm.kernels import DESTROYED, FOLLOWS, UNIT, begin_step, end_st
 NO_CHASER, PREDATOR, DRIVER = range(3)
 
 _ONE, _ZERO, _TINY = np.float32(1.0), np.float32(0.0), np.float32(1e-12)
+_ALONE = np.float32(1.5)  # a UAV counts itself: with a larger count it has neighbours
 _SMALL, _MIDDLE = 64, 128  # sizes up to which a flock is searched as a whole: unsorted, or sorted by cell
-_X, _Y, _Z, _UX, _UY, _UZ = range(0, 6 * _MIDDLE, _MIDDLE)  # rows of `members` in _sum_all
-# Rows of `sums`: repulsion, alignment, attraction, and the three counts.
-_RX, _RY, _RZ, _OX, _OY, _OZ, _AX, _AY, _AZ, _REPELLED, _ALIGNED, _ATTRACTED = range(0, 12 * _MIDDLE, _MIDDLE)
+# Rows of `rows`, with numbers of up to _MIDDLE UAVs of a flock: place, velocity, noise, what they want; then the sums:
+# repulsion, alignment, attraction, and the three counts. The compiler sees from their distance that they don't overlap;
+# at a power of two, memory would wait for stores of rows with the same low bits of their addresses.
+_APART = _MIDDLE + 16
+_END = 24 * _APART
+_X, _Y, _Z, _UX, _UY, _UZ, _NX, _NY, _NZ, _WX, _WY, _WZ = range(0, 12 * _APART, _APART)
+_RX, _RY, _RZ, _OX, _OY, _OZ, _AX, _AY, _AZ, _REPELLED, _ALIGNED, _ATTRACTED = range(12 * _APART, _END, _APART)
 
 
 @compiled(inner=True, error_model="numpy")
@@ -65,21 +70,21 @@ def _sort_by_cell(low, p, width, key, rank):
 
 
 @compiled(inner=True, error_model="numpy")
-def _sum_cells(x, y, z, width, repel, align, attract, begin, cell, p, v):
-    """Sum over the UAVs in the 27 cells around a place: repulsion, alignment, attraction, and their three counts."""
-    outer, size = max(repel, align, attract), len(begin) - 1
+def _sum_cells(k, width, repel, align, attract, size, begin, cell, p, v, rows):
+    """Fill the sums of UAV k in ``rows`` from the UAVs in the 27 cells around it; ``size`` is the number of buckets."""
+    x, y, z, outer = rows[_X + k], rows[_Y + k], rows[_Z + k], max(repel, align, attract)
     cx, cy, cz = int(np.floor(x / width)), int(np.floor(y / width)), int(np.floor(z / width))
     rx, ry, rz, ox, oy, oz, ax, ay, az = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
     repelled, aligned, attracted = _ZERO, _ZERO, _ZERO
     for i in range(cx - 1, cx + 2):
         for j in range(cy - 1, cy + 2):
-            for k in range(cz - 1, cz + 2):
-                h = _hash_cell(i, j, k, size)
+            for m in range(cz - 1, cz + 2):
+                h = _hash_cell(i, j, m, size)
                 for c in range(begin[h], begin[h + 1]):
                     dx, dy, dz = p[0, c] - x, p[1, c] - y, p[2, c] - z
                     square = dx * dx + dy * dy + dz * dz
                     # Two cells may share a bucket: a UAV counts in its own cell only.
-                    if square < outer and cell[0, c] == i and cell[1, c] == j and cell[2, c] == k:
+                    if square < outer and cell[0, c] == i and cell[1, c] == j and cell[2, c] == m:
                         inverse = _ONE / np.sqrt(square + _TINY)
                         if square < repel:
                             repelled += _ONE
@@ -90,42 +95,72 @@ def _sum_cells(x, y, z, width, repel, align, attract, begin, cell, p, v):
                         if square < attract:
                             attracted += _ONE
                             ax, ay, az = ax + inverse * dx, ay + inverse * dy, az + inverse * dz
-    return rx, ry, rz, ox, oy, oz, ax, ay, az, repelled, aligned, attracted
+    rows[_RX + k], rows[_RY + k], rows[_RZ + k], rows[_REPELLED + k] = rx, ry, rz, repelled
+    rows[_OX + k], rows[_OY + k], rows[_OZ + k], rows[_ALIGNED + k] = ox, oy, oz, aligned
+    rows[_AX + k], rows[_AY + k], rows[_AZ + k], rows[_ATTRACTED + k] = ax, ay, az, attracted
 
 
 @compiled(inner=True, error_model="numpy")
-def _sum_all(size, repel, align, attract, members, sums):
-    """Fill ``sums`` for all UAVs of a small flock.
+def _sum_all(size, repel, align, attract, rows):
+    """Fill the sums in ``rows`` for all UAVs of a small flock.
 
-    The inner loop is over the UAVs that get a term, so the sums have the same bits with all vector instructions. Rows
-    of ``members`` and ``sums`` are ``_MIDDLE`` apart, from which the compiler knows that they don't overlap.
+    The inner loop is over the UAVs that get a term, so the sums have the same bits with all vector instructions. It
+    goes over whole vectors, and nobody reads the rest.
     """
-    last = (size + 3) // 4 * 4  # whole vectors of all widths; nobody reads the rest
-    for row in range(0, len(sums), _MIDDLE):
-        sums[row : row + last] = _ZERO
+    last = (size + 7) // 8 * 8
+    for row in range(_RX, _END, _APART):
+        rows[row : row + last] = _ZERO
     for d in range(size):
-        x, y, z = members[_X + d], members[_Y + d], members[_Z + d]
-        ux, uy, uz = members[_UX + d], members[_UY + d], members[_UZ + d]
-        for c in range(last):
-            dx, dy, dz = x - members[_X + c], y - members[_Y + c], z - members[_Z + c]
+        x, y, z = rows[_X + d], rows[_Y + d], rows[_Z + d]
+        ux, uy, uz = rows[_UX + d], rows[_UY + d], rows[_UZ + d]
+        for c in range(last // 8 * 8):
+            dx, dy, dz = x - rows[_X + c], y - rows[_Y + c], z - rows[_Z + c]
             square = dx * dx + dy * dy + dz * dz
             o = _ONE if square < align else _ZERO
-            sums[_ALIGNED + c] += o
-            sums[_OX + c] += o * ux
-            sums[_OY + c] += o * uy
-            sums[_OZ + c] += o * uz
+            rows[_ALIGNED + c] += o
+            rows[_OX + c] += o * ux
+            rows[_OY + c] += o * uy
+            rows[_OZ + c] += o * uz
             r, q = _ONE if square < repel else _ZERO, _ONE if square < attract else _ZERO
-            sums[_REPELLED + c] += r
-            sums[_ATTRACTED + c] += q
+            rows[_REPELLED + c] += r
+            rows[_ATTRACTED + c] += q
             inverse = _ONE / np.sqrt(square + _TINY)
             r *= inverse
-            sums[_RX + c] -= r * dx
-            sums[_RY + c] -= r * dy
-            sums[_RZ + c] -= r * dz
+            rows[_RX + c] -= r * dx
+            rows[_RY + c] -= r * dy
+            rows[_RZ + c] -= r * dz
             q *= inverse
-            sums[_AX + c] += q * dx
-            sums[_AY + c] += q * dy
-            sums[_AZ + c] += q * dz
+            rows[_AX + c] += q * dx
+            rows[_AY + c] += q * dy
+            rows[_AZ + c] += q * dz
+
+
+@compiled(inner=True, error_model="numpy")
+def _choose(size, weights, mx, my, mz, rows):
+    """Fill ``rows`` with what UAVs want: repulsion, or else alignment and attraction, or else the middle (mx, my, mz).
+
+    All three are computed for all UAVs, in vectors, which takes less time than to decide for each.
+    """
+    for k in range((size + 7) // 8 * 8):
+        repelled = rows[_REPELLED + k] > _ALONE
+        x = rows[_RX + k] if repelled else mx - rows[_X + k]
+        y = rows[_RY + k] if repelled else my - rows[_Y + k]
+        z = rows[_RZ + k] if repelled else mz - rows[_Z + k]
+        x, y, z = norm(x, y, z)
+        align = weights[0] / max(rows[_ALIGNED + k], _ONE)
+        attract = weights[1] / max(rows[_ATTRACTED + k] - _ONE, _ONE)
+        joins = not repelled and max(rows[_ALIGNED + k], rows[_ATTRACTED + k]) > _ALONE
+        rows[_WX + k] = align * rows[_OX + k] + attract * rows[_AX + k] if joins else x
+        rows[_WY + k] = align * rows[_OY + k] + attract * rows[_AY + k] if joins else y
+        rows[_WZ + k] = align * rows[_OZ + k] + attract * rows[_AZ + k] if joins else z
+
+
+@compiled(inner=True, error_model="numpy")
+def _finish(size, rows):
+    """Replace the velocities in ``rows`` by norm(what UAVs want + noise)."""
+    for k in range((size + 7) // 8 * 8):
+        x, y, z = norm(rows[_WX + k] + rows[_NX + k], rows[_WY + k] + rows[_NY + k], rows[_WZ + k] + rows[_NZ + k])
+        rows[_UX + k], rows[_UY + k], rows[_UZ + k] = x, y, z
 
 
 @compiled(inner=True, error_model="numpy")
@@ -189,7 +224,7 @@ def fly_flock(
         buckets *= 2
     begin = np.empty(buckets + 1, np.int64)
     rank, key = np.empty(uavs, np.int64), np.empty(_MIDDLE, np.int64)
-    few, sums = np.zeros(6 * _MIDDLE, np.float32), np.empty(12 * _MIDDLE, np.float32)
+    rows = np.zeros(_END, np.float32)
     middle = np.zeros((width, 3), np.float32)
     for b in range(episodes):
         members = _sort_members(motion[b], source[b], bystander[b], uavs, label, order, first)
@@ -207,8 +242,8 @@ def fly_flock(
             for f in flocks:
                 low, size = first[f], first[f + 1] - first[f]
                 px, py, pz = p[0, low : low + size], p[1, low : low + size], p[2, low : low + size]
-                if chaser == DRIVER:
-                    middle[f, 0], middle[f, 1], middle[f, 2] = px.mean(), py.mean(), pz.mean()
+                mx, my, mz = px.mean(), py.mean(), pz.mean()
+                middle[f, 0], middle[f, 1], middle[f, 2] = mx, my, mz
                 small = 1
                 if _SMALL < size <= _MIDDLE:
                     _sort_by_cell(low, p, outer, key, rank[low : low + size])
@@ -216,49 +251,43 @@ def fly_flock(
                     while small < 2 * size:
                         small *= 2
                     _build_cells(low, low + size, p, v, outer, place, begin[: small + 1], cell, near_p, near_v)
-                else:
-                    for axis in range(3):
-                        for k in range(size):
-                            few[_X + axis * _MIDDLE + k] = p[axis, low + rank[low + k]]
-                            few[_UX + axis * _MIDDLE + k] = v[axis, low + rank[low + k]]
-                    _sum_all(size, repel, align, attract, few, sums)
-                for k in range(size):
-                    c = rank[low + k]
-                    i = order[low + c]
-                    if motion[b, i] != FOLLOWS:
-                        continue
-                    if size > _MIDDLE:
-                        rx, ry, rz, ox, oy, oz, ax, ay, az, repelled, aligned, attracted = _sum_cells(
-                            px[c], py[c], pz[c], outer, repel, align, attract, begin[: small + 1], cell, near_p, near_v
-                        )
+                for part in range(low, low + size, _MIDDLE):
+                    count = min(_MIDDLE, low + size - part)
+                    for k in range(count):
+                        c = low + rank[part + k]
+                        i = order[c]
+                        for axis in range(3):
+                            rows[_X + axis * _APART + k] = p[axis, c]
+                            rows[_UX + axis * _APART + k] = v[axis, c]
+                            rows[_NX + axis * _APART + k] = table[b, NOISE, i] * noise[b, s, i, axis]
+                    if size <= _MIDDLE:
+                        _sum_all(size, repel, align, attract, rows)
                     else:
-                        rx, ry, rz = sums[_RX + k], sums[_RY + k], sums[_RZ + k]
-                        ox, oy, oz = sums[_OX + k], sums[_OY + k], sums[_OZ + k]
-                        ax, ay, az = sums[_AX + k], sums[_AY + k], sums[_AZ + k]
-                        repelled, aligned, attracted = sums[_REPELLED + k], sums[_ALIGNED + k], sums[_ATTRACTED + k]
-                    if repelled > np.float32(1.5):  # the UAV itself is counted
-                        x, y, z = norm(rx, ry, rz)
-                    elif max(aligned, attracted) > np.float32(1.5):
-                        align_scale = weights[0] / max(aligned, _ONE)
-                        attract_scale = weights[1] / max(attracted - _ONE, _ONE)
-                        x = align_scale * ox + attract_scale * ax
-                        y = align_scale * oy + attract_scale * ay
-                        z = align_scale * oz + attract_scale * az
-                    else:
-                        x, y, z = norm(px.mean() - px[c], py.mean() - py[c], pz.mean() - pz[c])
-                    if preference > _ZERO and root[b, i] == i:
-                        x, y, z = norm(x, y, z)
-                        x += preference * velocity[b, t - 1, f, 0]
-                        y += preference * velocity[b, t - 1, f, 1]
-                        z += preference * velocity[b, t - 1, f, 2]
-                    for h in chasers:
-                        dx, dy = px[c] - position[b, t, h, 0], py[c] - position[b, t, h, 1]
-                        dz = pz[c] - position[b, t, h, 2]
-                        square = dx * dx + dy * dy + dz * dz
-                        if square < flight_range * flight_range:
-                            scale = flight_weight / np.sqrt(square + _TINY)
-                            x, y, z = x + scale * dx, y + scale * dy, z + scale * dz
-                    finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], noise, velocity)
+                        for k in range(count):
+                            _sum_cells(k, outer, repel, align, attract, small, begin, cell, near_p, near_v, rows)
+                    _choose(count, weights, mx, my, mz, rows)
+                    for k in range(count if preference > _ZERO or len(chasers) else 0):
+                        i = order[low + rank[part + k]]
+                        if preference > _ZERO and root[b, i] == i:
+                            x, y, z = norm(rows[_WX + k], rows[_WY + k], rows[_WZ + k])
+                            rows[_WX + k] = x + preference * velocity[b, t - 1, f, 0]
+                            rows[_WY + k] = y + preference * velocity[b, t - 1, f, 1]
+                            rows[_WZ + k] = z + preference * velocity[b, t - 1, f, 2]
+                        for h in chasers:
+                            dx, dy = rows[_X + k] - position[b, t, h, 0], rows[_Y + k] - position[b, t, h, 1]
+                            dz = rows[_Z + k] - position[b, t, h, 2]
+                            square = dx * dx + dy * dy + dz * dz
+                            if square < flight_range * flight_range:
+                                scale = flight_weight / np.sqrt(square + _TINY)
+                                rows[_WX + k] += scale * dx
+                                rows[_WY + k] += scale * dy
+                                rows[_WZ + k] += scale * dz
+                    _finish(count, rows)
+                    for k in range(count):
+                        i = order[low + rank[part + k]]
+                        if motion[b, i] == FOLLOWS:
+                            for axis in range(3):
+                                velocity[b, t, i, axis] = rows[_UX + axis * _APART + k]
             for i in chasers:
                 f = find_top(i, motion[b], source[b])
                 x, y, z = _steer_chaser(
