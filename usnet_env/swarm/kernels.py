@@ -263,12 +263,11 @@ def fly_kinematics(code, numbers, t, motion, normals, state, position, velocity)
         move(b, t, position, velocity)
 
 
-@compiled(inner=True)
+@compiled(inner=True, _nrt=False)
 def begin_step(b, s, t, motion, craft, noise, position, velocity):
     """Fly the free UAVs in step t; with other kinematics than ``unit`` they want what depends on what was flown.
 
-    Whoever flies asks for the kinematics before it calls this: a call with a craft counts references to its arrays,
-    which takes longer than a step of a small swarm.
+    With ``unit`` it is not called: the free UAVs have flown all steps.
     """
     _fly_free_uavs(b, t - s, t, t + 1, craft, noise, position, velocity)
     for i in range(motion.shape[1]):
@@ -276,7 +275,7 @@ def begin_step(b, s, t, motion, craft, noise, position, velocity):
             velocity[b, t, i, 0] = velocity[b, t, i, 1] = velocity[b, t, i, 2] = _ZERO
 
 
-@compiled(inner=True)
+@compiled(inner=True, _nrt=False)
 def end_step(b, s, t, motion, craft, position, velocity):
     """Turn what all UAVs want in step t into what they fly, with other kinematics than ``unit``."""
     steer(craft.kinematics, craft.numbers, b, s, t, motion, craft.pushes, craft.kept, position, velocity)
