@@ -28,27 +28,44 @@ def cut_tracks(share, drawn, seen):
 
 
 @compiled(inner=True, error_model="numpy")
-def _add_noise(sensor, noise, t, track, now):
-    """Add a sensor's noise at instant t to the positions ``now`` ``(3 N,)`` of ``track`` ``(T + 1, W)``."""
+def _stretch(along, way, noise):
+    """Add ``along`` times its part along the course to the noise ``(3 N,)`` of a flight that goes on by ``way``."""
+    uavs = len(way) // 3
+    e, u = np.empty((3, uavs), np.float32), np.empty((3, uavs), np.float32)
+    for i in range(uavs):
+        for axis in range(3):
+            e[axis, i], u[axis, i] = way[3 * i + axis], noise[3 * i + axis]
+    for i in range(uavs):
+        x, y, z = e[0, i], e[1, i], e[2, i]
+        size = max(np.sqrt(x * x + y * y + z * z), np.float32(1e-6))
+        x, y, z = x / size, y / size, z / size
+        part = along * (u[0, i] * x + u[1, i] * y + u[2, i] * z)
+        e[0, i], e[1, i], e[2, i] = part * x, part * y, part * z
+    for i in range(uavs):
+        for axis in range(3):
+            noise[3 * i + axis] += e[axis, i]
+
+
+@compiled(inner=True, error_model="numpy")
+def _add_noise(sensor, noise, t, track, first, every, now):
+    """Add a sensor's noise at instant t to the positions ``now`` ``(3 N,)`` of ``track`` ``(first + T every + 1, W)``.
+
+    With course noise the part along the course is stretched: that of the next step, or the last one at the end.
+    """
     keep, along, bound, scale = sensor[0], sensor[1], sensor[2], sensor[3]
-    push, last, e = np.sqrt(_ONE - keep * keep), len(track) - 1, np.empty(3, np.float32)
+    push, s, width = np.sqrt(_ONE - keep * keep), first + t * every, len(now)
     if keep > _ZERO and t > 0:
-        for n in range(len(now)):
+        for n in range(width):
             noise[t, n] = keep * noise[t - 1, n] + push * noise[t, n]
     u = noise[t]
-    if along != _ZERO:  # stretch the part along the course, that of the next step; at the end of the last one
-        u = noise[t].copy()
-        for n in range(0, len(now), 3):
-            for axis in range(3):
-                here = track[t, n + axis]
-                ahead = track[t + 1, n + axis] if t < last else np.float32(2.0) * here - track[t - 1, n + axis]
-                e[axis] = ahead - here
-            size = max(np.sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2]), np.float32(1e-6))
-            e[0], e[1], e[2] = e[0] / size, e[1] / size, e[2] / size
-            part = along * (u[n] * e[0] + u[n + 1] * e[1] + u[n + 2] * e[2])
-            for axis in range(3):
-                u[n + axis] += part * e[axis]
-    for n in range(len(now)):
+    if along != _ZERO:
+        u, way = noise[t].copy(), np.empty(width, np.float32)
+        for n in range(width):
+            here = track[s, n]
+            ahead = track[s + every, n] if t < len(noise) - 1 else np.float32(2.0) * here - track[s - every, n]
+            way[n] = ahead - here
+        _stretch(along, way, u)
+    for n in range(width):
         now[n] += min(max(u[n], -bound), bound) * scale
 
 
@@ -129,7 +146,7 @@ def observe(first, every, sensors, noisy, noise, differs, place, reach, flown, m
                 for n in range(width):
                     now[n] = flies[n]
                 if noisy[r] >= 0:
-                    _add_noise(sensors[r], noise[noisy[r]], t, flown[b, first::every], now)
+                    _add_noise(sensors[r], noise[noisy[r]], t, flown[b], first, every, now)
                 for n in range(width):
                     way[n] = (now[n] - before[n]) / np.float32(every)
             bits = now.view(np.int32)
