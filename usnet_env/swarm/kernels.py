@@ -155,13 +155,14 @@ class Craft(NamedTuple):
     numbers: NDArray[np.float32]  # constants of the kinematics
     pushes: NDArray[np.float32]  # (B, S, N, k), its random numbers
     kept: NDArray[np.float32]  # (B, N, k), its state, changed in place
+    rows: NDArray[np.float32]  # (10, N), memory for a step of the kinematics
 
 
 #: The craft of a flight whose free UAVs have flown.
 FLOWN = Craft(
     np.empty(0, np.int64), np.empty((0, 6)), np.empty((0, 0), np.int64), np.empty((0, 0, 0, 0), np.float32),
     np.empty((0, 0, MOBILITY_STATE)), 0, np.float32(0.0), UNIT, np.empty(0, np.float32),
-    np.empty((0, 0, 0, 0), np.float32), np.empty((0, 0, 0), np.float32),
+    np.empty((0, 0, 0, 0), np.float32), np.empty((0, 0, 0), np.float32), np.empty((10, 0), np.float32),
 )  # fmt: skip
 
 
@@ -208,24 +209,52 @@ def integrate(start, position, velocity):
             move(b, t, position, velocity)
 
 
-@compiled(inner=True, error_model="numpy")
-def _steer(x, y, z, u, v, w, limit):
-    """Turn the unit vector (x, y, z) towards the unit vector (u, v, w) by at most ``limit``; also return the cosine."""
-    cosine = min(max(x * u + y * v + z * w, -_ONE), _ONE)
-    angle = min(np.float32(math.acos(cosine)), limit)
-    u, v, w = u - cosine * x, v - cosine * y, w - cosine * z
-    size = np.sqrt(u * u + v * v + w * w)
-    if size < np.float32(1e-4):  # ahead or behind: turn in the level plane
-        u, v, w = -y, x, _ZERO
-        size = np.sqrt(u * u + v * v) + _TINY
-    c, s = np.float32(math.cos(angle)), np.float32(math.sin(angle)) / size
-    x, y, z = norm(c * x + s * u, c * y + s * v, c * z + s * w)
-    return x, y, z, cosine
+@compiled(inner=True, _nrt=False, error_model="numpy")
+def _limit(numbers, b, t, motion, state, rows, velocity):
+    """Turn UAV i of swarm b in step t by at most ``state[b, i, 0]`` towards what it wants; one that turns slows down.
+
+    All but the angles become vector instructions, so what it needs of a UAV is a column of ``rows`` ``(10, N)``.
+    """
+    uavs, slowest, most = motion.shape[1], numbers[0], numbers[1]
+    x, y, z, u, v, w = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5]
+    before, cosine, c, s = rows[6], rows[7], rows[8], rows[9]
+    for i in range(uavs):
+        x[i], y[i], z[i] = velocity[b, t - 1, i, 0], velocity[b, t - 1, i, 1], velocity[b, t - 1, i, 2]
+        u[i], v[i], w[i] = velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2]
+    for i in range(uavs):
+        before[i] = np.sqrt(x[i] * x[i] + y[i] * y[i] + z[i] * z[i])
+        scale = _ONE / max(before[i], np.float32(1e-6))
+        x[i], y[i], z[i] = x[i] * scale, y[i] * scale, z[i] * scale
+        cosine[i] = min(max(x[i] * u[i] + y[i] * v[i] + z[i] * w[i], -_ONE), _ONE)
+    for i in range(uavs):
+        angle = min(np.float32(math.acos(cosine[i])), state[b, i, 0])
+        c[i], s[i] = np.float32(math.cos(angle)), np.float32(math.sin(angle))
+    for i in range(uavs):
+        px, py, pz = u[i] - cosine[i] * x[i], v[i] - cosine[i] * y[i], w[i] - cosine[i] * z[i]
+        size = np.sqrt(px * px + py * py + pz * pz)
+        level = size < np.float32(1e-4)  # ahead or behind: turn in the level plane
+        px, py, pz = -y[i] if level else px, x[i] if level else py, _ZERO if level else pz
+        size = np.sqrt(px * px + py * py) + _TINY if level else size
+        part = s[i] / size
+        dx, dy, dz = c[i] * x[i] + part * px, c[i] * y[i] + part * py, c[i] * z[i] + part * pz
+        unit = _ONE / np.sqrt(dx * dx + dy * dy + dz * dz + _TINY)
+        goal = slowest + (_ONE - slowest) * np.float32(0.5) * (_ONE + cosine[i])
+        speed = min(max(goal, before[i] - most), before[i] + most)
+        speed = min(max(speed, _ZERO), _ONE)
+        u[i], v[i], w[i] = dx * unit * speed, dy * unit * speed, dz * unit * speed
+    for i in range(uavs):
+        flies = motion[b, i] != DESTROYED
+        velocity[b, t, i, 0] = u[i] if flies else _ZERO
+        velocity[b, t, i, 1] = v[i] if flies else _ZERO
+        velocity[b, t, i, 2] = w[i] if flies else _ZERO
 
 
 @compiled(inner=True, _nrt=False, error_model="numpy")
-def steer(code, numbers, b, s, t, motion, normals, state, position, velocity):
+def steer(code, numbers, b, s, t, motion, normals, state, rows, position, velocity):
     """Replace the wanted directions of swarm b in step t by velocities; ``normals`` ``(B, S, N, k)`` has step s."""
+    if code == LIMITED:
+        _limit(numbers, b, t, motion, state, rows, velocity)
+        return
     for i in range(motion.shape[1]):
         if motion[b, i] == DESTROYED:
             velocity[b, t, i, 0] = velocity[b, t, i, 1] = velocity[b, t, i, 2] = _ZERO
@@ -239,14 +268,6 @@ def steer(code, numbers, b, s, t, motion, normals, state, position, velocity):
         elif code == LAGGED:
             share = state[b, i, 0]
             x, y, z = bx + (x - bx) * share, by + (y - by) * share, bz + (z - bz) * share
-        elif code == LIMITED:
-            speed = np.sqrt(bx * bx + by * by + bz * bz)
-            scale = _ONE / max(speed, np.float32(1e-6))
-            x, y, z, cosine = _steer(bx * scale, by * scale, bz * scale, x, y, z, state[b, i, 0])
-            goal = numbers[0] + (_ONE - numbers[0]) * np.float32(0.5) * (_ONE + cosine)
-            speed = min(max(goal, speed - numbers[1]), speed + numbers[1])
-            speed = min(max(speed, _ZERO), _ONE)
-            x, y, z = x * speed, y * speed, z * speed
         else:
             rise = (state[b, i, 0] - position[b, t, i, 2]) / np.float32(10.0)
             z = min(max(rise, -numbers[0]), numbers[0])
@@ -258,8 +279,9 @@ def steer(code, numbers, b, s, t, motion, normals, state, position, velocity):
 @compiled()
 def fly_kinematics(code, numbers, t, motion, normals, state, position, velocity):
     """Step t of all models but ``unit``; the arguments are those of ``Kinematics.fly``."""
+    rows = np.empty((10, motion.shape[1]), np.float32)
     for b in range(motion.shape[0]):
-        steer(code, numbers, b, 0, t, motion, normals, state, position, velocity)
+        steer(code, numbers, b, 0, t, motion, normals, state, rows, position, velocity)
         move(b, t, position, velocity)
 
 
@@ -278,7 +300,8 @@ def begin_step(b, s, t, motion, craft, noise, position, velocity):
 @compiled(inner=True, _nrt=False)
 def end_step(b, s, t, motion, craft, position, velocity):
     """Turn what all UAVs want in step t into what they fly, with other kinematics than ``unit``."""
-    steer(craft.kinematics, craft.numbers, b, s, t, motion, craft.pushes, craft.kept, position, velocity)
+    code, numbers, pushes = craft.kinematics, craft.numbers, craft.pushes
+    steer(code, numbers, b, s, t, motion, pushes, craft.kept, craft.rows, position, velocity)
 
 
 @compiled(inner=True)

@@ -263,7 +263,8 @@ def _fly(
     pushes = draw_normals(rngs, *noise.shape[1:3], kinematics.normals)
     compiled = all(isinstance(law, CompiledMobility) for law, _ in laws) and (led is None or led.compiled)
     if compiled and isinstance(kinematics, CompiledKinematics):
-        craft = craft._replace(kinematics=kinematics.code, numbers=kinematics.numbers)
+        rows = np.empty((10, motion.shape[1]), np.float32)
+        craft = craft._replace(kinematics=kinematics.code, numbers=kinematics.numbers, rows=rows)
         fly_together(replace(flight, craft=craft._replace(pushes=pushes, kept=kinematic_state)))
         return
     position, velocity, motion = position[:, :, :width], velocity[:, :, :width], motion[:, :width]
