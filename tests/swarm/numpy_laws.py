@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from usnet_env.swarm import kernels
+from usnet_env.swarm import follow_kernels
 from usnet_env.swarm.follow import FollowFunction, Lags, Network
 
 
 def slow(strategy, parameters):
     """The strategy without its compiled loop, for one swarm with these parameters."""
     direct = {Lags: sum_lags, Network: read_network}.get(type(strategy), stay_in_range)
-    if parameters.size == kernels.LAW:
+    if parameters.size == follow_kernels.LAW:
         direct = obey_law
     return FollowFunction(lambda inputs: direct(strategy, inputs), strategy.lags, strategy.noise)
 
@@ -29,8 +29,8 @@ def stay_in_range(strategy, inputs):
 
 def read_network(strategy, inputs):
     """f7."""
-    n, lags, units = len(inputs.own_position), kernels.MLP_LAGS, kernels.MLP_HIDDEN
-    inner, parameters = kernels.MLP_INPUTS * units, inputs.parameters
+    n, lags, units = len(inputs.own_position), follow_kernels.MLP_LAGS, follow_kernels.MLP_HIDDEN
+    inner, parameters = follow_kernels.MLP_INPUTS * units, inputs.parameters
     offset = (inputs.own_position[:, 0] - inputs.head_position[:, lags]) / strategy.position_scale
     own = inputs.own_position[:, :lags] - inputs.own_position[:, 1 : lags + 1]
     features = np.hstack([offset, own.reshape(n, -1), inputs.head_velocity[:, :lags].reshape(n, -1)])
@@ -40,8 +40,8 @@ def read_network(strategy, inputs):
 
 def obey_law(strategy, inputs):
     """A random law as numbers."""
-    law, end = inputs.parameters[: -kernels.LAW_END], inputs.parameters[-kernels.LAW_END :]
-    total = sum(_evaluate(term, inputs.head_velocity) for term in law.reshape(-1, kernels.LAW_TERM))
+    law, end = inputs.parameters[: -follow_kernels.LAW_END], inputs.parameters[-follow_kernels.LAW_END :]
+    total = sum(_evaluate(term, inputs.head_velocity) for term in law.reshape(-1, follow_kernels.LAW_TERM))
     total = (np.tanh(end[9] * total) / end[9] if end[9] else total) @ end[:9].reshape(3, 3).T
     gap = inputs.head_position[:, 1] + end[10:13] - inputs.own_position[:, 1]
     return total + end[13] * gap / np.maximum(np.linalg.norm(gap, axis=1, keepdims=True), 1)
@@ -57,4 +57,4 @@ def _evaluate(term, head_velocity):
         "product": 3 * v[:, [1, 2, 0]] * v[:, [2, 0, 1]],
         "network": np.tanh(both @ term[3:51].reshape(6, 8)) @ term[51:].reshape(8, 3),
     }
-    return term[2] * kinds[kernels.LAW_KINDS[int(term[0])]]
+    return term[2] * kinds[follow_kernels.LAW_KINDS[int(term[0])]]

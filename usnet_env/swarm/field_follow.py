@@ -14,7 +14,7 @@ from typing import ClassVar
 import numpy as np
 
 from usnet_env.arrays import Singles
-from usnet_env.swarm import field_kernels, kernels
+from usnet_env.swarm import field_kernels, follow_kernels
 from usnet_env.swarm.field_kernels import ALWAYS
 from usnet_env.swarm.state import Roles
 from usnet_env.swarm.strategy import KAPPA, KAPPA_NOISE, KAPPA_RANGE, FollowStrategy, TrajectoryBatch
@@ -225,4 +225,4 @@ class Shifted(FieldStrategy):
     def fly(self, flight: TrajectoryBatch) -> None:
         """Compiled loop of f2."""
         kappa = np.full(self.lags, KAPPA, np.float32)
-        kernels.fly_lags(kappa, False, np.float32(self.noise), flight.source, *flight.flown)
+        follow_kernels.fly_lags(kappa, False, np.float32(self.noise), flight.source, *flight.flown)

@@ -16,7 +16,7 @@ import numpy as np
 from usnet_env.arrays import Singles
 from usnet_env.config import ArgumentError, quote
 from usnet_env.parts import Registry
-from usnet_env.swarm import field_follow, flock_follow, kernels
+from usnet_env.swarm import field_follow, flock_follow, follow_kernels
 from usnet_env.swarm.field_follow import FieldStrategy
 from usnet_env.swarm.field_kernels import EACH_CLUSTER, EACH_FOLLOWER
 from usnet_env.swarm.open_follow import OPEN_LAWS
@@ -47,7 +47,7 @@ class Lags(FollowStrategy):
     def fly(self, trajectories: TrajectoryBatch) -> None:
         """Compiled loop."""
         kappa, noise = np.full(self.lags, self.kappa, np.float32), np.float32(self.noise)
-        kernels.fly_lags(kappa, self.square, noise, trajectories.root, *trajectories.flown)
+        follow_kernels.fly_lags(kappa, self.square, noise, trajectories.root, *trajectories.flown)
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class StayInRange(FollowStrategy):
     def fly(self, trajectories: TrajectoryBatch) -> None:
         """Compiled loop."""
         constants = map(np.float32, (self.kappa, self.pull, self.reach, self.noise))
-        kernels.fly_range(*constants, trajectories.root, *trajectories.flown)
+        follow_kernels.fly_range(*constants, trajectories.root, *trajectories.flown)
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class Network(FollowStrategy):
 
     equation: str = "v_{i,t+1} = norm(MLP(P_{i,t+1}, V_{iL,t}, p_{iL,t-3}) + κ_n n)"
     compiled = True
-    lags: int = kernels.MLP_LAGS
+    lags: int = follow_kernels.MLP_LAGS
     noise: float = KAPPA_NOISE
     position_scale: float = 300.0
     head_gain: float = 0.6
@@ -89,16 +89,17 @@ class Network(FollowStrategy):
 
     def draw(self, rng: np.random.Generator) -> Singles:
         """Draw the weights, biases and output weights of one network."""
-        gains = np.repeat([self.position_gain, self.own_gain, self.head_gain], [3, past := 3 * kernels.MLP_LAGS, past])
-        weights = gains[:, None] * rng.standard_normal((kernels.MLP_INPUTS, kernels.MLP_HIDDEN))
-        bias = 0.1 * rng.standard_normal(kernels.MLP_HIDDEN)
-        readout = rng.standard_normal((kernels.MLP_HIDDEN, 3)) / np.sqrt(kernels.MLP_HIDDEN)
+        past, inputs, units = 3 * follow_kernels.MLP_LAGS, follow_kernels.MLP_INPUTS, follow_kernels.MLP_HIDDEN
+        gains = np.repeat([self.position_gain, self.own_gain, self.head_gain], [3, past, past])
+        weights = gains[:, None] * rng.standard_normal((inputs, units))
+        bias = 0.1 * rng.standard_normal(units)
+        readout = rng.standard_normal((units, 3)) / np.sqrt(units)
         return np.concatenate([weights.ravel(), bias, readout.ravel()]).astype(np.float32)
 
     def fly(self, trajectories: TrajectoryBatch) -> None:
         """Compiled loop."""
         scale, noise = np.float32(self.position_scale), np.float32(self.noise)
-        kernels.fly_mlp(trajectories.parameters, scale, noise, trajectories.root, *trajectories.flown)
+        follow_kernels.fly_mlp(trajectories.parameters, scale, noise, trajectories.root, *trajectories.flown)
 
 
 @dataclass(frozen=True)

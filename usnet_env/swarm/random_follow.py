@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from usnet_env.arrays import Singles
-from usnet_env.swarm import kernels
+from usnet_env.swarm import follow_kernels
 from usnet_env.swarm.strategy import KAPPA_NOISE, FollowStrategy, TrajectoryBatch
 
 
@@ -48,10 +48,12 @@ class RandomFollowStrategy(FollowStrategy):
     compiled = True
 
     def pack(self) -> Singles:
-        """The law as numbers ``(LAW,)``, as :func:`kernels.fly_laws` reads them; those of a part left out are 0."""
-        law, rotation = np.zeros(kernels.LAW, np.float32), self.rotation
-        for row, term in zip(law[: -kernels.LAW_END].reshape(-1, kernels.LAW_TERM), self.terms, strict=False):
-            row[:3] = kernels.LAW_KINDS.index(term.kind), term.lag, term.weight
+        """The law as numbers ``(LAW,)``, as ``follow_kernels.fly_laws`` reads them; a part left out has zeros."""
+        law, rotation = np.zeros(follow_kernels.LAW, np.float32), self.rotation
+        for row, term in zip(
+            law[: -follow_kernels.LAW_END].reshape(-1, follow_kernels.LAW_TERM), self.terms, strict=False
+        ):
+            row[:3] = follow_kernels.LAW_KINDS.index(term.kind), term.lag, term.weight
             if term.layer is not None:
                 row[3:] = np.concatenate([part.ravel() for part in term.layer])
         law[-14:-5] = np.eye(3, dtype=np.float32).ravel() if rotation is None else rotation.ravel()
@@ -62,7 +64,7 @@ class RandomFollowStrategy(FollowStrategy):
 
     def fly(self, flight: TrajectoryBatch) -> None:
         """Compiled loop."""
-        kernels.fly_laws(self.pack()[None], np.float32(self.noise), flight.root, *flight.flown)
+        follow_kernels.fly_laws(self.pack()[None], np.float32(self.noise), flight.root, *flight.flown)
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,7 @@ class RandomLaw(FollowStrategy):
 
     def fly(self, flight: TrajectoryBatch) -> None:
         """Compiled loop."""
-        kernels.fly_laws(flight.parameters, np.float32(self.noise), flight.root, *flight.flown)
+        follow_kernels.fly_laws(flight.parameters, np.float32(self.noise), flight.root, *flight.flown)
 
 
 def _draw_rotation(rng: np.random.Generator) -> Singles:

@@ -1,0 +1,216 @@
+"""The compiled loops of the paper's follow strategies f1 to f7 and of random laws, with the arrays of ``kernels``."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from usnet_env.compiling import compiled
+from usnet_env.swarm.kernels import UNIT, begin_step, end_step, finish_step, gap, move, norm, split_motion
+
+# The network of f7: inputs -> hidden tanh units -> 3 outputs, in the order of `Network.direction` in follow.py.
+MLP_LAGS = 4
+MLP_INPUTS = 3 + 3 * MLP_LAGS + 3 * MLP_LAGS  # relative position, own velocities, head velocities
+MLP_HIDDEN = 16
+
+# A random law: three terms, each with the number of its kind, its lag, its weight and a network of 6 x 8 and 8 x 3
+# numbers; then a rotation, a saturation, an offset and a pull.
+LAW_KINDS = ("linear", "cube", "root", "product", "network")
+LAW_TERM, LAW_END = 3 + 48 + 24, 9 + 1 + 3 + 1
+LAW = 3 * LAW_TERM + LAW_END
+
+_ONE, _ZERO = np.float32(1.0), np.float32(0.0)
+
+
+@compiled()
+def fly_lags(kappa, square, noise_scale, root, motion, start, noise, position, velocity, craft):
+    """f1 to f5: v_{i,t+1} = norm(sum_tau kappa_tau v_{iL,t-tau}^p + kappa_n n), with p = 2 where ``square``.
+
+    The loop computes the sum once per step and head.
+    """
+    episodes, steps, uavs = noise.shape[0], noise.shape[1], noise.shape[2]
+    lags = len(kappa)
+    target = np.zeros((uavs, 3), np.float32)
+    for b in range(episodes):
+        followers, free = split_motion(motion[b])
+        for s in range(steps):
+            t = start + s
+            if craft.kinematics != UNIT:
+                begin_step(b, s, t, motion, craft, noise, position, velocity)
+            for h in free:
+                for axis in range(3):
+                    total = _ZERO
+                    for lag in range(lags):
+                        v = velocity[b, t - 1 - lag, h, axis]
+                        total += kappa[lag] * (v * v if square else v)
+                    target[h, axis] = total
+            for i in followers:
+                h = root[b, i]
+                finish_step(b, s, t, i, target[h, 0], target[h, 1], target[h, 2], noise_scale, noise, velocity)
+            if craft.kinematics != UNIT:
+                end_step(b, s, t, motion, craft, position, velocity)
+            move(b, t, position, velocity)
+
+
+@compiled()
+def fly_range(kappa, pull, reach, noise_scale, root, motion, start, noise, position, velocity, craft):
+    """f6: norm(kappa_0 v_{iL,t} + kappa_n n + 1{|d| > kappa_r} kappa_p d / |d|), d = p_{iL,t} - p_{i,t}."""
+    for b in range(noise.shape[0]):
+        followers, _ = split_motion(motion[b])
+        for s in range(noise.shape[1]):
+            t = start + s
+            if craft.kinematics != UNIT:
+                begin_step(b, s, t, motion, craft, noise, position, velocity)
+            for i in followers:
+                h = root[b, i]
+                dx, dy, dz = gap(position, b, t - 1, h, i)
+                distance = np.sqrt(dx * dx + dy * dy + dz * dz)
+                gain = pull / distance if distance > reach else _ZERO
+                x = kappa * velocity[b, t - 1, h, 0] + noise_scale * noise[b, s, i, 0] + gain * dx
+                y = kappa * velocity[b, t - 1, h, 1] + noise_scale * noise[b, s, i, 1] + gain * dy
+                z = kappa * velocity[b, t - 1, h, 2] + noise_scale * noise[b, s, i, 2] + gain * dz
+                velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = norm(x, y, z)
+            if craft.kinematics != UNIT:
+                end_step(b, s, t, motion, craft, position, velocity)
+            move(b, t, position, velocity)
+
+
+@compiled(inner=True)
+def _tanh(x):
+    """Hyperbolic tangent in float32 without a library call: (1 - e) / (1 + e), e = exp(-2|x|) by a polynomial."""
+    magnitude = min(abs(x), np.float32(9.0))
+    y = magnitude * np.float32(-2.8853900817779268)  # -2 / ln 2
+    whole = np.float32(np.floor(y + np.float32(0.5)))
+    f = (y - whole) * np.float32(0.6931471805599453)
+    e = np.float32(1.0 / 720.0)
+    e = e * f + np.float32(1.0 / 120.0)
+    e = e * f + np.float32(1.0 / 24.0)
+    e = e * f + np.float32(1.0 / 6.0)
+    e = e * f + np.float32(0.5)
+    e = e * f + _ONE
+    e = e * f + _ONE
+    e = np.float32(np.ldexp(e, np.int32(whole)))
+    result = (_ONE - e) / (_ONE + e)
+    return result if x >= _ZERO else -result
+
+
+@compiled()
+def fly_mlp(parameters, position_scale, noise_scale, root, motion, start, noise, position, velocity, craft):
+    """f7: norm(MLP(P_{i,t+1}, V_{iL,t}, p_{iL,t-3}) + kappa_n n), one network per episode.
+
+    A head's contribution to the hidden layer is computed once per step.
+    """
+    episodes, steps, uavs = noise.shape[0], noise.shape[1], noise.shape[2]
+    from_head = np.empty((uavs, MLP_HIDDEN), np.float32)
+    hidden = np.empty(MLP_HIDDEN, np.float32)
+    own = np.empty(3 + 3 * MLP_LAGS, np.float32)
+    scale = _ONE / position_scale
+    inner = MLP_INPUTS * MLP_HIDDEN
+    for b in range(episodes):
+        weights = parameters[b, :inner].reshape((MLP_INPUTS, MLP_HIDDEN))
+        bias = parameters[b, inner : inner + MLP_HIDDEN]
+        readout = parameters[b, inner + MLP_HIDDEN :].reshape((MLP_HIDDEN, 3))
+        followers, free = split_motion(motion[b])
+        for s in range(steps):
+            t = start + s
+            if craft.kinematics != UNIT:
+                begin_step(b, s, t, motion, craft, noise, position, velocity)
+            for h in free:
+                for unit in range(MLP_HIDDEN):
+                    from_head[h, unit] = bias[unit]
+                for lag in range(MLP_LAGS):
+                    for axis in range(3):
+                        v = velocity[b, t - 1 - lag, h, axis]
+                        row = 3 + 3 * MLP_LAGS + 3 * lag + axis
+                        for unit in range(MLP_HIDDEN):
+                            from_head[h, unit] += v * weights[row, unit]
+            for i in followers:
+                h = root[b, i]
+                for axis in range(3):
+                    own[axis] = (position[b, t, i, axis] - position[b, t - MLP_LAGS, h, axis]) * scale
+                for lag in range(MLP_LAGS):
+                    for axis in range(3):
+                        own[3 + 3 * lag + axis] = velocity[b, t - 1 - lag, i, axis]
+                for unit in range(MLP_HIDDEN):
+                    hidden[unit] = from_head[h, unit]
+                for row in range(3 + 3 * MLP_LAGS):
+                    for unit in range(MLP_HIDDEN):
+                        hidden[unit] += own[row] * weights[row, unit]
+                x = noise_scale * noise[b, s, i, 0]
+                y = noise_scale * noise[b, s, i, 1]
+                z = noise_scale * noise[b, s, i, 2]
+                for unit in range(MLP_HIDDEN):
+                    active = _tanh(hidden[unit])
+                    x += active * readout[unit, 0]
+                    y += active * readout[unit, 1]
+                    z += active * readout[unit, 2]
+                velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = norm(x, y, z)
+            if craft.kinematics != UNIT:
+                end_step(b, s, t, motion, craft, position, velocity)
+            move(b, t, position, velocity)
+
+
+@compiled(inner=True)
+def _add_term(term, now, before, total):
+    """Add a term of a random law to ``total``; ``now`` is the head's velocity at its lag, ``before`` a step earlier."""
+    kind, weight = int(term[0]), term[2]
+    if kind < 4:
+        for axis in range(3):
+            v = now[axis]
+            if kind == 1:
+                v = np.float32(1.7) * v * v * v
+            elif kind == 2:
+                v = np.sqrt(abs(v)) if v >= _ZERO else -np.sqrt(abs(v))
+            elif kind == 3:
+                v = np.float32(3.0) * now[(axis + 1) % 3] * now[(axis + 2) % 3]
+            total[axis] += weight * v
+        return
+    for unit in range(8):
+        inner = _ZERO
+        for axis in range(3):
+            inner += now[axis] * term[3 + 8 * axis + unit] + before[axis] * term[3 + 8 * (3 + axis) + unit]
+        active = _tanh(inner)
+        for axis in range(3):
+            total[axis] += weight * active * term[51 + 3 * unit + axis]
+
+
+@compiled()
+def fly_laws(laws, noise_scale, root, motion, start, noise, position, velocity, craft):
+    """Random laws ``(B, LAW)``, or ``(1, LAW)`` for all swarms: see ``RandomFollowStrategy``.
+
+    What a follower is told by its head is the same for all followers of the head but for the pull.
+    """
+    uavs = noise.shape[2]
+    told = np.empty((uavs, 3), np.float32)
+    total = np.empty(3, np.float32)
+    for b in range(noise.shape[0]):
+        law = laws[b % len(laws)]
+        end = law[len(law) - LAW_END :]
+        followers, free = split_motion(motion[b])
+        for s in range(noise.shape[1]):
+            t = start + s
+            if craft.kinematics != UNIT:
+                begin_step(b, s, t, motion, craft, noise, position, velocity)
+            for h in free:
+                total[:] = _ZERO
+                for k in range(3):
+                    term = law[k * LAW_TERM : (k + 1) * LAW_TERM]
+                    lag = int(term[1])
+                    _add_term(term, velocity[b, t - 1 - lag, h], velocity[b, t - 2 - lag, h], total)
+                if end[9] > _ZERO:
+                    for axis in range(3):
+                        total[axis] = _tanh(end[9] * total[axis]) / end[9]
+                for axis in range(3):
+                    row = end[3 * axis : 3 * axis + 3]
+                    told[h, axis] = total[0] * row[0] + total[1] * row[1] + total[2] * row[2]
+            for i in followers:
+                h = root[b, i]
+                x, y, z = told[h, 0], told[h, 1], told[h, 2]
+                if end[13] > _ZERO:
+                    gx, gy, gz = gap(position, b, t - 1, h, i)
+                    gx, gy, gz = gx + end[10], gy + end[11], gz + end[12]
+                    weight = end[13] / max(np.sqrt(gx * gx + gy * gy + gz * gz), _ONE)
+                    x, y, z = x + weight * gx, y + weight * gy, z + weight * gz
+                finish_step(b, s, t, i, x, y, z, noise_scale, noise, velocity)
+            if craft.kinematics != UNIT:
+                end_step(b, s, t, motion, craft, position, velocity)
+            move(b, t, position, velocity)
