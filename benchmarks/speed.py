@@ -37,6 +37,7 @@ GAME = "USNET/MultiCluster-v0"
 EPISODES, UAVS = 256, 82
 GAMES = 64  # in a batch
 BATCHES = ("SingleCluster-Tiny-v0", "SingleCluster-Small-v0", "MultiCluster-v0", "MultiCluster-Small-v0", "Field-v1")
+FIELD_RACE = ("USNET/Field-v1", GAME)
 SEVERAL = ("usnet_observers_v0", "usnet_evasion_v0")
 FEW: dict[str, Any] = {"clusters": 3, "uavs": 12, "observation_steps": 20}
 SIZES = [100, 300, 1000, 3000, 10_000]
@@ -152,14 +153,17 @@ def play_one(name: str) -> tuple[int, Callable[[], object]]:
     return 10, play
 
 
-def batch(name: str, turns: int) -> dict[str, object]:
-    """A batch of games against a single environment."""
+def play_batch(name: str) -> tuple[int, Callable[[], object]]:
+    """A round of a batch of games, in which nobody is named."""
     envs = gym.make_vec(name, GAMES, autoreset_mode="SameStep")
     envs.reset(seed=0)
     actions = np.zeros(envs.action_space.shape, np.int8)
-    return race(
-        f"a batch of {GAMES} games over a single one", turns, (GAMES, lambda: envs.step(actions)), play_one(name)
-    )
+    return GAMES, lambda: envs.step(actions)
+
+
+def batch(name: str, turns: int) -> dict[str, object]:
+    """A batch of games against a single environment."""
+    return race(f"a batch of {GAMES} games over a single one", turns, play_batch(name), play_one(name))
 
 
 def several_agents(name: str, turns: int, chosen: bool = False) -> dict[str, object]:
@@ -244,6 +248,7 @@ PARTS: dict[str, Callable[[int], dict[str, object]]] = {
     "batches": lambda turns: (
         {"start of P1": starting(turns)}
         | {name: batch(f"USNET/{name}", turns) for name in BATCHES}
+        | {"Field-v1, windows": race(f"over those of {GAME}, {GAMES} games each", turns, *map(play_batch, FIELD_RACE))}
         | {name: several_agents(name, turns) for name in SEVERAL}
         | {f"{SEVERAL[1]}, choices": several_agents(SEVERAL[1], turns, chosen=True)}
         | {"Stable-Baselines3": sb3(turns), "TorchRL": torchrl(turns)}

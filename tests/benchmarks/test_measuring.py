@@ -151,7 +151,8 @@ def test_batches_race_single_environments(tmp_path, monkeypatch):
     speed.main(["--parts", "batches", "--turns", "1", "--out", str(path)])
     rows = json.loads(path.read_text(encoding="utf-8"))["batches"]
     several = [*speed.SEVERAL, "usnet_evasion_v0, choices"]
-    assert list(rows) == ["start of P1", "SingleCluster-Tiny-v0", *several, "Stable-Baselines3", "TorchRL"]
+    games = ["start of P1", "SingleCluster-Tiny-v0", "Field-v1, windows", *several, "Stable-Baselines3", "TorchRL"]
+    assert list(rows) == games
     assert all(row["ratio"] > 0 and row["decisions_per_second"] > 0 for row in rows.values())
 
 
