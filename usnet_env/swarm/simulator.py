@@ -68,8 +68,8 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
     position[:, 0] = place
     x, y, z = np.moveaxis(velocity, -1, 0)  # faster than a sum over the last axis
     velocity /= np.sqrt(x * x + y * y + z * z)[..., None]
-    craft = _draw_craft(laws := _find_laws(config, drawn["free"].shape[1]), memory, rngs)
-    craft = craft._replace(free=drawn["free"], state=drawn["mobility_state"])
+    free, state = drawn["free"], drawn["mobility_state"]
+    craft = _draw_craft(laws := _find_laws(config, free.shape[1]), free, state, memory, rngs)
     _fly_free(laws, craft, np.empty((0, 0, 0, 3), np.float32), position, velocity, 0, rngs)
     kernels.integrate(0, position, velocity)
     begun = SwarmState(
@@ -163,7 +163,7 @@ def fly_round(
     after, position, velocity = fly_steps(configs, state, rngs, configs[0].steps)
     first, uavs = 2 * configs[0].memory, state.alive.shape[1]  # after the past and the unobserved steps
     for config, rows in sort_kinds(configs):
-        if config.follow_strategy is not None and config.follow_strategy.shifts_tracks:
+        if (strategy := config.follow_strategy) is not None and strategy.shifts_tracks:
             kind = slice(rows[0], rows[-1] + 1)
             places, speeds = position[kind, first:, :uavs], velocity[kind, first:, :uavs]
             places[:], speeds[:] = shift_tracks(places, speeds, state.source[kind], rngs[kind])
@@ -238,8 +238,7 @@ def _fly(
     """Simulate the episodes of ``flight`` and write its positions and velocities, and both states, in place."""
     strategy, kinematics = config.follow_strategy, config.kinematics_model
     position, velocity, noise, motion = flight.position, flight.velocity, flight.noise, flight.motion
-    craft = _draw_craft(laws := _find_laws(config, free.shape[1]), flight.steps, rngs)
-    craft = craft._replace(free=free, state=mobility_state)
+    craft = _draw_craft(laws := _find_laws(config, free.shape[1]), free, mobility_state, flight.steps, rngs)
     if config.head_jitter:
         scale = np.float32(strategy.noise if strategy is not None else JITTER)
         craft = craft._replace(jittered=laws[0][1].stop, jitter=scale)
@@ -264,8 +263,10 @@ def _fly(
     compiled = all(isinstance(law, CompiledMobility) for law, _ in laws) and (led is None or led.compiled)
     if compiled and isinstance(kinematics, CompiledKinematics):
         rows = np.empty((10, motion.shape[1]), np.float32)
-        craft = craft._replace(kinematics=kinematics.code, numbers=kinematics.numbers, rows=rows)
-        fly_together(replace(flight, craft=craft._replace(pushes=pushes, kept=kinematic_state)))
+        craft = craft._replace(
+            kinematics=kinematics.code, numbers=kinematics.numbers, pushes=pushes, kept=kinematic_state, rows=rows
+        )
+        fly_together(replace(flight, craft=craft))
         return
     position, velocity, motion = position[:, :, :width], velocity[:, :, :width], motion[:, :width]
     for s in range(flight.steps):
@@ -296,16 +297,16 @@ def _find_laws(config: SwarmConfig, free: int) -> Laws:
     return laws
 
 
-def _draw_craft(laws: Laws, steps: int, rngs: Generators) -> kernels.Craft:
-    """The mobilities of all free UAVs, and their random numbers, as a craft."""
-    free = laws[-1][1].stop
-    normals = np.empty((len(rngs), steps, free, max(law.normals for law, _ in laws)), np.float32)
-    codes, constants = np.zeros(free, np.int64), np.zeros((free, 6))
+def _draw_craft(laws: Laws, free: Indices, state: Floats, steps: int, rngs: Generators) -> kernels.Craft:
+    """The mobilities of all free UAVs, their states, and their random numbers, as a craft."""
+    count = free.shape[1]
+    normals = np.empty((len(rngs), steps, count, max(law.normals for law, _ in laws)), np.float32)
+    codes, constants = np.zeros(count, np.int64), np.zeros((count, 6))
     for law, part in laws:
         normals[:, :, part, : law.normals] = draw_normals(rngs, steps, part.stop - part.start, law.normals)
         if isinstance(law, CompiledMobility):
             codes[part], constants[part] = law.code, law.constants
-    return kernels.FLOWN._replace(mobility=codes, constants=constants, normals=normals)
+    return kernels.FLOWN._replace(mobility=codes, constants=constants, free=free, normals=normals, state=state)
 
 
 def _fly_free(
