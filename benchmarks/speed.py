@@ -154,7 +154,7 @@ def play_one(name: str) -> tuple[int, Callable[[], object]]:
 
 
 def play_batch(name: str) -> tuple[int, Callable[[], object]]:
-    """A round of a batch of games, in which nobody is named."""
+    """A function that plays a round of a batch of games and names no UAV, and the number of games."""
     envs = gym.make_vec(name, GAMES, autoreset_mode="SameStep")
     envs.reset(seed=0)
     actions = np.zeros(envs.action_space.shape, np.int8)

@@ -113,7 +113,7 @@ def _sum_all(size, repel, align, attract, rows):
     for d in range(size):
         x, y, z = rows[_X + d], rows[_Y + d], rows[_Z + d]
         ux, uy, uz = rows[_UX + d], rows[_UY + d], rows[_UZ + d]
-        for c in range(last // 8 * 8):
+        for c in range(last // 8 * 8):  # tells the compiler that no vector is cut
             dx, dy, dz = x - rows[_X + c], y - rows[_Y + c], z - rows[_Z + c]
             square = dx * dx + dy * dy + dz * dz
             o = _ONE if square < align else _ZERO
