@@ -101,6 +101,24 @@ def _sum_cells(k, width, repel, align, attract, size, begin, cell, p, v, rows):
 
 
 @compiled(inner=True, error_model="numpy")
+def _sum_aligned(size, align, rows):
+    """Fill the sums in ``rows`` for a small flock without repulsion and attraction, as :func:`_sum_all` does."""
+    last = (size + 7) // 8 * 8
+    for row in range(_RX, _END, _APART):
+        rows[row : row + last] = _ZERO
+    for d in range(size):
+        x, y, z = rows[_X + d], rows[_Y + d], rows[_Z + d]
+        ux, uy, uz = rows[_UX + d], rows[_UY + d], rows[_UZ + d]
+        for c in range(last // 8 * 8):
+            dx, dy, dz = x - rows[_X + c], y - rows[_Y + c], z - rows[_Z + c]
+            near = _ONE if dx * dx + dy * dy + dz * dz < align else _ZERO
+            rows[_ALIGNED + c] += near
+            rows[_OX + c] += near * ux
+            rows[_OY + c] += near * uy
+            rows[_OZ + c] += near * uz
+
+
+@compiled(inner=True, error_model="numpy")
 def _sum_all(size, repel, align, attract, rows):
     """Fill the sums in ``rows`` for all UAVs of a small flock.
 
@@ -213,7 +231,7 @@ def fly_flock(
     """
     episodes, steps, width, uavs = noise.shape[0], noise.shape[1], noise.shape[2], table.shape[2]
     label, order = np.empty(uavs, np.int64), np.empty(uavs, np.int64)
-    first = np.empty(width + 1, np.int64)
+    first, led = np.empty(width + 1, np.int64), np.empty(width, np.bool_)
     p, v = np.empty((3, uavs), np.float32), np.empty((3, uavs), np.float32)
     repel, align, attract = ranges[0] * ranges[0], ranges[1] * ranges[1], ranges[2] * ranges[2]
     outer = max(ranges[0], ranges[1], ranges[2])
@@ -228,7 +246,10 @@ def fly_flock(
     middle = np.zeros((width, 3), np.float32)
     for b in range(episodes):
         members = _sort_members(motion[b], source[b], bystander[b], uavs, label, order, first)
-        flocks = np.flatnonzero(first[1:] > first[:-1])
+        led[:] = False
+        for i in order[:members]:
+            led[label[i]] |= motion[b, i] == FOLLOWS
+        flocks = np.flatnonzero(led)  # with a UAV that flies as its flock does
         for f in flocks:
             rank[first[f] : first[f + 1]] = np.arange(first[f + 1] - first[f])
         chasers = np.flatnonzero(bystander[b] & (motion[b, :uavs] == FOLLOWS))
@@ -260,7 +281,9 @@ def fly_flock(
                             rows[_X + axis * _APART + k] = p[axis, c]
                             rows[_UX + axis * _APART + k] = v[axis, c]
                             rows[_NX + axis * _APART + k] = table[b, NOISE, i] * noise[b, s, i, axis]
-                    if size <= _MIDDLE:
+                    if size <= _MIDDLE and repel == _ZERO and attract == _ZERO:
+                        _sum_aligned(size, align, rows)
+                    elif size <= _MIDDLE:
                         _sum_all(size, repel, align, attract, rows)
                     else:
                         for k in range(count):

@@ -93,9 +93,9 @@ def _draw_turn(state, z, rate, max_angle):
 @compiled(inner=True, _nrt=False, error_model="numpy")
 def _step_mobility(code, state, z, px, py, pz, numbers):
     """One step of one free UAV at (px, py, pz): update ``state`` and return the direction of flight, float32."""
-    x, y, w = np.float64(z[0]), 0.0, 0.0
+    x, y, w = 0.0, 0.0, 0.0
     if code == IID:
-        y, w = np.float64(z[1]), np.float64(z[2])
+        x, y, w = np.float64(z[0]), np.float64(z[1]), np.float64(z[2])
     elif code == GAUSS_MARKOV:  # state: azimuth, pitch, and their means
         keep = numbers[0]  # lag-one autocorrelation
         push = math.sqrt(1.0 - keep * keep)
@@ -136,7 +136,9 @@ class Craft(NamedTuple):
     mobility: NDArray[np.int64]  # (n,), the number of the mobility of each
     constants: NDArray[np.float64]  # (n, 6), of the mobility
     free: NDArray[np.int64]  # (B, n), their indices
-    normals: NDArray[np.float32]  # (B, S, n, k), random numbers
+    normals: NDArray[np.float32]  # (B, w), random numbers
+    begin: NDArray[np.int64]  # (n,), where those of each begin
+    stride: NDArray[np.int64]  # (n,), how far they are apart from one step to the next
     state: NDArray[np.float64]  # (B, n, MOBILITY_STATE), changed in place
     jittered: int  # the first so many fly with the noise of the flight, scaled by `jitter`
     jitter: np.float32
@@ -149,9 +151,10 @@ class Craft(NamedTuple):
 
 #: The craft of a flight whose free UAVs have flown.
 FLOWN = Craft(
-    np.empty(0, np.int64), np.empty((0, 6)), np.empty((0, 0), np.int64), np.empty((0, 0, 0, 0), np.float32),
-    np.empty((0, 0, MOBILITY_STATE)), 0, np.float32(0.0), UNIT, np.empty(0, np.float32),
-    np.empty((0, 0, 0, 0), np.float32), np.empty((0, 0, 0), np.float32), np.empty((10, 0), np.float32),
+    np.empty(0, np.int64), np.empty((0, 6)), np.empty((0, 0), np.int64), np.empty((0, 0), np.float32),
+    np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 0, MOBILITY_STATE)), 0, np.float32(0.0), UNIT,
+    np.empty(0, np.float32), np.empty((0, 0, 0, 0), np.float32), np.empty((0, 0, 0), np.float32),
+    np.empty((10, 0), np.float32),
 )  # fmt: skip
 
 
@@ -165,7 +168,8 @@ def _fly_free_uavs(b, start, first, last, craft, noise, position, velocity):
         px, py, pz = np.float64(place[0]), np.float64(place[1]), np.float64(place[2])
         for t in range(first, last):
             s = t - start
-            x, y, z = norm(*_step_mobility(code, state, craft.normals[b, s, j], px, py, pz, numbers))
+            drawn = craft.normals[b, craft.begin[j] + s * craft.stride[j] :]
+            x, y, z = norm(*_step_mobility(code, state, drawn, px, py, pz, numbers))
             if j < craft.jittered:
                 x += craft.jitter * noise[b, s, i, 0]
                 y += craft.jitter * noise[b, s, i, 1]

@@ -99,18 +99,20 @@ class CompiledMobility(Mobility):
     ) -> Singles:
         """One flight of the compiled loop, in which each chosen UAV is a swarm of its own."""
         swarms = state[chosen][:, None]
-        normals = np.empty((len(swarms), steps, 1, self.normals), np.float32)
+        normals = np.empty((len(swarms), steps, self.normals), np.float32)
         first = 0
         for count, rng in zip(chosen.sum(axis=1).tolist(), rngs, strict=True):
             if count:
                 drawn = rng.standard_normal((steps, count, self.normals), dtype=np.float32)
-                normals[first : first + count, :, 0] = drawn.swapaxes(0, 1)
+                normals[first : first + count] = drawn.swapaxes(0, 1)
                 first += count
         craft = kernels.FLOWN._replace(
             mobility=np.full(1, self.code),
             constants=self.constants[None],
             free=np.zeros((len(swarms), 1), np.int64),
-            normals=normals,
+            normals=normals.reshape(len(swarms), -1),
+            begin=np.zeros(1, np.int64),
+            stride=np.full(1, self.normals),
             state=swarms,
         )
         velocity, none = np.zeros((len(swarms), steps, 1, 3), np.float32), np.empty((len(swarms), 0, 1, 3), np.float32)

@@ -78,13 +78,15 @@ def exchange(reach, swaps, alive, position, present):
     """
     uavs, exchanged = len(alive), False
     holder, ready = np.arange(uavs), np.empty(uavs, np.bool_)  # the true UAV of each identity
+    place, there = np.empty((uavs, 3), np.float32), np.empty(uavs, np.bool_)
     for t in range(len(swaps)):
-        if not (exchanged or swaps[t].any()):
+        marked = swaps[t].any()
+        if not (exchanged or marked):
             continue
-        place, there = position[t].copy(), present[t].copy()
-        for i in range(uavs):
+        place[:], there[:] = position[t], present[t]
+        for i in range(uavs if marked else 0):
             ready[i] = alive[i] and there[holder[i]]
-        for i in range(uavs):
+        for i in range(uavs if marked else 0):
             if not (swaps[t, i] and ready[i]):
                 continue
             nearest, best = -1, np.float32(np.inf)

@@ -252,10 +252,10 @@ def _fly(
 
     # Their velocity is assigned, not multiplied: the sign of a zero would show which of them were free.
     width = noise.shape[2]  # without the references that only other swarms of the batch have
-    memory, gone = config.memory, motion[:, :width] == kernels.DESTROYED
+    memory = config.memory
     if isinstance(kinematics, Unit):
         _fly_free(laws, craft, noise, position, velocity, memory, rngs)
-        if gone.any():
+        if (gone := motion[:, :width] == kernels.DESTROYED).any():
             velocity[:, memory:, :width].swapaxes(1, 2)[gone] = 0.0
         fly_together(flight)
         return
@@ -263,15 +263,16 @@ def _fly(
     compiled = all(isinstance(law, CompiledMobility) for law, _ in laws) and (led is None or led.compiled)
     if compiled and isinstance(kinematics, CompiledKinematics):
         rows = np.empty((10, motion.shape[1]), np.float32)
-        craft = craft._replace(
+        flight.craft = craft._replace(
             kinematics=kinematics.code, numbers=kinematics.numbers, pushes=pushes, kept=kinematic_state, rows=rows
         )
-        fly_together(replace(flight, craft=craft))
+        fly_together(flight)
         return
     position, velocity, motion = position[:, :, :width], velocity[:, :, :width], motion[:, :width]
+    gone = motion == kernels.DESTROYED
     for s in range(flight.steps):
         t, now = memory + s, slice(s, s + 1)
-        step = craft._replace(normals=craft.normals[:, now])
+        step = craft._replace(begin=craft.begin + s * craft.stride)
         _fly_free(laws, step, noise[:, now], position, velocity[:, : t + 1], t, rngs)
         velocity[:, t][gone] = 0.0
         if led is not None:
@@ -299,14 +300,18 @@ def _find_laws(config: SwarmConfig, free: int) -> Laws:
 
 def _draw_craft(laws: Laws, free: Indices, state: Floats, steps: int, rngs: Generators) -> kernels.Craft:
     """The mobilities of all free UAVs, their states, and their random numbers, as a craft."""
-    count = free.shape[1]
-    normals = np.empty((len(rngs), steps, count, max(law.normals for law, _ in laws)), np.float32)
-    codes, constants = np.zeros(count, np.int64), np.zeros((count, 6))
+    count, width = free.shape[1], 0
+    (codes, begin, stride), constants = np.zeros((3, count), np.int64), np.zeros((count, 6))
     for law, part in laws:
-        normals[:, :, part, : law.normals] = draw_normals(rngs, steps, part.stop - part.start, law.normals)
+        stride[part] = each = (part.stop - part.start) * law.normals
+        begin[part] = np.arange(width, width + each, law.normals) if each else 0
+        width += each * steps
         if isinstance(law, CompiledMobility):
             codes[part], constants[part] = law.code, law.constants
-    return kernels.FLOWN._replace(mobility=codes, constants=constants, free=free, normals=normals, state=state)
+    drawn = draw_normals(rngs, width)
+    return kernels.FLOWN._replace(
+        mobility=codes, constants=constants, free=free, normals=drawn, begin=begin, stride=stride, state=state
+    )
 
 
 def _fly_free(
@@ -328,7 +333,8 @@ def _fly_free(
         swarms = np.arange(len(columns))[:, None]
         if isinstance(law, CompiledMobility):
             one = craft._replace(mobility=craft.mobility[part], constants=craft.constants[part], free=columns)
-            one = one._replace(state=state, normals=craft.normals[:, :, part], jittered=jittered * part.stop)
+            one = one._replace(state=state, begin=craft.begin[part], stride=craft.stride[part])
+            one = one._replace(jittered=jittered * part.stop)
             kernels.fly_free(first, one, noise, position, velocity)
             continue
         place = position[swarms, first, columns]
