@@ -1,10 +1,8 @@
 """The answers of the recorded build."""
 
-import json
-
 import pandas as pd
 import pytest
-from golden import FOLDER, QUICK, detect, differing_rows, list_cells, make_tracks, play_cell
+from golden import FOLDER, QUICK, detect, differing_rows, list_cells, make_tracks, play_cell, read_answers
 
 ROWS = pd.read_csv(FOLDER / "rows.csv.gz")
 
@@ -20,7 +18,7 @@ def test_rows_are_those_of_the_recorded_build(name):
 
 
 def test_detect_says_what_the_recorded_build_said(tmp_path):
-    answers = json.loads((FOLDER / "detect.json").read_text(encoding="utf-8"))
+    answers = read_answers((FOLDER / "detect.json").read_text(encoding="utf-8"))
     found = detect(make_tracks(tmp_path))
     assert len(found) == 4
     assert found == {name: answers[name] for name in found}
