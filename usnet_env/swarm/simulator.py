@@ -263,10 +263,10 @@ def _fly(
     compiled = all(isinstance(law, CompiledMobility) for law, _ in laws) and (led is None or led.compiled)
     if compiled and isinstance(kinematics, CompiledKinematics):
         rows = np.empty((10, motion.shape[1]), np.float32)
-        flight.craft = craft._replace(
+        craft = craft._replace(
             kinematics=kinematics.code, numbers=kinematics.numbers, pushes=pushes, kept=kinematic_state, rows=rows
         )
-        fly_together(flight)
+        fly_together(replace(flight, craft=craft))
         return
     position, velocity, motion = position[:, :, :width], velocity[:, :, :width], motion[:, :width]
     gone = motion == kernels.DESTROYED
@@ -332,9 +332,9 @@ def _fly_free(
         columns, state, jittered = craft.free[:, part], craft.state[:, part], part.start < craft.jittered
         swarms = np.arange(len(columns))[:, None]
         if isinstance(law, CompiledMobility):
-            one = craft._replace(mobility=craft.mobility[part], constants=craft.constants[part], free=columns)
-            one = one._replace(state=state, begin=craft.begin[part], stride=craft.stride[part])
-            one = one._replace(jittered=jittered * part.stop)
+            names = ("mobility", "constants", "begin", "stride")  # with one row of each free UAV
+            rows = {name: getattr(craft, name)[part] for name in names}
+            one = craft._replace(**rows, free=columns, state=state, jittered=jittered * part.stop)
             kernels.fly_free(first, one, noise, position, velocity)
             continue
         place = position[swarms, first, columns]

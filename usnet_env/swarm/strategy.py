@@ -41,7 +41,7 @@ class FollowInputs:
             object.__setattr__(self, "follower", np.arange(len(self.own_position)))
 
 
-@dataclass
+@dataclass(frozen=True)
 class TrajectoryBatch:
     """B swarms with a past of L steps and S steps to simulate; ``position`` and ``velocity`` are filled in place.
 
