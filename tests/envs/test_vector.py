@@ -9,6 +9,19 @@ from usnet_env import ArgumentError
 from usnet_env.envs import ENVIRONMENTS
 
 MULTI = "USNET/MultiCluster-v0"
+# Swarms with and without references and compiled loops, in one batch.
+KINDS = {
+    "follow": ["f1", "f7", "none", "open-1", "random", "pigeons", "informed", "reference", "independent", "shifted"],
+    "kinematics": ["unit", "varied_speed", "lagged", "limited", "layered"],
+    "mobility": ["iid", "alike", "smooth_turn"],
+    "head_jitter": [False, True],
+    "clusters": (2, 4),
+    "decoys": (0, 2),
+    "bystanders": (0, 2),
+    "memory": 12,
+    "uavs": 24,
+    "max_rounds": 2,
+}
 
 
 def same(one, other):
@@ -39,6 +52,8 @@ def same(one, other):
         ("USNET/SingleCluster-v0", {"follow": "f7", "reveal_truth": True}),
         (MULTI, {"follow": "f7", "reveal_truth": True, "max_rounds": 2}),
         ("USNET/Field-v1", {"follow": "f7", "reveal_truth": True, "max_rounds": 2}),
+        (MULTI, {**KINDS, "reveal_truth": True}),
+        (MULTI, {"follow": ["none", "independent"], "max_rounds": 2}),
     ],
 )
 def test_equal_to_single_envs_over_many_episodes(name, arguments):

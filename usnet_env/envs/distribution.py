@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.swarm import KINEMATICS, SwarmConfig
 
-_MOST_KEPT = 4096  # configurations that are kept, so that equal games of a batch fly together
+_MOST_KEPT = 4096  # configurations that are kept, so that equal games of a batch start together
 
 Names = Sequence[str] | Mapping[str, Annotated[float, Field(gt=0)]] | None
 Whole = tuple[int, int] | None

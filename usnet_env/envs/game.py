@@ -16,7 +16,8 @@ from usnet_env.config import ArgumentError, Config, format_count, quote
 from usnet_env.objectives import hits_and_redundant, single_cluster_objective
 from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState, destroy, start
 from usnet_env.swarm.config import Count, Price
-from usnet_env.swarm.simulator import advance_each, sort_kinds
+from usnet_env.swarm.flight import sort_kinds
+from usnet_env.swarm.simulator import advance_each
 
 Part = Literal["position", "velocity", "seen", "alive", "round"]
 PARTS: tuple[Part, ...] = ("position", "velocity", "seen", "alive", "round")  # of an observation

@@ -18,9 +18,9 @@ from usnet_env.envs.distribution import DrawnArguments, Draws
 from usnet_env.envs.usnet import INFO, OBSERVATION, OutputArguments, UsnetEnv
 from usnet_env.swarm import SwarmConfig
 from usnet_env.swarm.config import Count, MobilityArguments, Price, SensorArguments, SwarmArguments
+from usnet_env.swarm.flight import fly_steps
 from usnet_env.swarm.kinematics import Avoidance
 from usnet_env.swarm.sensing import sense
-from usnet_env.swarm.simulator import fly_steps
 
 Positive = Annotated[float, Field(gt=0, le=1000)]
 

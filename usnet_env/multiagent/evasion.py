@@ -18,8 +18,9 @@ from usnet_env.arrays import Floats, Indices, Mask, Singles
 from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.swarm import FollowInputs, FollowStrategy, Mobility, ObservationBatch, SwarmConfig, SwarmState, kernels
 from usnet_env.swarm.config import Price
+from usnet_env.swarm.flight import JITTER, normalise
 from usnet_env.swarm.mobility import MOBILITIES
-from usnet_env.swarm.simulator import JITTER, advance, normalise
+from usnet_env.swarm.simulator import advance
 from usnet_env.swarm.strategy import TrajectoryBatch
 
 Most = Annotated[int, Field(ge=0, le=1000)]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from usnet_env.compiling import compiled
-from usnet_env.swarm.kernels import FOLLOWS, UNIT, begin_step, end_step, finish_step, gap, move, norm
+from usnet_env.swarm.kernels import FOLLOWS, UNIT, begin_step, end_step, finish_step, gap, move, norm, take_noise
 
 COLUMNS = 7  # of the table: delay, gain, noise, salt of the hashed draws, and the three coordinates of the slot
 DELAY, GAIN, NOISE, SALT, OFFSET = 0, 1, 2, 3, 4
@@ -53,12 +53,13 @@ def fly_links(
     norm(v_{i,t} + mean_k strength (1 + |p_{a_k} - p_i|^2 / scale^2)^-0.4 (v_{a_k,t} - v_{i,t}) + kappa_i n) instead.
     A follower that doesn't answer in a block flies on with the noise ``idle_noise``.
     """
-    episodes, steps, uavs = noise.shape[0], noise.shape[1], table.shape[2]
+    steps, uavs = noise.shape[1], table.shape[2]
     above = np.empty((uavs, MOST_LINKS), np.int64)
     late = np.empty((uavs, MOST_LINKS), np.int64)
     count = np.empty(uavs, np.int64)
     salt = np.empty(uavs, np.float32)
-    for b in range(episodes):
+    for b in craft.swarms:
+        drawn = take_noise(b, noise, craft)
         for i in range(uavs):
             count[i] = 0
             a, delay = i, 0
@@ -71,8 +72,8 @@ def fly_links(
             salt[i] = table[b, SALT, top % uavs]
         for s in range(steps):
             t = start + s
-            if craft.kinematics != UNIT:
-                begin_step(b, s, t, motion, craft, noise, position, velocity)
+            if craft.kinematics[b] != UNIT:
+                begin_step(b, s, t, motion, craft, drawn, position, velocity)
             now = (clock[b] + s) // block
             for i in range(uavs):
                 if motion[b, i] != FOLLOWS:
@@ -80,7 +81,7 @@ def fly_links(
                 x, y, z = velocity[b, t - 1, i, 0], velocity[b, t - 1, i, 1], velocity[b, t - 1, i, 2]
                 noise_scale = table[b, NOISE, i]
                 if count[i] == 0 or (answers != ALWAYS and hash_draw(salt[i], now) >= share):
-                    finish_step(b, s, t, i, x, y, z, idle_noise, noise, velocity)
+                    finish_step(b, s, t, i, x, y, z, idle_noise, drawn, velocity)
                     continue
                 if strength > _ZERO:
                     vx, vy, vz = x, y, z
@@ -98,8 +99,8 @@ def fly_links(
                     for k in range(count[i]):
                         v = velocity[b, t - late[i, k], above[i, k]]
                         x, y, z = x + weight * v[0], y + weight * v[1], z + weight * v[2]
-                finish_step(b, s, t, i, x, y, z, noise_scale, noise, velocity)
-            if craft.kinematics != UNIT:
+                finish_step(b, s, t, i, x, y, z, noise_scale, drawn, velocity)
+            if craft.kinematics[b] != UNIT:
                 end_step(b, s, t, motion, craft, position, velocity)
             move(b, t, position, velocity)
 
@@ -110,16 +111,17 @@ def fly_kinds(answers, block, reach, table, source, clock, motion, start, noise,
 
     f_k with lags l: norm(sum_{tau<l} v_{iL,t-tau} + kappa_i n), squares for f4 and f5; f6 adds the pull of its row.
     """
-    episodes, steps, uavs = noise.shape[0], noise.shape[1], table.shape[2]
+    steps, uavs = noise.shape[1], table.shape[2]
     salt = np.empty(uavs, np.float32)
-    for b in range(episodes):
+    for b in craft.swarms:
+        drawn = take_noise(b, noise, craft)
         for i in range(uavs):
             top = find_top(i, motion[b], source[b]) if answers == EACH_CLUSTER else i
             salt[i] = table[b, SALT, top % uavs]
         for s in range(steps):
             t = start + s
-            if craft.kinematics != UNIT:
-                begin_step(b, s, t, motion, craft, noise, position, velocity)
+            if craft.kinematics[b] != UNIT:
+                begin_step(b, s, t, motion, craft, drawn, position, velocity)
             now = (clock[b] + s) // block if answers == EACH_CLUSTER else 0
             for i in range(uavs):
                 if motion[b, i] != FOLLOWS:
@@ -140,8 +142,8 @@ def fly_kinds(answers, block, reach, table, source, clock, motion, start, noise,
                     distance = np.sqrt(dx * dx + dy * dy + dz * dz)
                     if distance > reach:
                         x, y, z = x + dx / distance, y + dy / distance, z + dz / distance
-                finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], noise, velocity)
-            if craft.kinematics != UNIT:
+                finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], drawn, velocity)
+            if craft.kinematics[b] != UNIT:
                 end_step(b, s, t, motion, craft, position, velocity)
             move(b, t, position, velocity)
 
@@ -153,15 +155,16 @@ def fly_slots(lags, pull, near, table, source, motion, start, noise, position, v
     v_{i,t+1} = norm(v_{L,t+1-d_i} + pull g / max(|g|, near) + kappa_i n), g = p_L + R(course) o_i - p_i, where R turns
     the x axis into the course and keeps the y axis level.
     """
-    episodes, steps, uavs = noise.shape[0], noise.shape[1], table.shape[2]
+    steps, uavs = noise.shape[1], table.shape[2]
     frame = np.empty((noise.shape[2], 8), np.float32)
     framed = np.empty(noise.shape[2], np.int64)
-    for b in range(episodes):
+    for b in craft.swarms:
+        drawn = take_noise(b, noise, craft)
         framed[:] = -1
         for s in range(steps):
             t = start + s
-            if craft.kinematics != UNIT:
-                begin_step(b, s, t, motion, craft, noise, position, velocity)
+            if craft.kinematics[b] != UNIT:
+                begin_step(b, s, t, motion, craft, drawn, position, velocity)
             for i in range(uavs):
                 if motion[b, i] != FOLLOWS:
                     continue
@@ -187,7 +190,7 @@ def fly_slots(lags, pull, near, table, source, motion, start, noise, position, v
                 weight = pull / max(np.sqrt(gx * gx + gy * gy + gz * gz), near)
                 v = velocity[b, t - np.int64(table[b, DELAY, i]), h]
                 x, y, z = v[0] + weight * gx, v[1] + weight * gy, v[2] + weight * gz
-                finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], noise, velocity)
-            if craft.kinematics != UNIT:
+                finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], drawn, velocity)
+            if craft.kinematics[b] != UNIT:
                 end_step(b, s, t, motion, craft, position, velocity)
             move(b, t, position, velocity)

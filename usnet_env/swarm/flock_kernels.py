@@ -10,7 +10,7 @@ import numpy as np
 
 from usnet_env.compiling import compiled
 from usnet_env.swarm.field_kernels import NOISE, find_top
-from usnet_env.swarm.kernels import DESTROYED, FOLLOWS, UNIT, begin_step, end_step, finish_step, move, norm
+from usnet_env.swarm.kernels import DESTROYED, FOLLOWS, UNIT, begin_step, end_step, finish_step, move, norm, take_noise
 
 NO_CHASER, PREDATOR, DRIVER = range(3)
 
@@ -229,7 +229,7 @@ def fly_flock(
     ``ranges`` are those of repulsion, alignment and attraction, metres; ``weights`` those of alignment and attraction.
     ``chaser`` says what a bystander that follows is.
     """
-    episodes, steps, width, uavs = noise.shape[0], noise.shape[1], noise.shape[2], table.shape[2]
+    steps, width, uavs = noise.shape[1], noise.shape[2], table.shape[2]
     label, order = np.empty(uavs, np.int64), np.empty(uavs, np.int64)
     first, has_followers = np.empty(width + 1, np.int64), np.empty(width, np.bool_)
     p, v = np.empty((3, uavs), np.float32), np.empty((3, uavs), np.float32)
@@ -244,7 +244,8 @@ def fly_flock(
     rank, key = np.empty(uavs, np.int64), np.empty(_MIDDLE, np.int64)
     rows = np.zeros(_END, np.float32)
     middle = np.zeros((width, 3), np.float32)
-    for b in range(episodes):
+    for b in craft.swarms:
+        drawn = take_noise(b, noise, craft)
         members = _sort_members(motion[b], source[b], bystander[b], uavs, label, order, first)
         has_followers[:] = False
         for i in order[:members]:
@@ -255,8 +256,8 @@ def fly_flock(
         chasers = np.flatnonzero(bystander[b] & (motion[b, :uavs] == FOLLOWS))
         for s in range(steps):
             t = start + s
-            if craft.kinematics != UNIT:
-                begin_step(b, s, t, motion, craft, noise, position, velocity)
+            if craft.kinematics[b] != UNIT:
+                begin_step(b, s, t, motion, craft, drawn, position, velocity)
             for c in range(members):
                 for axis in range(3):
                     p[axis, c], v[axis, c] = position[b, t, order[c], axis], velocity[b, t - 1, order[c], axis]
@@ -280,7 +281,7 @@ def fly_flock(
                         for axis in range(3):
                             rows[_X + axis * _APART + k] = p[axis, c]
                             rows[_UX + axis * _APART + k] = v[axis, c]
-                            rows[_NX + axis * _APART + k] = table[b, NOISE, i] * noise[b, s, i, axis]
+                            rows[_NX + axis * _APART + k] = table[b, NOISE, i] * drawn[s, i, axis]
                     if size <= _MIDDLE and repel == _ZERO and attract == _ZERO:
                         _sum_aligned(size, align, rows)
                     elif size <= _MIDDLE:
@@ -316,7 +317,7 @@ def fly_flock(
                 x, y, z = _steer_chaser(
                     chaser, standoff, i, first[f], first[f + 1], f, t, p, middle[f], position[b], velocity[b]
                 )
-                finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], noise, velocity)
-            if craft.kinematics != UNIT:
+                finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], drawn, velocity)
+            if craft.kinematics[b] != UNIT:
                 end_step(b, s, t, motion, craft, position, velocity)
             move(b, t, position, velocity)

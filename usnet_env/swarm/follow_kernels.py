@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from usnet_env.compiling import compiled
-from usnet_env.swarm.kernels import UNIT, begin_step, end_step, finish_step, gap, move, norm, split_motion
+from usnet_env.swarm.kernels import UNIT, begin_step, end_step, finish_step, gap, move, norm, split_motion, take_noise
 
 # The network of f7: inputs -> hidden tanh units -> 3 outputs, in the order of `Network.direction` in follow.py.
 MLP_LAGS = 4
@@ -27,15 +27,16 @@ def fly_lags(kappa, square, noise_scale, root, motion, start, noise, position, v
 
     The loop computes the sum once per step and head.
     """
-    episodes, steps, uavs = noise.shape[0], noise.shape[1], noise.shape[2]
+    steps, uavs = noise.shape[1], noise.shape[2]
     lags = len(kappa)
     target = np.zeros((uavs, 3), np.float32)
-    for b in range(episodes):
+    for b in craft.swarms:
+        drawn = take_noise(b, noise, craft)
         followers, free = split_motion(motion[b])
         for s in range(steps):
             t = start + s
-            if craft.kinematics != UNIT:
-                begin_step(b, s, t, motion, craft, noise, position, velocity)
+            if craft.kinematics[b] != UNIT:
+                begin_step(b, s, t, motion, craft, drawn, position, velocity)
             for h in free:
                 for axis in range(3):
                     total = _ZERO
@@ -45,8 +46,8 @@ def fly_lags(kappa, square, noise_scale, root, motion, start, noise, position, v
                     target[h, axis] = total
             for i in followers:
                 h = root[b, i]
-                finish_step(b, s, t, i, target[h, 0], target[h, 1], target[h, 2], noise_scale, noise, velocity)
-            if craft.kinematics != UNIT:
+                finish_step(b, s, t, i, target[h, 0], target[h, 1], target[h, 2], noise_scale, drawn, velocity)
+            if craft.kinematics[b] != UNIT:
                 end_step(b, s, t, motion, craft, position, velocity)
             move(b, t, position, velocity)
 
@@ -54,22 +55,23 @@ def fly_lags(kappa, square, noise_scale, root, motion, start, noise, position, v
 @compiled()
 def fly_range(kappa, pull, reach, noise_scale, root, motion, start, noise, position, velocity, craft):
     """f6: norm(kappa_0 v_{iL,t} + kappa_n n + 1{|d| > kappa_r} kappa_p d / |d|), d = p_{iL,t} - p_{i,t}."""
-    for b in range(noise.shape[0]):
+    for b in craft.swarms:
+        drawn = take_noise(b, noise, craft)
         followers, _ = split_motion(motion[b])
         for s in range(noise.shape[1]):
             t = start + s
-            if craft.kinematics != UNIT:
-                begin_step(b, s, t, motion, craft, noise, position, velocity)
+            if craft.kinematics[b] != UNIT:
+                begin_step(b, s, t, motion, craft, drawn, position, velocity)
             for i in followers:
                 h = root[b, i]
                 dx, dy, dz = gap(position, b, t - 1, h, i)
                 distance = np.sqrt(dx * dx + dy * dy + dz * dz)
                 gain = pull / distance if distance > reach else _ZERO
-                x = kappa * velocity[b, t - 1, h, 0] + noise_scale * noise[b, s, i, 0] + gain * dx
-                y = kappa * velocity[b, t - 1, h, 1] + noise_scale * noise[b, s, i, 1] + gain * dy
-                z = kappa * velocity[b, t - 1, h, 2] + noise_scale * noise[b, s, i, 2] + gain * dz
+                x = kappa * velocity[b, t - 1, h, 0] + noise_scale * drawn[s, i, 0] + gain * dx
+                y = kappa * velocity[b, t - 1, h, 1] + noise_scale * drawn[s, i, 1] + gain * dy
+                z = kappa * velocity[b, t - 1, h, 2] + noise_scale * drawn[s, i, 2] + gain * dz
                 velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = norm(x, y, z)
-            if craft.kinematics != UNIT:
+            if craft.kinematics[b] != UNIT:
                 end_step(b, s, t, motion, craft, position, velocity)
             move(b, t, position, velocity)
 
@@ -99,21 +101,22 @@ def fly_mlp(parameters, position_scale, noise_scale, root, motion, start, noise,
 
     A head's contribution to the hidden layer is computed once per step.
     """
-    episodes, steps, uavs = noise.shape[0], noise.shape[1], noise.shape[2]
+    steps, uavs = noise.shape[1], noise.shape[2]
     from_head = np.empty((uavs, MLP_HIDDEN), np.float32)
     hidden = np.empty(MLP_HIDDEN, np.float32)
     own = np.empty(3 + 3 * MLP_LAGS, np.float32)
     scale = _ONE / position_scale
     inner = MLP_INPUTS * MLP_HIDDEN
-    for b in range(episodes):
+    for b in craft.swarms:
+        drawn = take_noise(b, noise, craft)
         weights = parameters[b, :inner].reshape((MLP_INPUTS, MLP_HIDDEN))
         bias = parameters[b, inner : inner + MLP_HIDDEN]
         readout = parameters[b, inner + MLP_HIDDEN :].reshape((MLP_HIDDEN, 3))
         followers, free = split_motion(motion[b])
         for s in range(steps):
             t = start + s
-            if craft.kinematics != UNIT:
-                begin_step(b, s, t, motion, craft, noise, position, velocity)
+            if craft.kinematics[b] != UNIT:
+                begin_step(b, s, t, motion, craft, drawn, position, velocity)
             for h in free:
                 for unit in range(MLP_HIDDEN):
                     from_head[h, unit] = bias[unit]
@@ -135,16 +138,16 @@ def fly_mlp(parameters, position_scale, noise_scale, root, motion, start, noise,
                 for row in range(3 + 3 * MLP_LAGS):
                     for unit in range(MLP_HIDDEN):
                         hidden[unit] += own[row] * weights[row, unit]
-                x = noise_scale * noise[b, s, i, 0]
-                y = noise_scale * noise[b, s, i, 1]
-                z = noise_scale * noise[b, s, i, 2]
+                x = noise_scale * drawn[s, i, 0]
+                y = noise_scale * drawn[s, i, 1]
+                z = noise_scale * drawn[s, i, 2]
                 for unit in range(MLP_HIDDEN):
                     active = _tanh(hidden[unit])
                     x += active * readout[unit, 0]
                     y += active * readout[unit, 1]
                     z += active * readout[unit, 2]
                 velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = norm(x, y, z)
-            if craft.kinematics != UNIT:
+            if craft.kinematics[b] != UNIT:
                 end_step(b, s, t, motion, craft, position, velocity)
             move(b, t, position, velocity)
 
@@ -182,14 +185,15 @@ def fly_laws(laws, noise_scale, root, motion, start, noise, position, velocity, 
     uavs = noise.shape[2]
     told = np.empty((uavs, 3), np.float32)
     total = np.empty(3, np.float32)
-    for b in range(noise.shape[0]):
+    for b in craft.swarms:
+        drawn = take_noise(b, noise, craft)
         law = laws[b % len(laws)]
         end = law[len(law) - LAW_END :]
         followers, free = split_motion(motion[b])
         for s in range(noise.shape[1]):
             t = start + s
-            if craft.kinematics != UNIT:
-                begin_step(b, s, t, motion, craft, noise, position, velocity)
+            if craft.kinematics[b] != UNIT:
+                begin_step(b, s, t, motion, craft, drawn, position, velocity)
             for h in free:
                 total[:] = _ZERO
                 for k in range(3):
@@ -210,7 +214,7 @@ def fly_laws(laws, noise_scale, root, motion, start, noise, position, velocity, 
                     gx, gy, gz = gx + end[10], gy + end[11], gz + end[12]
                     weight = end[13] / max(np.sqrt(gx * gx + gy * gy + gz * gz), _ONE)
                     x, y, z = x + weight * gx, y + weight * gy, z + weight * gz
-                finish_step(b, s, t, i, x, y, z, noise_scale, noise, velocity)
-            if craft.kinematics != UNIT:
+                finish_step(b, s, t, i, x, y, z, noise_scale, drawn, velocity)
+            if craft.kinematics[b] != UNIT:
                 end_step(b, s, t, motion, craft, position, velocity)
             move(b, t, position, velocity)

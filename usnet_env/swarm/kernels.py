@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from usnet_env.compiling import compiled
 
 DESTROYED, FREE, FOLLOWS = 0, 1, 2  # how a UAV moves in a window; a free UAV (head or decoy) follows no UAV
-IID, GAUSS_MARKOV, SMOOTH_TURN, WAYPOINT, LOCAL_WAYPOINT, STRAIGHT = range(6)
+IID, GAUSS_MARKOV, SMOOTH_TURN, WAYPOINT, LOCAL_WAYPOINT, STRAIGHT = range(6)  # the mobilities that are compiled
+NOT_COMPILED = -1  # the number of another mobility
 UNIT, VARIED_SPEED, LAGGED, LIMITED, LAYERED = range(5)  # the kinematics that are compiled
 MOBILITY_STATE = 8  # number of float64 values in the mobility state of a UAV
 
@@ -39,11 +40,18 @@ def gap(position, b, t, i, j):
     return place[0] - other[0], place[1] - other[1], place[2] - other[2]
 
 
+@compiled(inner=True)
+def take_noise(b, noise, craft):
+    """The noise ``(S, N + R, 3)`` of swarm b: the first numbers of its row if others have more references."""
+    steps, width = noise.shape[1], craft.width[b]
+    return noise[b].reshape(-1)[: steps * width * 3].reshape((steps, width, 3))
+
+
 @compiled(inner=True, error_model="numpy")
 def finish_step(b, s, t, i, x, y, z, noise_scale, noise, velocity):
-    """Write norm((x, y, z) + noise) as the velocity of UAV i in step t."""
+    """Write norm((x, y, z) + noise) as the velocity of UAV i in step t; ``noise`` is that of swarm b."""
     velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = norm(
-        x + noise_scale * noise[b, s, i, 0], y + noise_scale * noise[b, s, i, 1], z + noise_scale * noise[b, s, i, 2]
+        x + noise_scale * noise[s, i, 0], y + noise_scale * noise[s, i, 1], z + noise_scale * noise[s, i, 2]
     )
 
 
@@ -131,59 +139,87 @@ def _step_mobility(code, state, z, px, py, pz, numbers):
 
 
 class Craft(NamedTuple):
-    """How n free UAVs want to fly in a flight of S steps, and what all UAVs can fly."""
+    """Which swarms of a batch fly S steps, how the free UAVs of each want to fly, and what all UAVs can fly.
 
-    mobility: NDArray[np.int64]  # (n,), the number of the mobility of each
-    constants: NDArray[np.float64]  # (n, 6), of the mobility
-    free: NDArray[np.int64]  # (B, n), their indices
-    normals: NDArray[np.float32]  # (B, w), random numbers
-    begin: NDArray[np.int64]  # (n,), where those of each begin
-    stride: NDArray[np.int64]  # (n,), how far they are apart from one step to the next
+    The free UAVs of a swarm fly by up to four mobilities: those of heads, bystanders, traffic and false tracks.
+    """
+
+    swarms: NDArray[np.int64]  # (b,), those that fly; the other arrays have a row of each swarm of the batch
+    width: NDArray[np.int64]  # (B,), number of UAVs and references
+    free: NDArray[np.int64]  # (B, n), the indices of the free UAVs, in the order of their mobilities
+    laws: NDArray[np.int64]  # (B, 4, 3): the number of each mobility, its UAVs, and random numbers of one in a step
+    constants: NDArray[np.float64]  # (B, 4, 6), of the mobilities
+    steps: int  # S
+    normals: NDArray[np.float32]  # (B, w), random numbers: for each mobility (S, its UAVs, its draws)
     state: NDArray[np.float64]  # (B, n, MOBILITY_STATE), changed in place
-    jittered: int  # the first so many fly with the noise of the flight, scaled by `jitter`
-    jitter: np.float32
-    kinematics: int  # its number; with UNIT the free UAVs fly all steps before the others
-    numbers: NDArray[np.float32]  # constants of the kinematics
-    pushes: NDArray[np.float32]  # (B, S, N, k), its random numbers
-    kept: NDArray[np.float32]  # (B, N, k), its state, changed in place
-    rows: NDArray[np.float32]  # (10, N), memory for a step of the kinematics
+    jitter: NDArray[np.float32]  # (B,), heads add the noise of the flight times this
+    kinematics: NDArray[np.int64]  # (B,), its number; with UNIT the free UAVs fly all steps before the others
+    numbers: NDArray[np.float32]  # (B, 4), constants of the kinematics
+    pushes: NDArray[np.float32]  # (B, S, N + R, k), its random numbers
+    kept: NDArray[np.float32]  # (B, N + R, k), its state, changed in place
+    rows: NDArray[np.float32]  # (10, N + R), memory for a step of the kinematics
 
 
-#: The craft of a flight whose free UAVs have flown.
-FLOWN = Craft(
-    np.empty(0, np.int64), np.empty((0, 6)), np.empty((0, 0), np.int64), np.empty((0, 0), np.float32),
-    np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 0, MOBILITY_STATE)), 0, np.float32(0.0), UNIT,
-    np.empty(0, np.float32), np.empty((0, 0, 0, 0), np.float32), np.empty((0, 0, 0), np.float32),
-    np.empty((10, 0), np.float32),
-)  # fmt: skip
+#: The arrays of a craft that only other kinematics than ``unit`` need.
+NO_KINEMATICS = {
+    "pushes": np.empty((0, 0, 0, 0), np.float32),
+    "kept": np.empty((0, 0, 0), np.float32),
+    "rows": np.empty((10, 0), np.float32),
+}
+
+
+def make_craft(swarms: int, width: int) -> Craft:
+    """The craft of B swarms of so many UAVs that all fly with ``unit``, and whose free UAVs have flown."""
+    return Craft(
+        swarms=np.arange(swarms),
+        width=np.full(swarms, width),
+        free=np.zeros((swarms, 1), np.int64),
+        laws=np.zeros((swarms, 4, 3), np.int64),
+        constants=np.zeros((swarms, 4, 6)),
+        steps=0,
+        normals=np.empty((swarms, 0), np.float32),
+        state=np.empty((swarms, 0, MOBILITY_STATE)),
+        jitter=np.zeros(swarms, np.float32),
+        kinematics=np.zeros(swarms, np.int64),
+        numbers=np.zeros((swarms, 4), np.float32),
+        **NO_KINEMATICS,
+    )
 
 
 @compiled(inner=True, _nrt=False, error_model="numpy")
-def _fly_free_uavs(b, start, first, last, craft, noise, position, velocity):
+def _fly_free_uavs(b, start, first, last, craft, motion, noise, position, velocity):
     """Velocities of the free UAVs of swarm b from instant ``first`` to ``last`` - 1; step 0 is at instant ``start``."""
-    for j in range(craft.free.shape[1]):
-        i = craft.free[b, j]
-        state, numbers, code = craft.state[b, j], craft.constants[j], craft.mobility[j]
-        place = position[b, first, i]
-        px, py, pz = np.float64(place[0]), np.float64(place[1]), np.float64(place[2])
-        for t in range(first, last):
-            s = t - start
-            drawn = craft.normals[b, craft.begin[j] + s * craft.stride[j] :]
-            x, y, z = norm(*_step_mobility(code, state, drawn, px, py, pz, numbers))
-            if j < craft.jittered:
-                x += craft.jitter * noise[b, s, i, 0]
-                y += craft.jitter * noise[b, s, i, 1]
-                z += craft.jitter * noise[b, s, i, 2]
-                x, y, z = norm(x, y, z)
-            velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = x, y, z
-            px, py, pz = px + x, py + y, pz + z
+    low = begin = 0
+    for law in range(4):
+        code, count, each = craft.laws[b, law]
+        numbers, width, stop = craft.constants[b, law], count * each, low + count
+        jitter = craft.jitter[b] if law == 0 else _ZERO
+        for j in range(low, stop if code != NOT_COMPILED else low):
+            i, state = craft.free[b, j], craft.state[b, j]
+            flies, place = motion[b, i] != DESTROYED, position[b, first, i]
+            px, py, pz = np.float64(place[0]), np.float64(place[1]), np.float64(place[2])
+            for t in range(first, last):
+                s = t - start
+                drawn = craft.normals[b, begin + s * width + (j - low) * each :]
+                x, y, z = norm(*_step_mobility(code, state, drawn, px, py, pz, numbers))
+                if jitter > _ZERO:
+                    x, y, z = norm(
+                        x + jitter * noise[s, i, 0], y + jitter * noise[s, i, 1], z + jitter * noise[s, i, 2]
+                    )
+                # Assigned, not multiplied: the sign of a zero would show which of the destroyed UAVs were free.
+                velocity[b, t, i, 0] = x if flies else _ZERO
+                velocity[b, t, i, 1] = y if flies else _ZERO
+                velocity[b, t, i, 2] = z if flies else _ZERO
+                px, py, pz = px + x, py + y, pz + z
+        low, begin = stop, begin + width * craft.steps
 
 
 @compiled()
-def fly_free(start, craft, noise, position, velocity):
-    """Velocities of the free UAVs in all steps from instant ``start`` on, in place."""
-    for b in range(velocity.shape[0]):
-        _fly_free_uavs(b, start, start, velocity.shape[1], craft, noise, position, velocity)
+def fly_free(start, first, craft, motion, noise, position, velocity):
+    """Velocities of the free UAVs in all steps from instant ``first`` on, in place; step 0 is at ``start``."""
+    for b in craft.swarms:
+        drawn = take_noise(b, noise, craft)
+        _fly_free_uavs(b, start, first, velocity.shape[1], craft, motion, drawn, position, velocity)
 
 
 @compiled(inner=True)
@@ -284,17 +320,14 @@ def begin_step(b, s, t, motion, craft, noise, position, velocity):
 
     With ``unit`` it is not called: the free UAVs have flown all steps.
     """
-    _fly_free_uavs(b, t - s, t, t + 1, craft, noise, position, velocity)
-    for i in range(motion.shape[1]):
-        if motion[b, i] == DESTROYED:
-            velocity[b, t, i, 0] = velocity[b, t, i, 1] = velocity[b, t, i, 2] = _ZERO
+    _fly_free_uavs(b, t - s, t, t + 1, craft, motion, noise, position, velocity)
 
 
 @compiled(inner=True, _nrt=False)
 def end_step(b, s, t, motion, craft, position, velocity):
     """Turn what all UAVs want in step t into what they fly, with other kinematics than ``unit``."""
-    code, numbers, pushes = craft.kinematics, craft.numbers, craft.pushes
-    steer(code, numbers, b, s, t, motion, pushes, craft.kept, craft.rows, position, velocity)
+    code, numbers = craft.kinematics[b], craft.numbers[b]
+    steer(code, numbers, b, s, t, motion, craft.pushes, craft.kept, craft.rows, position, velocity)
 
 
 @compiled(inner=True)
@@ -315,11 +348,12 @@ def split_motion(motion):
 @compiled()
 def fly_alone(motion, start, noise, position, velocity, craft):
     """A flight without followers."""
-    for b in range(noise.shape[0]):
+    for b in craft.swarms:
+        drawn = take_noise(b, noise, craft)
         for s in range(noise.shape[1]):
-            if craft.kinematics != UNIT:
-                begin_step(b, s, start + s, motion, craft, noise, position, velocity)
-            if craft.kinematics != UNIT:
+            if craft.kinematics[b] != UNIT:
+                begin_step(b, s, start + s, motion, craft, drawn, position, velocity)
+            if craft.kinematics[b] != UNIT:
                 end_step(b, s, start + s, motion, craft, position, velocity)
             move(b, start + s, position, velocity)
 

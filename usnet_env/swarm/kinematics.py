@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -92,10 +93,10 @@ class CompiledKinematics(Kinematics):
     code: ClassVar[int]
     _constants: ClassVar[tuple[str, ...]] = ()
 
-    @property
+    @cached_property
     def numbers(self) -> Singles:
-        """The constants for the kernel."""
-        return np.array([getattr(self, name) for name in self._constants], np.float32)
+        """``(4,)``, the constants for the kernel, padded with zeros."""
+        return np.array([*(getattr(self, name) for name in self._constants), 0, 0, 0, 0][:4], np.float32)
 
     def fly(
         self, t: int, motion: NDArray[np.int8], normals: Singles, state: Singles, position: Singles, velocity: Singles
@@ -125,7 +126,7 @@ class VariedSpeed(CompiledKinematics):
         """The largest speed."""
         return self.fastest
 
-    @property
+    @cached_property
     def numbers(self) -> Singles:
         """φ, σ √(1 − φ²), and the speeds."""
         push = self.deviation * math.sqrt(1.0 - self.keep**2)

@@ -106,17 +106,15 @@ class CompiledMobility(Mobility):
                 drawn = rng.standard_normal((steps, count, self.normals), dtype=np.float32)
                 normals[first : first + count] = drawn.swapaxes(0, 1)
                 first += count
-        craft = kernels.FLOWN._replace(
-            mobility=np.full(1, self.code),
-            constants=self.constants[None],
-            free=np.zeros((len(swarms), 1), np.int64),
+        craft = kernels.make_craft(len(swarms), 1)._replace(
+            steps=steps,
             normals=normals.reshape(len(swarms), -1),
-            begin=np.zeros(1, np.int64),
-            stride=np.full(1, self.normals),
             state=swarms,
         )
+        craft.laws[:, 0], craft.constants[:, 0] = (self.code, 1, self.normals), self.constants
+        motion = np.full((len(swarms), 1), kernels.FREE, np.int8)
         velocity, none = np.zeros((len(swarms), steps, 1, 3), np.float32), np.empty((len(swarms), 0, 1, 3), np.float32)
-        kernels.fly_free(0, craft, none, position[chosen][:, None, None], velocity)
+        kernels.fly_free(0, 0, craft, motion, none, position[chosen][:, None, None], velocity)
         state[chosen] = swarms[:, 0]
         directions = np.zeros((*chosen.shape, steps, 3), np.float32)
         directions[chosen] = velocity[:, :, 0]

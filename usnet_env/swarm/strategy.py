@@ -53,7 +53,8 @@ class TrajectoryBatch:
             steps of the free UAVs.
         noise: ``(B, S, N + R, 3)`` float32, the followers' n ~ N(0, I), before the scaling by kappa_n.
         motion: ``(B, N + R)`` int8, how each UAV moves: ``kernels.DESTROYED``, ``FREE`` or ``FOLLOWS``.
-        craft: how the compiled loops fly the free UAVs, and the kinematics; by default the free UAVs have flown.
+        craft: how the compiled loops fly the free UAVs, and the kinematics; by default all swarms fly with
+            ``unit``, and their free UAVs have flown.
     """
 
     position: Singles
@@ -65,12 +66,13 @@ class TrajectoryBatch:
     source: Indices
     bystander: Mask
     clock: Indices
-    craft: kernels.Craft = kernels.FLOWN
+    craft: kernels.Craft | None = None
 
     @property
     def flown(self) -> tuple[NDArray[np.int8], int, Singles, Singles, Singles, kernels.Craft]:
         """Who flies, from which step on, with which noise, what is filled, and the craft: for the compiled loops."""
-        return self.motion, self.start, self.noise, self.position, self.velocity, self.craft
+        craft = kernels.make_craft(self.episodes, self.noise.shape[2]) if self.craft is None else self.craft
+        return self.motion, self.start, self.noise, self.position, self.velocity, craft
 
     episodes = AxisLength("noise", 0)  #: B
     steps = AxisLength("noise", 1)  #: S, the number of steps to simulate
