@@ -183,12 +183,13 @@ class Config(BaseModel):
     def _plain_values(cls, values: Any) -> Any:
         if not isinstance(values, dict):  # a config in another one
             return values
-
-        types = {name: str(field.annotation) for name, field in cls.model_fields.items()}
+        fields = cls.model_fields
         kept = {  # of arguments that are declared as a list or an array
             name: value
             for name, value in values.items()
-            if isinstance(value, list | np.ndarray) and type(value).__name__ in types.get(name, "")
+            if isinstance(value, list | np.ndarray)
+            and name in fields
+            and type(value).__name__ in str(fields[name].annotation)
         }
         return {name: _to_python(value) for name, value in values.items()} | kept
 

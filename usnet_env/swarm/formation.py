@@ -22,13 +22,14 @@ def draw_corridors(rng: np.random.Generator, uavs: int) -> tuple[Floats, Floats]
 
     The UAVs of a corridor fly in both directions, at most 400 m from its middle, 5 m apart from its axis on average.
     """
-    middle = rng.uniform(0.0, ARENA, (CORRIDORS, 3))
+    middle = rng.random((CORRIDORS, 3)) * _SIZE
     heading = rng.uniform(-np.pi, np.pi, CORRIDORS)
-    axis = np.stack([np.cos(heading), np.sin(heading), np.zeros(CORRIDORS)], axis=1)
+    axis = np.array([np.cos(heading), np.sin(heading), np.zeros(CORRIDORS)]).T
     corridor = rng.integers(CORRIDORS, size=uavs)
     along = rng.uniform(-400.0, 400.0, (uavs, 1))
     place = middle[corridor] + along * axis[corridor] + rng.normal(0.0, 5.0, (uavs, 3))
-    return np.clip(place, -FARTHEST, FARTHEST), axis[corridor] * rng.choice([-1.0, 1.0], (uavs, 1))
+    place = np.minimum(np.maximum(place, -FARTHEST), FARTHEST)
+    return place, axis[corridor] * (2.0 * rng.integers(2, size=(uavs, 1)) - 1.0)
 
 
 def _uniform(rng: np.random.Generator, roles: Roles) -> Floats:
@@ -61,7 +62,7 @@ def _gathered(rng: np.random.Generator, roles: Roles) -> Floats:
     uavs = len(roles.root)
     place = rng.random((uavs, 3)) * _SIZE
     gathered = _draw_offsets(rng, uavs)
-    ball = np.where(roles.decoy | roles.bystander, rng.choice(roles.drawn, uavs), roles.root)
+    ball = np.where(roles.decoy | roles.bystander, roles.drawn[rng.integers(len(roles.drawn), size=uavs)], roles.root)
     gathered += place[ball]
     return np.where((roles.traffic | roles.clutter)[:, None], place, gathered)
 

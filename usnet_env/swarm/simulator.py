@@ -38,11 +38,12 @@ def draw_roles(rngs: Generators, config: SwarmConfig) -> Roles:
     counts = (config.clusters, config.decoys, config.followers, *others)
     order = np.array([rng.permutation(config.uavs) for rng in rngs])
     kind, root = np.empty_like(order), np.tile(np.arange(config.uavs), (len(rngs), 1))
-    np.put_along_axis(kind, order, np.repeat(np.arange(len(counts)), counts)[None], axis=1)
+    swarms = np.arange(len(rngs))[:, None]
+    kind[swarms, order] = np.repeat(np.arange(len(counts)), counts)
     head, decoy, _, bystander, traffic, clutter, absent = (kind == k for k in range(len(counts)))
     root[absent] = -1
     heads, followers = order[:, : config.clusters], order[:, config.clusters + config.decoys :][:, : config.followers]
-    np.put_along_axis(root, followers, np.repeat(heads.ravel(), sizes.ravel()).reshape(followers.shape), axis=1)
+    root[swarms, followers] = np.repeat(heads.ravel(), sizes.ravel()).reshape(followers.shape)
     return Roles(head, decoy, root, bystander | traffic | clutter, traffic, clutter, root.copy(), heads)
 
 
@@ -106,14 +107,15 @@ def _draw_swarms(config: SwarmConfig, rngs: Generators) -> dict[str, NDArray[Any
     velocity = draw_normals(rngs, config.memory, uavs + references, 3)
     seeded = [np.random.default_rng(config.follow_seed) for _ in rngs] if config.follow_seed is not None else rngs
     parameters = [np.empty(0, np.float32) if strategy is None else strategy.draw_for(rng, uavs) for rng in seeded]
-    from_heads = np.take_along_axis(place, drawn.drawn[:, :references, None], axis=1)
+    kept = [kinematics.start(rng, uavs + references) for rng in rngs if kinematics.values]
+    from_heads = place[np.arange(len(rngs))[:, None], drawn.drawn[:, :references]]
     return {
         **{name: getattr(roles, name) for name in LASTING},
         "absent": drawn.root < 0,
         "free": np.concatenate(free, axis=1),
         "mobility_state": mobility_state,
         "parameters": np.array(parameters),
-        "kinematic_state": np.array([kinematics.start(rng, uavs + references) for rng in rngs], np.float32),
+        "kinematic_state": np.array(kept, np.float32).reshape(len(rngs), uavs + references, -1),
         "place": np.concatenate([place, from_heads], axis=1),
         "velocity": velocity,
     }
