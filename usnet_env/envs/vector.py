@@ -173,7 +173,7 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
         if not len(ended):
             return {}
         configs, rngs = ([each[b] for b in ended] for each in (self._configs, self._rngs))
-        last, window = game.observe_windows(configs, state.rows(ended), rngs)
+        last, window = game.observe_windows(configs, state if len(ended) == self.num_envs else state.rows(ended), rngs)
         mask, observations = np.zeros(self.num_envs, bool), np.full(self.num_envs, None)
         mask[ended] = True
         for row, b in enumerate(ended):

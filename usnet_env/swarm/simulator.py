@@ -24,10 +24,12 @@ from usnet_env.swarm.state import LASTING, Roles, SwarmState, destroy
 
 def random_cluster_sizes(rngs: Generators, clusters: int, followers: int) -> Indices:
     """Draw the followers of each cluster, ``(B, clusters)`` int64, at least 2; all splits are equally likely."""
-    slots, bars = followers - clusters - 1, np.empty((len(rngs), clusters - 1), np.int64)
-    for row, rng in zip(bars, rngs if clusters > 1 else (), strict=clusters > 1):
-        row[:] = np.sort(rng.choice(slots, clusters - 1, replace=False))
-    return np.asarray(np.diff(bars, axis=1, prepend=-1, append=slots) + 1, np.int64)
+    slots = followers - clusters - 1
+    bars = np.full((len(rngs), clusters + 1), slots)
+    bars[:, 0] = -1
+    for row, rng in zip(bars, rngs, strict=True) if clusters > 1 else ():
+        row[1:-1] = np.sort(rng.choice(slots, clusters - 1, replace=False))
+    return np.asarray(bars[:, 1:] - bars[:, :-1] + 1)
 
 
 def draw_roles(rngs: Generators, config: SwarmConfig) -> Roles:
