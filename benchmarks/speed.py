@@ -37,7 +37,7 @@ GAME = "USNET/MultiCluster-v0"
 EPISODES, UAVS = 256, 82
 GAMES = 64  # in a batch
 BATCHES = ("SingleCluster-Tiny-v0", "SingleCluster-Small-v0", "MultiCluster-v0", "MultiCluster-Small-v0", "Field-v1")
-FIELD_RACE = ("USNET/Field-v1", GAME)
+FIELD = "USNET/Field-v1"
 SEVERAL = ("usnet_observers_v0", "usnet_evasion_v0")
 FEW: dict[str, Any] = {"clusters": 3, "uavs": 12, "observation_steps": 20}
 SIZES = [100, 300, 1000, 3000, 10_000]
@@ -153,17 +153,26 @@ def play_one(name: str) -> tuple[int, Callable[[], object]]:
     return 10, play
 
 
-def play_batch(name: str) -> tuple[int, Callable[[], object]]:
-    """A function that plays a round of a batch of games and names no UAV, and the number of games."""
+def play_batch(name: str, named: bool = False) -> tuple[int, Callable[[], object]]:
+    """A function that plays a round of a batch of games and names no UAV, or all of them, and the number of games."""
     envs = gym.make_vec(name, GAMES, autoreset_mode="SameStep")
     envs.reset(seed=0)
-    actions = np.zeros(envs.action_space.shape, np.int8)
+    actions = np.full(envs.action_space.shape, int(named), np.int8)
     return GAMES, lambda: envs.step(actions)
 
 
 def batch(name: str, turns: int) -> dict[str, object]:
     """A batch of games against a single environment."""
     return race(f"a batch of {GAMES} games over a single one", turns, play_batch(name), play_one(name))
+
+
+def field_games(turns: int) -> dict[str, object]:
+    """Windows of the field against those of another game, and games that end at once against windows."""
+    field = play_batch(FIELD)
+    return {
+        "Field-v1, windows": race(f"over those of {GAME}, {GAMES} games each", turns, field, play_batch(GAME)),
+        "Field-v1, all named": race("games of one round over windows", turns, play_batch(FIELD, named=True), field),
+    }
 
 
 def several_agents(name: str, turns: int, chosen: bool = False) -> dict[str, object]:
@@ -248,7 +257,7 @@ PARTS: dict[str, Callable[[int], dict[str, object]]] = {
     "batches": lambda turns: (
         {"start of P1": starting(turns)}
         | {name: batch(f"USNET/{name}", turns) for name in BATCHES}
-        | {"Field-v1, windows": race(f"over those of {GAME}, {GAMES} games each", turns, *map(play_batch, FIELD_RACE))}
+        | field_games(turns)
         | {name: several_agents(name, turns) for name in SEVERAL}
         | {f"{SEVERAL[1]}, choices": several_agents(SEVERAL[1], turns, chosen=True)}
         | {"Stable-Baselines3": sb3(turns), "TorchRL": torchrl(turns)}

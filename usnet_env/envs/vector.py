@@ -176,8 +176,8 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
         last, window = game.observe_windows(configs, state if len(ended) == self.num_envs else state.rows(ended), rngs)
         mask, observations = np.zeros(self.num_envs, bool), np.full(self.num_envs, None)
         mask[ended] = True
-        for row, b in enumerate(ended):
-            observations[b] = {name: window[name][row] for name in self.observe}
+        for b, *parts in zip(ended, *(window[name] for name in self.observe), strict=True):
+            observations[b] = dict(zip(self.observe, parts, strict=True))
         infos = self._infos({name: values[ended] for name, values in metrics.items()}, last.swarm, ended)
         return {"final_obs": observations, "_final_obs": mask, "final_info": infos, "_final_info": mask.copy()}
 
