@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from usnet_env.compiling import compiled
-from usnet_env.swarm.kernels import FOLLOWS, UNIT, begin_step, end_step, finish_step, gap, move, norm, take_noise
+from usnet_env.swarm.kernels import FOLLOWS, UNIT, begin_step, end_step, finish_step, gap, move, norm
 
 COLUMNS = 7  # of the table: delay, gain, noise, salt of the hashed draws, and the three coordinates of the slot
 DELAY, GAIN, NOISE, SALT, OFFSET = 0, 1, 2, 3, 4
@@ -58,8 +58,8 @@ def fly_links(
     late = np.empty((uavs, MOST_LINKS), np.int64)
     count = np.empty(uavs, np.int64)
     salt = np.empty(uavs, np.float32)
-    for b in craft.swarms:
-        drawn = take_noise(b, noise, craft)
+    for b in range(len(motion)):
+        drawn = noise[b]
         for i in range(uavs):
             count[i] = 0
             a, delay = i, 0
@@ -72,7 +72,7 @@ def fly_links(
             salt[i] = table[b, SALT, top % uavs]
         for s in range(steps):
             t = start + s
-            if craft.kinematics[b] != UNIT:
+            if craft.kinematics != UNIT:
                 begin_step(b, s, t, motion, craft, drawn, position, velocity)
             now = (clock[b] + s) // block
             for i in range(uavs):
@@ -100,7 +100,7 @@ def fly_links(
                         v = velocity[b, t - late[i, k], above[i, k]]
                         x, y, z = x + weight * v[0], y + weight * v[1], z + weight * v[2]
                 finish_step(b, s, t, i, x, y, z, noise_scale, drawn, velocity)
-            if craft.kinematics[b] != UNIT:
+            if craft.kinematics != UNIT:
                 end_step(b, s, t, motion, craft, position, velocity)
             move(b, t, position, velocity)
 
@@ -113,14 +113,14 @@ def fly_kinds(answers, block, reach, table, source, clock, motion, start, noise,
     """
     steps, uavs = noise.shape[1], table.shape[2]
     salt = np.empty(uavs, np.float32)
-    for b in craft.swarms:
-        drawn = take_noise(b, noise, craft)
+    for b in range(len(motion)):
+        drawn = noise[b]
         for i in range(uavs):
             top = find_top(i, motion[b], source[b]) if answers == EACH_CLUSTER else i
             salt[i] = table[b, SALT, top % uavs]
         for s in range(steps):
             t = start + s
-            if craft.kinematics[b] != UNIT:
+            if craft.kinematics != UNIT:
                 begin_step(b, s, t, motion, craft, drawn, position, velocity)
             now = (clock[b] + s) // block if answers == EACH_CLUSTER else 0
             for i in range(uavs):
@@ -143,7 +143,7 @@ def fly_kinds(answers, block, reach, table, source, clock, motion, start, noise,
                     if distance > reach:
                         x, y, z = x + dx / distance, y + dy / distance, z + dz / distance
                 finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], drawn, velocity)
-            if craft.kinematics[b] != UNIT:
+            if craft.kinematics != UNIT:
                 end_step(b, s, t, motion, craft, position, velocity)
             move(b, t, position, velocity)
 
@@ -158,12 +158,12 @@ def fly_slots(lags, pull, near, table, source, motion, start, noise, position, v
     steps, uavs = noise.shape[1], table.shape[2]
     frame = np.empty((noise.shape[2], 8), np.float32)
     framed = np.empty(noise.shape[2], np.int64)
-    for b in craft.swarms:
-        drawn = take_noise(b, noise, craft)
+    for b in range(len(motion)):
+        drawn = noise[b]
         framed[:] = -1
         for s in range(steps):
             t = start + s
-            if craft.kinematics[b] != UNIT:
+            if craft.kinematics != UNIT:
                 begin_step(b, s, t, motion, craft, drawn, position, velocity)
             for i in range(uavs):
                 if motion[b, i] != FOLLOWS:
@@ -191,6 +191,6 @@ def fly_slots(lags, pull, near, table, source, motion, start, noise, position, v
                 v = velocity[b, t - np.int64(table[b, DELAY, i]), h]
                 x, y, z = v[0] + weight * gx, v[1] + weight * gy, v[2] + weight * gz
                 finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], drawn, velocity)
-            if craft.kinematics[b] != UNIT:
+            if craft.kinematics != UNIT:
                 end_step(b, s, t, motion, craft, position, velocity)
             move(b, t, position, velocity)

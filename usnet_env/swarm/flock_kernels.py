@@ -10,7 +10,7 @@ import numpy as np
 
 from usnet_env.compiling import compiled
 from usnet_env.swarm.field_kernels import NOISE, find_top
-from usnet_env.swarm.kernels import DESTROYED, FOLLOWS, UNIT, begin_step, end_step, finish_step, move, norm, take_noise
+from usnet_env.swarm.kernels import DESTROYED, FOLLOWS, UNIT, begin_step, end_step, finish_step, move, norm
 
 NO_CHASER, PREDATOR, DRIVER = range(3)
 
@@ -244,8 +244,8 @@ def fly_flock(
     rank, key = np.empty(uavs, np.int64), np.empty(_MIDDLE, np.int64)
     rows = np.zeros(_END, np.float32)
     middle = np.zeros((width, 3), np.float32)
-    for b in craft.swarms:
-        drawn = take_noise(b, noise, craft)
+    for b in range(len(motion)):
+        drawn = noise[b]
         members = _sort_members(motion[b], source[b], bystander[b], uavs, label, order, first)
         has_followers[:] = False
         for i in order[:members]:
@@ -256,7 +256,7 @@ def fly_flock(
         chasers = np.flatnonzero(bystander[b] & (motion[b, :uavs] == FOLLOWS))
         for s in range(steps):
             t = start + s
-            if craft.kinematics[b] != UNIT:
+            if craft.kinematics != UNIT:
                 begin_step(b, s, t, motion, craft, drawn, position, velocity)
             for c in range(members):
                 for axis in range(3):
@@ -318,6 +318,6 @@ def fly_flock(
                     chaser, standoff, i, first[f], first[f + 1], f, t, p, middle[f], position[b], velocity[b]
                 )
                 finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], drawn, velocity)
-            if craft.kinematics[b] != UNIT:
+            if craft.kinematics != UNIT:
                 end_step(b, s, t, motion, craft, position, velocity)
             move(b, t, position, velocity)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from usnet_env.compiling import compiled
-from usnet_env.swarm.kernels import UNIT, begin_step, end_step, finish_step, gap, move, norm, split_motion, take_noise
+from usnet_env.swarm.kernels import UNIT, begin_step, end_step, finish_step, gap, move, norm, split_motion
 
 # The network of f7: inputs -> hidden tanh units -> 3 outputs, in the order of `Network.direction` in follow.py.
 MLP_LAGS = 4
@@ -30,12 +30,12 @@ def fly_lags(kappa, square, noise_scale, root, motion, start, noise, position, v
     steps, uavs = noise.shape[1], noise.shape[2]
     lags = len(kappa)
     target = np.zeros((uavs, 3), np.float32)
-    for b in craft.swarms:
-        drawn = take_noise(b, noise, craft)
+    for b in range(len(motion)):
+        drawn = noise[b]
         followers, free = split_motion(motion[b])
         for s in range(steps):
             t = start + s
-            if craft.kinematics[b] != UNIT:
+            if craft.kinematics != UNIT:
                 begin_step(b, s, t, motion, craft, drawn, position, velocity)
             for h in free:
                 for axis in range(3):
@@ -47,7 +47,7 @@ def fly_lags(kappa, square, noise_scale, root, motion, start, noise, position, v
             for i in followers:
                 h = root[b, i]
                 finish_step(b, s, t, i, target[h, 0], target[h, 1], target[h, 2], noise_scale, drawn, velocity)
-            if craft.kinematics[b] != UNIT:
+            if craft.kinematics != UNIT:
                 end_step(b, s, t, motion, craft, position, velocity)
             move(b, t, position, velocity)
 
@@ -55,12 +55,12 @@ def fly_lags(kappa, square, noise_scale, root, motion, start, noise, position, v
 @compiled()
 def fly_range(kappa, pull, reach, noise_scale, root, motion, start, noise, position, velocity, craft):
     """f6: norm(kappa_0 v_{iL,t} + kappa_n n + 1{|d| > kappa_r} kappa_p d / |d|), d = p_{iL,t} - p_{i,t}."""
-    for b in craft.swarms:
-        drawn = take_noise(b, noise, craft)
+    for b in range(len(motion)):
+        drawn = noise[b]
         followers, _ = split_motion(motion[b])
         for s in range(noise.shape[1]):
             t = start + s
-            if craft.kinematics[b] != UNIT:
+            if craft.kinematics != UNIT:
                 begin_step(b, s, t, motion, craft, drawn, position, velocity)
             for i in followers:
                 h = root[b, i]
@@ -71,7 +71,7 @@ def fly_range(kappa, pull, reach, noise_scale, root, motion, start, noise, posit
                 y = kappa * velocity[b, t - 1, h, 1] + noise_scale * drawn[s, i, 1] + gain * dy
                 z = kappa * velocity[b, t - 1, h, 2] + noise_scale * drawn[s, i, 2] + gain * dz
                 velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = norm(x, y, z)
-            if craft.kinematics[b] != UNIT:
+            if craft.kinematics != UNIT:
                 end_step(b, s, t, motion, craft, position, velocity)
             move(b, t, position, velocity)
 
@@ -107,15 +107,15 @@ def fly_mlp(parameters, position_scale, noise_scale, root, motion, start, noise,
     own = np.empty(3 + 3 * MLP_LAGS, np.float32)
     scale = _ONE / position_scale
     inner = MLP_INPUTS * MLP_HIDDEN
-    for b in craft.swarms:
-        drawn = take_noise(b, noise, craft)
+    for b in range(len(motion)):
+        drawn = noise[b]
         weights = parameters[b, :inner].reshape((MLP_INPUTS, MLP_HIDDEN))
         bias = parameters[b, inner : inner + MLP_HIDDEN]
         readout = parameters[b, inner + MLP_HIDDEN :].reshape((MLP_HIDDEN, 3))
         followers, free = split_motion(motion[b])
         for s in range(steps):
             t = start + s
-            if craft.kinematics[b] != UNIT:
+            if craft.kinematics != UNIT:
                 begin_step(b, s, t, motion, craft, drawn, position, velocity)
             for h in free:
                 for unit in range(MLP_HIDDEN):
@@ -147,7 +147,7 @@ def fly_mlp(parameters, position_scale, noise_scale, root, motion, start, noise,
                     y += active * readout[unit, 1]
                     z += active * readout[unit, 2]
                 velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = norm(x, y, z)
-            if craft.kinematics[b] != UNIT:
+            if craft.kinematics != UNIT:
                 end_step(b, s, t, motion, craft, position, velocity)
             move(b, t, position, velocity)
 
@@ -185,14 +185,14 @@ def fly_laws(laws, noise_scale, root, motion, start, noise, position, velocity, 
     uavs = noise.shape[2]
     told = np.empty((uavs, 3), np.float32)
     total = np.empty(3, np.float32)
-    for b in craft.swarms:
-        drawn = take_noise(b, noise, craft)
+    for b in range(len(motion)):
+        drawn = noise[b]
         law = laws[b % len(laws)]
         end = law[len(law) - LAW_END :]
         followers, free = split_motion(motion[b])
         for s in range(noise.shape[1]):
             t = start + s
-            if craft.kinematics[b] != UNIT:
+            if craft.kinematics != UNIT:
                 begin_step(b, s, t, motion, craft, drawn, position, velocity)
             for h in free:
                 total[:] = _ZERO
@@ -215,6 +215,6 @@ def fly_laws(laws, noise_scale, root, motion, start, noise, position, velocity, 
                     weight = end[13] / max(np.sqrt(gx * gx + gy * gy + gz * gz), _ONE)
                     x, y, z = x + weight * gx, y + weight * gy, z + weight * gz
                 finish_step(b, s, t, i, x, y, z, noise_scale, drawn, velocity)
-            if craft.kinematics[b] != UNIT:
+            if craft.kinematics != UNIT:
                 end_step(b, s, t, motion, craft, position, velocity)
             move(b, t, position, velocity)

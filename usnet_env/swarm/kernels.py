@@ -40,13 +40,6 @@ def gap(position, b, t, i, j):
     return place[0] - other[0], place[1] - other[1], place[2] - other[2]
 
 
-@compiled(inner=True)
-def take_noise(b, noise, craft):
-    """The noise ``(S, N + R, 3)`` of swarm b: the first numbers of its row if others have more references."""
-    steps, width = noise.shape[1], craft.width[b]
-    return noise[b].reshape(-1)[: steps * width * 3].reshape((steps, width, 3))
-
-
 @compiled(inner=True, error_model="numpy")
 def finish_step(b, s, t, i, x, y, z, noise_scale, noise, velocity):
     """Write norm((x, y, z) + noise) as the velocity of UAV i in step t; ``noise`` is that of swarm b."""
@@ -139,51 +132,29 @@ def _step_mobility(code, state, z, px, py, pz, numbers):
 
 
 class Craft(NamedTuple):
-    """Which swarms of a batch fly S steps, how the free UAVs of each want to fly, and what all UAVs can fly.
+    """How the free UAVs of B swarms want to fly S steps, and what all UAVs can fly; the swarms have one configuration.
 
     The free UAVs of a swarm fly by up to four mobilities: those of heads, bystanders, traffic and false tracks.
     """
 
-    swarms: NDArray[np.int64]  # (b,), those that fly; the other arrays have a row of each swarm of the batch
-    width: NDArray[np.int64]  # (B,), number of UAVs and references
     free: NDArray[np.int64]  # (B, n), the indices of the free UAVs, in the order of their mobilities
-    laws: NDArray[np.int64]  # (B, 4, 3): the number of each mobility, its UAVs, and random numbers of one in a step
-    constants: NDArray[np.float64]  # (B, 4, 6), of the mobilities
+    laws: NDArray[np.int64]  # (4, 3): the number of each mobility, its UAVs, and random numbers of one in a step
+    constants: NDArray[np.float64]  # (4, 6), of the mobilities
     steps: int  # S
     normals: NDArray[np.float32]  # (B, w), random numbers: for each mobility (S, its UAVs, its draws)
     state: NDArray[np.float64]  # (B, n, MOBILITY_STATE), changed in place
-    jitter: NDArray[np.float32]  # (B,), heads add the noise of the flight times this
-    kinematics: NDArray[np.int64]  # (B,), its number; with UNIT the free UAVs fly all steps before the others
-    numbers: NDArray[np.float32]  # (B, 4), constants of the kinematics
-    pushes: NDArray[np.float32]  # (B, S, N + R, k), its random numbers
-    kept: NDArray[np.float32]  # (B, N + R, k), its state, changed in place
-    rows: NDArray[np.float32]  # (10, N + R), memory for a step of the kinematics
+    jitter: np.float32 = _ZERO  # heads add the noise of the flight times this
+    kinematics: int = 0  # its number; with UNIT the free UAVs fly all steps before the others
+    numbers: NDArray[np.float32] = np.zeros(4, np.float32)  # constants of the kinematics
+    pushes: NDArray[np.float32] = np.empty((0, 0, 0, 0), np.float32)  # (B, S, N + R, k), its random numbers
+    kept: NDArray[np.float32] = np.empty((0, 0, 0), np.float32)  # (B, N + R, k), its state, changed in place
+    rows: NDArray[np.float32] = np.empty((10, 0), np.float32)  # (10, N + R), memory for a step of the kinematics
 
 
-#: The arrays of a craft that only other kinematics than ``unit`` need.
-NO_KINEMATICS = {
-    "pushes": np.empty((0, 0, 0, 0), np.float32),
-    "kept": np.empty((0, 0, 0), np.float32),
-    "rows": np.empty((10, 0), np.float32),
-}
-
-
-def make_craft(swarms: int, width: int) -> Craft:
-    """The craft of B swarms of so many UAVs that all fly with ``unit``, and whose free UAVs have flown."""
-    return Craft(
-        swarms=np.arange(swarms),
-        width=np.full(swarms, width),
-        free=np.zeros((swarms, 1), np.int64),
-        laws=np.zeros((swarms, 4, 3), np.int64),
-        constants=np.zeros((swarms, 4, 6)),
-        steps=0,
-        normals=np.empty((swarms, 0), np.float32),
-        state=np.empty((swarms, 0, MOBILITY_STATE)),
-        jitter=np.zeros(swarms, np.float32),
-        kinematics=np.zeros(swarms, np.int64),
-        numbers=np.zeros((swarms, 4), np.float32),
-        **NO_KINEMATICS,
-    )
+def make_craft(swarms: int) -> Craft:
+    """The craft of B swarms that fly with ``unit``, and whose free UAVs have flown."""
+    free, state = np.zeros((swarms, 1), np.int64), np.empty((swarms, 0, MOBILITY_STATE))
+    return Craft(free, np.zeros((4, 3), np.int64), np.zeros((4, 6)), 0, np.empty((swarms, 0), np.float32), state)
 
 
 @compiled(inner=True, _nrt=False, error_model="numpy")
@@ -191,9 +162,9 @@ def _fly_free_uavs(b, start, first, last, craft, motion, noise, position, veloci
     """Velocities of the free UAVs of swarm b from instant ``first`` to ``last`` - 1; step 0 is at instant ``start``."""
     low = begin = 0
     for law in range(4):
-        code, count, each = craft.laws[b, law]
-        numbers, width, stop = craft.constants[b, law], count * each, low + count
-        jitter = craft.jitter[b] if law == 0 else _ZERO
+        code, count, each = craft.laws[law]
+        numbers, width, stop = craft.constants[law], count * each, low + count
+        jitter = craft.jitter if law == 0 else _ZERO
         for j in range(low, stop if code != NOT_COMPILED else low):
             i, state = craft.free[b, j], craft.state[b, j]
             flies, place = motion[b, i] != DESTROYED, position[b, first, i]
@@ -217,8 +188,8 @@ def _fly_free_uavs(b, start, first, last, craft, motion, noise, position, veloci
 @compiled()
 def fly_free(start, first, craft, motion, noise, position, velocity):
     """Velocities of the free UAVs in all steps from instant ``first`` on, in place; step 0 is at ``start``."""
-    for b in craft.swarms:
-        drawn = take_noise(b, noise, craft)
+    for b in range(len(motion)):
+        drawn = noise[b]
         _fly_free_uavs(b, start, first, velocity.shape[1], craft, motion, drawn, position, velocity)
 
 
@@ -326,7 +297,7 @@ def begin_step(b, s, t, motion, craft, noise, position, velocity):
 @compiled(inner=True, _nrt=False)
 def end_step(b, s, t, motion, craft, position, velocity):
     """Turn what all UAVs want in step t into what they fly, with other kinematics than ``unit``."""
-    code, numbers = craft.kinematics[b], craft.numbers[b]
+    code, numbers = craft.kinematics, craft.numbers
     steer(code, numbers, b, s, t, motion, craft.pushes, craft.kept, craft.rows, position, velocity)
 
 
@@ -348,12 +319,11 @@ def split_motion(motion):
 @compiled()
 def fly_alone(motion, start, noise, position, velocity, craft):
     """A flight without followers."""
-    for b in craft.swarms:
-        drawn = take_noise(b, noise, craft)
+    for b in range(len(motion)):
+        drawn = noise[b]
         for s in range(noise.shape[1]):
-            if craft.kinematics[b] != UNIT:
+            if craft.kinematics != UNIT:
                 begin_step(b, s, start + s, motion, craft, drawn, position, velocity)
-            if craft.kinematics[b] != UNIT:
                 end_step(b, s, start + s, motion, craft, position, velocity)
             move(b, start + s, position, velocity)
 

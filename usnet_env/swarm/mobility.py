@@ -106,12 +106,12 @@ class CompiledMobility(Mobility):
                 drawn = rng.standard_normal((steps, count, self.normals), dtype=np.float32)
                 normals[first : first + count] = drawn.swapaxes(0, 1)
                 first += count
-        craft = kernels.make_craft(len(swarms), 1)._replace(
+        craft = kernels.make_craft(len(swarms))._replace(
             steps=steps,
             normals=normals.reshape(len(swarms), -1),
             state=swarms,
         )
-        craft.laws[:, 0], craft.constants[:, 0] = (self.code, 1, self.normals), self.constants
+        craft.laws[0], craft.constants[0] = (self.code, 1, self.normals), self.constants
         motion = np.full((len(swarms), 1), kernels.FREE, np.int8)
         velocity, none = np.zeros((len(swarms), steps, 1, 3), np.float32), np.empty((len(swarms), 0, 1, 3), np.float32)
         kernels.fly_free(0, 0, craft, motion, none, position[chosen][:, None, None], velocity)

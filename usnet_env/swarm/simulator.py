@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from usnet_env.arrays import Indices, Mask, Singles
 from usnet_env.swarm import kernels
 from usnet_env.swarm.config import SwarmConfig
-from usnet_env.swarm.flight import Kind, draw_craft, find_mobilities, fly_free, fly_steps, sort_kinds
+from usnet_env.swarm.flight import draw_craft, find_mobilities, fly_free, fly_steps, sort_kinds
 from usnet_env.swarm.formation import FORMATIONS, draw_corridors
 from usnet_env.swarm.sensing import Generators, ObservationBatch, draw_normals, sense, shift_tracks
 from usnet_env.swarm.state import LASTING, Roles, SwarmState, destroy
@@ -62,11 +62,9 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
     x, y, z = np.moveaxis(velocity, -1, 0)  # faster than a sum over the last axis
     velocity /= np.sqrt(x * x + y * y + z * z)[..., None]
     free, state = drawn["free"], drawn["mobility_state"]
-    kind = Kind.of(config, list(range(episodes)))
-    craft = draw_craft([kind], np.zeros(episodes, np.int64), free, state, memory, rngs)
-    craft.jitter[:] = 0.0
+    craft = draw_craft(config, free, state, memory, rngs)._replace(jitter=np.float32(0.0))
     motion = np.full((episodes, all_uavs), kernels.FREE, np.int8)
-    fly_free(kind, 0, 0, craft, motion, np.empty((episodes, 0, all_uavs, 3), np.float32), position, velocity, rngs)
+    fly_free(config, 0, 0, craft, motion, np.empty((episodes, 0, all_uavs, 3), np.float32), position, velocity, rngs)
     kernels.integrate(0, position, velocity)
     begun = SwarmState(
         alive=np.ones((episodes, uavs), bool),

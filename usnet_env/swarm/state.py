@@ -38,29 +38,6 @@ def join_rows(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
     return _pack([row for part in parts for row in part])
 
 
-def pad_rows(rows: NDArray[Any]) -> NDArray[Any]:
-    """A copy as one array of numbers; rows of several shapes are padded with zeros."""
-    if rows.dtype != object:
-        return rows.copy()
-    shape = [max(axis) for axis in zip(*(row.shape for row in rows), strict=True)]
-    padded = np.zeros((len(rows), *shape), rows[0].dtype)
-    for whole, row in zip(padded, rows, strict=True):
-        if row.size:
-            whole[tuple(map(slice, row.shape))] = row
-    return padded
-
-
-def cut_rows(padded: NDArray[Any], rows: NDArray[Any]) -> NDArray[Any]:
-    """The rows of a padded array with the shapes of ``rows``."""
-    if rows.dtype != object:
-        return padded
-    cut = rows.copy()
-    for b, row in enumerate(rows):
-        if row.size:
-            cut[b] = padded[b][tuple(map(slice, row.shape))]
-    return cut
-
-
 class Roles(NamedTuple):
     """The role of every UAV in one swarm, or in B swarms with a leading axis B.
 

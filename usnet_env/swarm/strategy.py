@@ -71,7 +71,7 @@ class TrajectoryBatch:
     @property
     def flown(self) -> tuple[NDArray[np.int8], int, Singles, Singles, Singles, kernels.Craft]:
         """Who flies, from which step on, with which noise, what is filled, and the craft: for the compiled loops."""
-        craft = kernels.make_craft(self.episodes, self.noise.shape[2]) if self.craft is None else self.craft
+        craft = kernels.make_craft(self.episodes) if self.craft is None else self.craft
         return self.motion, self.start, self.noise, self.position, self.velocity, craft
 
     episodes = AxisLength("noise", 0)  #: B
