@@ -34,6 +34,8 @@ LADDER: dict[str, tuple[str, dict[str, Any]]] = {
     ),
     "USNET/MultiCluster-Paper-v0": ("MultiCluster", {"follow": _LAWS}),
     "USNET/MultiCluster-Hard-v0": ("MultiCluster", {"clusters": [3, 6], "uavs": [40, 60], **_HARD}),
+    "USNET/SingleCluster-Led-v0": ("SingleCluster", {"followers": [5, 20], **_HARD, "led_by": (1, 4)}),
+    "USNET/MultiCluster-Led-v0": ("MultiCluster", {"clusters": [3, 6], "uavs": [40, 60], **_HARD, "led_by": (1, 4)}),
 }
 _FIELD: dict[str, Any] = {"distribution": "field-v0", "memory": 12}
 TRACKS = "USNET/Tracks-v0"  # replays a file, which is a required argument; so it has no presets

@@ -17,7 +17,7 @@ import numpy as np
 
 from usnet_env.envs.distribution import DISTRIBUTIONS
 from usnet_env.swarm import SwarmConfig, advance, destroy, start
-from usnet_env.swarm.follow import CONTROLS, FIELD_MODELS, LIMIT_MODELS
+from usnet_env.swarm.follow import CONTROLS, FIELD_MODELS, LED_MODELS, LIMIT_MODELS
 from usnet_env.swarm.kinematics import KINEMATICS
 from usnet_env.swarm.open_follow import draw_laws
 
@@ -52,6 +52,10 @@ def make_entries() -> dict[str, Callable[[], Any]]:
         **{
             f"follow {name} {model.version}": lambda name=name: fly(follow=name, memory=30 if name == "late" else 12)
             for name, model in {**FIELD_MODELS, **CONTROLS, **LIMIT_MODELS}.items()
+        },
+        **{
+            f"led {name} {model.version}": lambda name=name: fly(follow=name, led_by=(1, 4), decoys=2)
+            for name, model in {**LED_MODELS, "frontness": FIELD_MODELS["frontness"]}.items()
         },
         **{
             f"kinematics {name} {KINEMATICS[name].version}": lambda name=name: fly(follow="f2", kinematics=name)

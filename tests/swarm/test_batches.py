@@ -5,7 +5,7 @@ import pytest
 from flights import generators
 
 from usnet_env.swarm import MOBILITIES, SwarmConfig, advance, destroy, start
-from usnet_env.swarm.follow import CONTROLS, FIELD_MODELS, FollowFunction
+from usnet_env.swarm.follow import CONTROLS, FIELD_MODELS, LED_MODELS, FollowFunction
 from usnet_env.swarm.mobility import MobilityFunction
 from usnet_env.swarm.random_follow import random_follow_strategy
 
@@ -23,6 +23,8 @@ CASES = [
     *({"follow": "f6", "mobility": name, "head_jitter": True} for name in MOBILITIES),
     *({"follow": name, "kinematics": "limited"} for name in (*FIELD_MODELS, *CONTROLS)),
     *({"follow": "f6", "kinematics": name} for name in ("varied_speed", "lagged", "layered")),
+    *({"follow": name, "led_by": (1, 3), "kinematics": "limited"} for name in ("f2", "part_time", *LED_MODELS)),
+    {"follow": FollowFunction(lambda inputs: inputs.head_velocity[:, 1]), "led_by": 2, "mobility": "waypoint"},
     {"follow": "none", "mobility": "smooth_turn"},
     {"follow": "f5", "sample_every": 2, "clutter": 4, **SENSOR},
     {"follow": FollowFunction(lambda inputs: -inputs.head_velocity[:, 1])},

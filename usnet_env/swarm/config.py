@@ -27,6 +27,8 @@ Ratio = Annotated[float, Field(ge=0, le=100)]
 Burst = Annotated[float, Field(ge=0, le=10_000)]
 Rate = Annotated[float, Field(ge=0, lt=1)]
 Share = Annotated[float, Field(ge=0, le=1)]
+Unseen = Annotated[int, Field(ge=0, le=8)]
+Level = Annotated[int, Field(ge=1, le=8)]
 Price = Annotated[float, Field(ge=0, le=1e6)]
 
 
@@ -56,6 +58,11 @@ class MobilityArguments(Config):
     mobility: str | Mobility = Field("iid", description="how heads and decoys move: ``iid``, ``gauss_markov``, …")
     head_jitter: bool = Field(False, description="add the followers' noise κ_n n to heads and decoys")
     kinematics: str | Kinematics = Field("unit", description="how UAVs fly: ``unit`` (1 m per step), ``lagged``, …")
+    led_by: Unseen | tuple[Level, Level] = Field(
+        0,
+        description="number of unseen UAVs above each head and decoy: a chain in which each follows the one before by "
+        "the follow strategy, and the head or decoy the last one; ``(1, 4)``: drawn for each head and decoy",
+    )
 
 
 class BystanderArguments(Config):
@@ -112,6 +119,8 @@ class SwarmConfig(SensorArguments, SizeArguments, BystanderArguments, MobilityAr
                 f"cluster_sizes must hold {self.clusters} numbers with the sum uavs - clusters - decoys - bystanders "
                 f"- traffic - clutter - absent = {followers}, got {quote(list(sizes))}."
             )
+        if isinstance(self.led_by, tuple) and self.led_by[0] > self.led_by[1]:
+            raise ArgumentError(f"led_by must go from a number to a larger one, got {list(self.led_by)}.")
         if followers < 2 * self.clusters:
             raise ArgumentError(
                 f"uavs must be at least 3 * clusters + decoys + bystanders + traffic + clutter = "
@@ -135,6 +144,14 @@ class SwarmConfig(SensorArguments, SizeArguments, BystanderArguments, MobilityAr
         """Number of followers of all clusters at the start."""
         others = self.decoys + self.bystanders + self.traffic + self.clutter + self.absent
         return self.uavs - self.clusters - others
+
+    @property
+    def unseen_levels(self) -> tuple[int, int]:
+        """The fewest and the most unseen UAVs above a head or decoy; 0 and 0 where these follow no UAV."""
+        strategy, led_by = self.follow_strategy, self.led_by
+        if strategy is None or not strategy.has_followers or strategy.has_references or strategy.shifts_tracks:
+            return 0, 0
+        return (led_by, led_by) if isinstance(led_by, int) else led_by
 
     @property
     def follow_strategy(self) -> FollowStrategy | None:

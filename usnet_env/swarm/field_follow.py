@@ -86,7 +86,9 @@ class Links(FieldStrategy):
         """Compiled loop."""
         flock = self.links, np.float32(self.strength), np.float32(self.scale)
         answer = self.answers, self.block, np.float32(self.share), np.float32(self.idle_noise)
-        field_kernels.fly_links(*flock, *answer, self.table(flight), flight.source, flight.clock, *flight.flown)
+        field_kernels.fly_links(
+            *flock, *answer, self.table(flight), flight.root, flight.source, flight.clock, *flight.flown
+        )
 
 
 @dataclass(frozen=True)

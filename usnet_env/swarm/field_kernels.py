@@ -43,10 +43,10 @@ def find_top(i, motion, source):
 
 @compiled(error_model="numpy")
 def fly_links(
-    links, strength, scale, answers, block, share, idle_noise, table, source, clock, motion, start, noise, position,
-    velocity, craft,
+    links, strength, scale, answers, block, share, idle_noise, table, root, source, clock, motion, start, noise,
+    position, velocity, craft,
 ):  # fmt: skip
-    """Followers copy up to ``links`` UAVs above them in the chain of sources.
+    """Followers copy up to ``links`` UAVs above them in the chain of sources, up to their head.
 
     Link k of follower i leads to the UAV a_k that is k steps above it, with the sum of the delays on this way.
     v_{i,t+1} = norm((1 - g_i) v_{i,t} + g_i mean_k v_{a_k,t+1-d_k} + kappa_i n). With ``strength`` > 0 it is
@@ -64,12 +64,14 @@ def fly_links(
             count[i] = 0
             a, delay = i, 0
             while count[i] < links and motion[b, a] == FOLLOWS and source[b, a] >= 0:
+                if a != i and a < root.shape[1] and root[b, a] == a:  # a head, which may follow unseen UAVs
+                    break
                 delay += np.int64(table[b, DELAY, a])
                 a = source[b, a]
                 above[i, count[i]], late[i, count[i]] = a, delay
                 count[i] += 1
-            top = find_top(i, motion[b], source[b]) if answers == EACH_CLUSTER else i
-            salt[i] = table[b, SALT, top % uavs]
+            shared = answers == EACH_CLUSTER and source[b, i] >= 0  # by all that copy the same UAV
+            salt[i] = table[b, SALT, source[b, i] % uavs if shared else i]
         for s in range(steps):
             t = start + s
             if craft.kinematics != UNIT:
@@ -116,8 +118,8 @@ def fly_kinds(answers, block, reach, table, source, clock, motion, start, noise,
     for b in range(len(motion)):
         drawn = noise[b]
         for i in range(uavs):
-            top = find_top(i, motion[b], source[b]) if answers == EACH_CLUSTER else i
-            salt[i] = table[b, SALT, top % uavs]
+            shared = answers == EACH_CLUSTER and source[b, i] >= 0  # by all that copy the same UAV
+            salt[i] = table[b, SALT, source[b, i] % uavs if shared else i]
         for s in range(steps):
             t = start + s
             if craft.kinematics != UNIT:

@@ -71,7 +71,8 @@ def _fly(config: SwarmConfig, state: SwarmState, rngs: Generators, steps: int) -
         kept=state.kinematic_state.copy(),
         rows=np.empty((10, all_uavs), np.float32),
     )
-    swarm = state.root, state.parameters, state.source, state.bystander, state.clock
+    source = np.concatenate([state.source, state.reference_source], axis=1)
+    swarm = state.root, state.parameters, source, state.bystander, state.clock
     flight = TrajectoryBatch(position, velocity, noise, _find_motion(state, all_uavs), *swarm, craft)
     mobility_compiled = isinstance(config.head_mobility, CompiledMobility)
     leading_compiled = strategy is None or not strategy.has_followers or strategy.compiled

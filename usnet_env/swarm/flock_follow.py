@@ -28,14 +28,14 @@ class Flock(FieldStrategy):
     flight: float = 0.0  # distance at which a UAV flees a predator or driver, metres
     flee: float = 0.0  # weight of the flight
     standoff: float = 0.0  # distance of a driver from the middle of its flock, metres
-    preference: float = 0.0  # weight of the course of the cluster's reference for its informed UAVs
+    link: float = 0.0  # weight of the course of the UAV or reference that a UAV with a head, or a head, copies
     chaser: ClassVar[int] = flock_kernels.NO_CHASER
 
     def fly(self, flight: TrajectoryBatch) -> None:
         """Compiled loop."""
         ranges = np.array([self.repulsion, self.alignment, self.attraction], np.float32)
         weights = np.array([self.align, self.attract], np.float32)
-        others = map(np.float32, (self.flight, self.flee, self.standoff, self.preference))
+        others = map(np.float32, (self.flight, self.flee, self.standoff, self.link))
         swarm = self.table(flight), flight.root, flight.source, flight.bystander
         flock_kernels.fly_flock(ranges, weights, self.chaser, *others, *swarm, *flight.flown)
 
@@ -59,7 +59,7 @@ class Informed(Couzin):
     """
 
     share: float = 0.2
-    preference: float = 0.5
+    link: float = 0.5
     has_references = True
 
     def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
@@ -71,6 +71,25 @@ class Informed(Couzin):
             source[members], root[members] = len(source) + cluster, -1
             head[informed], root[informed] = True, informed
         return roles._replace(head=head, source=source, root=root)
+
+
+@dataclass(frozen=True)
+class Linked(Informed):
+    """Informed UAVs of a flock that are all heads: they copy unseen UAVs, and every other one copies one of them."""
+
+    has_references = False
+
+    def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
+        """Draw the informed UAVs of each cluster, and the one that each of the others copies."""
+        roles = super().arrange(rng, roles)
+        source, root = roles.source.copy(), roles.root.copy()
+        for cluster, first in enumerate(roles.drawn):
+            members = np.flatnonzero(roles.source == len(source) + cluster)
+            informed = members[roles.head[members]]
+            source[informed] = first
+            others = members[~roles.head[members]]
+            source[others] = root[others] = rng.choice(informed, len(others))
+        return roles._replace(source=source, root=root)
 
 
 @dataclass(frozen=True)

@@ -101,12 +101,12 @@ def _sum_cells(k, width, repel, align, attract, size, begin, cell, p, v, rows):
 
 
 @compiled(inner=True, error_model="numpy")
-def _sum_aligned(size, align, rows):
+def _sum_aligned(seen, size, align, rows):
     """What :func:`_sum_all` does, in a third of the time, for a flock without repulsion and attraction."""
     last = (size + 7) // 8 * 8
     for row in range(_RX, _END, _APART):
         rows[row : row + last] = _ZERO
-    for d in range(size):
+    for d in range(seen):
         x, y, z = rows[_X + d], rows[_Y + d], rows[_Z + d]
         ux, uy, uz = rows[_UX + d], rows[_UY + d], rows[_UZ + d]
         for c in range(last // 8 * 8):
@@ -119,7 +119,7 @@ def _sum_aligned(size, align, rows):
 
 
 @compiled(inner=True, error_model="numpy")
-def _sum_all(size, repel, align, attract, rows):
+def _sum_all(seen, size, repel, align, attract, rows):
     """Fill the sums in ``rows`` for all UAVs of a small flock.
 
     The inner loop is over the UAVs that get a term, so the sums have the same bits with all vector instructions. It
@@ -128,7 +128,7 @@ def _sum_all(size, repel, align, attract, rows):
     last = (size + 7) // 8 * 8
     for row in range(_RX, _END, _APART):
         rows[row : row + last] = _ZERO
-    for d in range(size):
+    for d in range(seen):
         x, y, z = rows[_X + d], rows[_Y + d], rows[_Z + d]
         ux, uy, uz = rows[_UX + d], rows[_UY + d], rows[_UZ + d]
         for c in range(last // 8 * 8):  # tells the compiler that no vector is cut
@@ -187,7 +187,10 @@ def _sort_members(motion, source, bystander, uavs, label, order, first):
     first[:] = 0
     for i in range(uavs):
         label[i] = -1
-        if motion[i] != DESTROYED and not (bystander[i] and motion[i] == FOLLOWS):
+        joins = motion[i] == FOLLOWS  # of the unseen UAVs all but the free ones
+        if i < len(bystander):
+            joins = motion[i] != DESTROYED and not (bystander[i] and joins)
+        if joins:
             label[i] = find_top(i, motion, source)
             first[label[i] + 1] += 1
     for f in range(len(first) - 1):
@@ -221,7 +224,7 @@ def _steer_chaser(chaser, standoff, i, first, last, top, t, p, middle, position,
 
 @compiled(error_model="numpy")
 def fly_flock(
-    ranges, weights, chaser, flight_range, flight_weight, standoff, preference, table, root, source, bystander,
+    ranges, weights, chaser, flight_range, flight_weight, standoff, link, table, root, source, bystander,
     motion, start, noise, position, velocity, craft,
 ):  # fmt: skip
     """Followers fly by repulsion, or else by alignment and attraction, from the UAVs of their flock, and flee chasers.
@@ -253,7 +256,7 @@ def fly_flock(
         flocks = np.flatnonzero(has_followers)  # no free UAV by itself
         for f in flocks:
             rank[first[f] : first[f + 1]] = np.arange(first[f + 1] - first[f])
-        chasers = np.flatnonzero(bystander[b] & (motion[b, :uavs] == FOLLOWS))
+        chasers = np.flatnonzero(bystander[b] & (motion[b, : bystander.shape[1]] == FOLLOWS))
         for s in range(steps):
             t = start + s
             if craft.kinematics != UNIT:
@@ -263,16 +266,19 @@ def fly_flock(
                     p[axis, c], v[axis, c] = position[b, t, order[c], axis], velocity[b, t - 1, order[c], axis]
             for f in flocks:
                 low, size = first[f], first[f + 1] - first[f]
-                px, py, pz = p[0, low : low + size], p[1, low : low + size], p[2, low : low + size]
+                seen = size  # the unseen UAVs come last: they fly by the flock, which does not see them
+                while order[low + seen - 1] >= root.shape[1]:
+                    seen -= 1
+                px, py, pz = p[0, low : low + seen], p[1, low : low + seen], p[2, low : low + seen]
                 mx, my, mz = px.mean(), py.mean(), pz.mean()
                 middle[f, 0], middle[f, 1], middle[f, 2] = mx, my, mz
                 small = 1
                 if _SMALL < size <= _MIDDLE:
-                    _sort_by_cell(low, p, outer, key, rank[low : low + size])
+                    _sort_by_cell(low, p, outer, key, rank[low : low + seen])
                 if size > _MIDDLE:
                     while small < 2 * size:
                         small *= 2
-                    _build_cells(low, low + size, p, v, outer, place, begin[: small + 1], cell, near_p, near_v)
+                    _build_cells(low, low + seen, p, v, outer, place, begin[: small + 1], cell, near_p, near_v)
                 for part in range(low, low + size, _MIDDLE):
                     count = min(_MIDDLE, low + size - part)
                     for k in range(count):
@@ -283,20 +289,25 @@ def fly_flock(
                             rows[_UX + axis * _APART + k] = v[axis, c]
                             rows[_NX + axis * _APART + k] = table[b, NOISE, i] * drawn[s, i, axis]
                     if size <= _MIDDLE and repel == _ZERO and attract == _ZERO:
-                        _sum_aligned(size, align, rows)
+                        _sum_aligned(seen, size, align, rows)
                     elif size <= _MIDDLE:
-                        _sum_all(size, repel, align, attract, rows)
+                        _sum_all(seen, size, repel, align, attract, rows)
                     else:
                         for k in range(count):
                             _sum_cells(k, outer, repel, align, attract, small, begin, cell, near_p, near_v, rows)
+                    for k in range(max(seen - part + low, 0), count):  # an unseen UAV counts itself too
+                        for row in (_REPELLED, _ALIGNED, _ATTRACTED):
+                            rows[row + k] += _ONE
+                        for axis in range(0, 3 * _APART, _APART):
+                            rows[_OX + axis + k] += rows[_UX + axis + k]
                     _choose(count, weights, mx, my, mz, rows)
-                    for k in range(count if preference > _ZERO or len(chasers) else 0):
+                    for k in range(count if link > _ZERO or len(chasers) else 0):
                         i = order[low + rank[part + k]]
-                        if preference > _ZERO and root[b, i] == i:
+                        if link > _ZERO and (i >= root.shape[1] or root[b, i] >= 0) and motion[b, i] == FOLLOWS:
                             x, y, z = norm(rows[_WX + k], rows[_WY + k], rows[_WZ + k])
-                            rows[_WX + k] = x + preference * velocity[b, t - 1, f, 0]
-                            rows[_WY + k] = y + preference * velocity[b, t - 1, f, 1]
-                            rows[_WZ + k] = z + preference * velocity[b, t - 1, f, 2]
+                            led = velocity[b, t - 1, source[b, i]]
+                            rows[_WX + k], rows[_WY + k] = x + link * led[0], y + link * led[1]
+                            rows[_WZ + k] = z + link * led[2]
                         for h in chasers:
                             dx, dy = rows[_X + k] - position[b, t, h, 0], rows[_Y + k] - position[b, t, h, 1]
                             dz = rows[_Z + k] - position[b, t, h, 2]

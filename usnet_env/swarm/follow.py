@@ -8,7 +8,7 @@ only :meth:`FollowStrategy.direction`, or a function. The field models and contr
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -47,7 +47,7 @@ class Lags(FollowStrategy):
     def fly(self, trajectories: TrajectoryBatch) -> None:
         """Compiled loop."""
         kappa, noise = np.full(self.lags, self.kappa, np.float32), np.float32(self.noise)
-        follow_kernels.fly_lags(kappa, self.square, noise, trajectories.root, *trajectories.flown)
+        follow_kernels.fly_lags(kappa, self.square, noise, trajectories.source, *trajectories.flown)
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class StayInRange(FollowStrategy):
     def fly(self, trajectories: TrajectoryBatch) -> None:
         """Compiled loop."""
         constants = map(np.float32, (self.kappa, self.pull, self.reach, self.noise))
-        follow_kernels.fly_range(*constants, trajectories.root, *trajectories.flown)
+        follow_kernels.fly_range(*constants, trajectories.source, *trajectories.flown)
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class Network(FollowStrategy):
     def fly(self, trajectories: TrajectoryBatch) -> None:
         """Compiled loop."""
         scale, noise = np.float32(self.position_scale), np.float32(self.noise)
-        follow_kernels.fly_mlp(trajectories.parameters, scale, noise, trajectories.root, *trajectories.flown)
+        follow_kernels.fly_mlp(trajectories.parameters, scale, noise, trajectories.source, *trajectories.flown)
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ FIELD_MODELS: dict[str, FieldStrategy] = {
         "informed i: v_{i,t+1} = norm(d_i / ‖d_i‖ + ω v_{r,t} + κ_n n), d_i as in couzin, r a reference",
         "Couzin et al. 2005, Nature 433:513",
         "a head ignores the UAVs that it leads",
-        ("share", "preference", "repulsion", "alignment", "attraction", "attract", "noise"),
+        ("share", "link", "repulsion", "alignment", "attraction", "attract", "noise"),
     ),
     "frontness": field_follow.Frontness(
         "v_{i,t+1} = norm(v_{iL,t} + κ_p g / max(‖g‖, 10) + κ_n n), g = p_{iL} + R_L (o_i − f a e_x) − p_i",
@@ -268,9 +268,24 @@ LIMIT_MODELS: dict[str, FieldStrategy] = {
     ),
 }
 
+
+def _vary(name: str, **changes: Any) -> FieldStrategy:
+    return replace(FIELD_MODELS[name], **changes)
+
+
+#: Models for swarms whose heads unseen UAVs lead (``led_by``). A flock needs a link, so that its UAVs copy a head. In a
+#: chain the noise adds up from UAV to UAV, so it is small.
+LED_MODELS: dict[str, FieldStrategy] = {
+    "chain-led": _vary("chain", noise=0.02),
+    "vicsek-led": _vary("vicsek", link=1.0),
+    "couzin-led": _vary("couzin", link=1.0, attract=0.15),
+    "informed-led": flock_follow.Linked(**{**vars(FIELD_MODELS["informed"]), "link": 1.0, "attract": 0.15}),
+    "predator-led": _vary("predator", link=2.0, attract=0.15),  # as strong as alignment and flight together
+}
+
 _TABLE_2 = {"f1": Lags(1), "f2": Lags(2), "f3": Lags(3), "f4": Lags(2, square=True), "f5": Lags(3, square=True)}
 _PAPER = {**_TABLE_2, "f6": StayInRange(), "f7": Network()}
-_OWN = {**_PAPER, "random": RandomLaw(), **FIELD_MODELS, **CONTROLS, **LIMIT_MODELS, **OPEN_LAWS}
+_OWN = {**_PAPER, "random": RandomLaw(), **FIELD_MODELS, **CONTROLS, **LIMIT_MODELS, **LED_MODELS, **OPEN_LAWS}
 
 #: All follow strategies by name; ``"none"`` selects the control without followers.
 FOLLOW_STRATEGIES = Registry(

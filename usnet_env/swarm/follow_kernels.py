@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from usnet_env.compiling import compiled
-from usnet_env.swarm.kernels import UNIT, begin_step, end_step, finish_step, gap, move, norm, split_motion
+from usnet_env.swarm.kernels import UNIT, begin_step, end_step, finish_step, gap, move, norm, split_links
 
 # The network of f7: inputs -> hidden tanh units -> 3 outputs, in the order of `Network.direction` in follow.py.
 MLP_LAGS = 4
@@ -22,22 +22,22 @@ _ONE, _ZERO = np.float32(1.0), np.float32(0.0)
 
 
 @compiled()
-def fly_lags(kappa, square, noise_scale, root, motion, start, noise, position, velocity, craft):
+def fly_lags(kappa, square, noise_scale, source, motion, start, noise, position, velocity, craft):
     """f1 to f5: v_{i,t+1} = norm(sum_tau kappa_tau v_{iL,t-tau}^p + kappa_n n), with p = 2 where ``square``.
 
-    The loop computes the sum once per step and head.
+    The loop computes the sum once per step and UAV that is copied.
     """
     steps, uavs = noise.shape[1], noise.shape[2]
     lags = len(kappa)
     target = np.zeros((uavs, 3), np.float32)
     for b in range(len(motion)):
         drawn = noise[b]
-        followers, free = split_motion(motion[b])
+        followers, sources = split_links(motion[b], source[b])
         for s in range(steps):
             t = start + s
             if craft.kinematics != UNIT:
                 begin_step(b, s, t, motion, craft, drawn, position, velocity)
-            for h in free:
+            for h in sources:
                 for axis in range(3):
                     total = _ZERO
                     for lag in range(lags):
@@ -45,7 +45,7 @@ def fly_lags(kappa, square, noise_scale, root, motion, start, noise, position, v
                         total += kappa[lag] * (v * v if square else v)
                     target[h, axis] = total
             for i in followers:
-                h = root[b, i]
+                h = source[b, i]
                 finish_step(b, s, t, i, target[h, 0], target[h, 1], target[h, 2], noise_scale, drawn, velocity)
             if craft.kinematics != UNIT:
                 end_step(b, s, t, motion, craft, position, velocity)
@@ -53,17 +53,17 @@ def fly_lags(kappa, square, noise_scale, root, motion, start, noise, position, v
 
 
 @compiled()
-def fly_range(kappa, pull, reach, noise_scale, root, motion, start, noise, position, velocity, craft):
+def fly_range(kappa, pull, reach, noise_scale, source, motion, start, noise, position, velocity, craft):
     """f6: norm(kappa_0 v_{iL,t} + kappa_n n + 1{|d| > kappa_r} kappa_p d / |d|), d = p_{iL,t} - p_{i,t}."""
     for b in range(len(motion)):
         drawn = noise[b]
-        followers, _ = split_motion(motion[b])
+        followers, _ = split_links(motion[b], source[b])
         for s in range(noise.shape[1]):
             t = start + s
             if craft.kinematics != UNIT:
                 begin_step(b, s, t, motion, craft, drawn, position, velocity)
             for i in followers:
-                h = root[b, i]
+                h = source[b, i]
                 dx, dy, dz = gap(position, b, t - 1, h, i)
                 distance = np.sqrt(dx * dx + dy * dy + dz * dz)
                 gain = pull / distance if distance > reach else _ZERO
@@ -96,10 +96,10 @@ def _tanh(x):
 
 
 @compiled()
-def fly_mlp(parameters, position_scale, noise_scale, root, motion, start, noise, position, velocity, craft):
+def fly_mlp(parameters, position_scale, noise_scale, source, motion, start, noise, position, velocity, craft):
     """f7: norm(MLP(P_{i,t+1}, V_{iL,t}, p_{iL,t-3}) + kappa_n n), one network per episode.
 
-    A head's contribution to the hidden layer is computed once per step.
+    The contribution of a UAV that is copied to the hidden layer is computed once per step.
     """
     steps, uavs = noise.shape[1], noise.shape[2]
     from_head = np.empty((uavs, MLP_HIDDEN), np.float32)
@@ -112,12 +112,12 @@ def fly_mlp(parameters, position_scale, noise_scale, root, motion, start, noise,
         weights = parameters[b, :inner].reshape((MLP_INPUTS, MLP_HIDDEN))
         bias = parameters[b, inner : inner + MLP_HIDDEN]
         readout = parameters[b, inner + MLP_HIDDEN :].reshape((MLP_HIDDEN, 3))
-        followers, free = split_motion(motion[b])
+        followers, sources = split_links(motion[b], source[b])
         for s in range(steps):
             t = start + s
             if craft.kinematics != UNIT:
                 begin_step(b, s, t, motion, craft, drawn, position, velocity)
-            for h in free:
+            for h in sources:
                 for unit in range(MLP_HIDDEN):
                     from_head[h, unit] = bias[unit]
                 for lag in range(MLP_LAGS):
@@ -127,7 +127,7 @@ def fly_mlp(parameters, position_scale, noise_scale, root, motion, start, noise,
                         for unit in range(MLP_HIDDEN):
                             from_head[h, unit] += v * weights[row, unit]
             for i in followers:
-                h = root[b, i]
+                h = source[b, i]
                 for axis in range(3):
                     own[axis] = (position[b, t, i, axis] - position[b, t - MLP_LAGS, h, axis]) * scale
                 for lag in range(MLP_LAGS):
@@ -177,10 +177,10 @@ def _add_term(term, now, before, total):
 
 
 @compiled()
-def fly_laws(laws, noise_scale, root, motion, start, noise, position, velocity, craft):
+def fly_laws(laws, noise_scale, source, motion, start, noise, position, velocity, craft):
     """Random laws ``(B, LAW)``, or ``(1, LAW)`` for all swarms: see ``RandomFollowStrategy``.
 
-    What a follower is told by its head is the same for all followers of the head but for the pull.
+    All followers of a UAV get the same numbers from it, but for the pull.
     """
     uavs = noise.shape[2]
     told = np.empty((uavs, 3), np.float32)
@@ -189,12 +189,12 @@ def fly_laws(laws, noise_scale, root, motion, start, noise, position, velocity, 
         drawn = noise[b]
         law = laws[b % len(laws)]
         end = law[len(law) - LAW_END :]
-        followers, free = split_motion(motion[b])
+        followers, sources = split_links(motion[b], source[b])
         for s in range(noise.shape[1]):
             t = start + s
             if craft.kinematics != UNIT:
                 begin_step(b, s, t, motion, craft, drawn, position, velocity)
-            for h in free:
+            for h in sources:
                 total[:] = _ZERO
                 for k in range(3):
                     term = law[k * LAW_TERM : (k + 1) * LAW_TERM]
@@ -207,7 +207,7 @@ def fly_laws(laws, noise_scale, root, motion, start, noise, position, velocity, 
                     row = end[3 * axis : 3 * axis + 3]
                     told[h, axis] = total[0] * row[0] + total[1] * row[1] + total[2] * row[2]
             for i in followers:
-                h = root[b, i]
+                h = source[b, i]
                 x, y, z = told[h, 0], told[h, 1], told[h, 2]
                 if end[13] > _ZERO:
                     gx, gy, gz = gap(position, b, t - 1, h, i)

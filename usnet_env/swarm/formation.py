@@ -37,7 +37,7 @@ def _uniform(rng: np.random.Generator, roles: Roles) -> Floats:
     return np.asarray(rng.random((len(roles.root), 3)) * _SIZE)
 
 
-def _draw_offsets(rng: np.random.Generator, uavs: int) -> Floats:
+def draw_offsets(rng: np.random.Generator, uavs: int) -> Floats:
     """Draw points ``(uavs, 3)`` uniform in a ball of 60 m around the origin."""
     direction = rng.standard_normal((uavs, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
@@ -48,7 +48,7 @@ def _around(rng: np.random.Generator, roles: Roles) -> Floats:
     """Heads and decoys uniform in the arena, followers uniform in a ball of 60 m around their head."""
     uavs = len(roles.root)
     position = rng.random((uavs, 3)) * _SIZE
-    offset = _draw_offsets(rng, uavs)
+    offset = draw_offsets(rng, uavs)
     followers = ~(roles.head | roles.decoy | roles.bystander)
     return np.where(followers[:, None], position[roles.root] + offset, position)
 
@@ -61,7 +61,7 @@ def _gathered(rng: np.random.Generator, roles: Roles) -> Floats:
     """
     uavs = len(roles.root)
     place = rng.random((uavs, 3)) * _SIZE
-    gathered = _draw_offsets(rng, uavs)
+    gathered = draw_offsets(rng, uavs)
     ball = np.where(roles.decoy | roles.bystander, roles.drawn[rng.integers(len(roles.drawn), size=uavs)], roles.root)
     gathered += place[ball]
     return np.where((roles.traffic | roles.clutter)[:, None], place, gathered)

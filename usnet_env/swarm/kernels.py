@@ -302,18 +302,21 @@ def end_step(b, s, t, motion, craft, position, velocity):
 
 
 @compiled(inner=True)
-def split_motion(motion):
-    """The indices of the followers and of the free UAVs; this loop compiles faster than ``np.flatnonzero``."""
-    followers, free = np.empty(len(motion), np.int64), np.empty(len(motion), np.int64)
+def split_links(motion, source):
+    """The indices of the UAVs that follow, and of those that they copy; loops compile faster than NumPy's functions."""
+    followers, sources = np.empty(len(motion), np.int64), np.empty(len(motion), np.int64)
+    copied = np.zeros(len(motion), np.bool_)
     n = k = 0
     for i in range(len(motion)):
         if motion[i] == FOLLOWS:
             followers[n] = i
+            copied[source[i]] = source[i] >= 0
             n += 1
-        elif motion[i] == FREE:
-            free[k] = i
+    for i in range(len(motion)):
+        if copied[i]:
+            sources[k] = i
             k += 1
-    return followers[:n], free[:k]
+    return followers[:n], sources[:k]
 
 
 @compiled()
@@ -362,7 +365,7 @@ def remerge(head, alive, apart, position, root, source):
             if head[b, i] or not alive[b, i] or source[b, i] == i:
                 continue
             above = source[b, i]
-            while 0 <= above < uavs and not alive[b, above] and source[b, above] != above:
+            while 0 <= above < uavs and not (alive[b, above] or head[b, above] or source[b, above] == above):
                 above = source[b, above]
             if above < 0 or (above < uavs and not alive[b, above]):
                 above = _nearest(position[b], i, heads[:living])
@@ -371,6 +374,6 @@ def remerge(head, alive, apart, position, root, source):
             if head[b, i] or apart[b, i] or not alive[b, i]:
                 continue
             above = source[b, i]
-            while 0 <= above < uavs and source[b, above] != above:
+            while 0 <= above < uavs and not (head[b, above] or source[b, above] == above):
                 above = source[b, above]
             root[b, i] = above if 0 <= above < uavs and head[b, above] else -1

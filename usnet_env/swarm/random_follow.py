@@ -64,7 +64,7 @@ class RandomFollowStrategy(FollowStrategy):
 
     def fly(self, flight: TrajectoryBatch) -> None:
         """Compiled loop."""
-        follow_kernels.fly_laws(self.pack()[None], np.float32(self.noise), flight.root, *flight.flown)
+        follow_kernels.fly_laws(self.pack()[None], np.float32(self.noise), flight.source, *flight.flown)
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class RandomLaw(FollowStrategy):
 
     def fly(self, flight: TrajectoryBatch) -> None:
         """Compiled loop."""
-        follow_kernels.fly_laws(flight.parameters, np.float32(self.noise), flight.root, *flight.flown)
+        follow_kernels.fly_laws(flight.parameters, np.float32(self.noise), flight.source, *flight.flown)
 
 
 def _draw_rotation(rng: np.random.Generator) -> Singles:

@@ -8,6 +8,7 @@ bystander, and every UAV with ``follow="none"``.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,9 +18,11 @@ from usnet_env.arrays import Indices, Mask, Singles
 from usnet_env.swarm import kernels
 from usnet_env.swarm.config import SwarmConfig
 from usnet_env.swarm.flight import draw_craft, find_mobilities, fly_free, fly_steps, sort_kinds
-from usnet_env.swarm.formation import FORMATIONS, draw_corridors
+from usnet_env.swarm.formation import FORMATIONS, draw_corridors, draw_offsets
 from usnet_env.swarm.sensing import Generators, ObservationBatch, draw_normals, sense, shift_tracks
 from usnet_env.swarm.state import LASTING, Roles, SwarmState, destroy
+
+SETTLING = 20  # steps that swarms with unseen UAVs fly at the start, besides their lags
 
 
 def random_cluster_sizes(rngs: Generators, clusters: int, followers: int) -> Indices:
@@ -75,26 +78,47 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
         reference_velocity=velocity[:, :, uavs:],
         **drawn,
     )
-    return destroy(begun, absent) if config.absent else begun
+    begun = destroy(begun, absent) if config.absent else begun
+    return _settle(config, begun, rngs) if config.unseen_levels[1] else begun
+
+
+def _settle(config: SwarmConfig, state: SwarmState, rngs: Generators) -> SwarmState:
+    """Fly until no UAV's course shows that its chain began with random ones, and put all UAVs back where they started.
+
+    Each of the K unseen UAVs, the head and the follower answers as many steps late as the strategy has lags.
+    """
+    strategy = config.follow_strategy
+    steps = SETTLING + (config.unseen_levels[1] + 2) * (strategy.lags if strategy is not None else 0)
+    flown, position, _ = fly_steps([config] * len(rngs), state, rngs, steps)
+    way, uavs = position[:, -1] - position[:, config.memory], state.alive.shape[1]
+    back = {"past_position": way[:, None, :uavs], "reference_position": way[:, None, uavs:]}
+    return replace(flown, **{name: getattr(flown, name) - moved for name, moved in back.items()})
 
 
 def _draw_swarms(config: SwarmConfig, rngs: Generators) -> dict[str, NDArray[Any]]:
     """Draw arrays of :class:`SwarmState` by name, and ``place`` and ``velocity`` of N UAVs and R references."""
     strategy, kinematics, uavs = config.follow_strategy, config.kinematics_model, config.uavs
-    references = config.clusters if strategy is not None and strategy.has_references else 0
+    led = config.unseen_levels[1] > 0
+    points = config.clusters if strategy is not None and strategy.has_references else 0
     drawn, formation = draw_roles(rngs, config), FORMATIONS.find(config.formation)
     swarms = drawn.split()
     place = np.array([formation(*pair) for pair in zip(rngs, swarms, strict=True)], np.float64).reshape(-1, uavs, 3)
     arranged = [strategy.arrange(*pair) for pair in zip(rngs, swarms, strict=True)] if strategy is not None else swarms
     changed = any(one is not other for one, other in zip(arranged, swarms, strict=True))
     roles = Roles(*map(np.array, zip(*arranged, strict=True))) if changed else drawn
+    sources = np.tile(np.arange(uavs, uavs + points), (len(rngs), 1))
+    beside = place[np.arange(len(rngs))[:, None], drawn.drawn[:, :points]]
+    if led:
+        roles, sources, visible = _draw_chains(config, rngs, drawn, roles)
+        points, offsets = visible.shape[1], np.array([draw_offsets(rng, sources.shape[1]) for rng in rngs])
+        beside = np.tile(place[np.arange(len(rngs))[:, None], visible], (1, config.unseen_levels[1], 1)) + offsets
+    references = sources.shape[1]
     if strategy is not None and strategy.has_followers:
-        by_mobility = drawn.decoy | (drawn.head & (references == 0))
+        by_mobility = (drawn.decoy | (drawn.head & (points == 0))) & (not led)
     else:
         by_mobility = ~drawn.bystander
     alone = drawn.bystander & ~drawn.traffic & ~drawn.clutter
-    points = np.tile(np.arange(uavs, uavs + references), (len(rngs), 1))
-    free = [_find_each(by_mobility), points, *map(_find_each, (alone, drawn.traffic, drawn.clutter))]
+    free = [_find_each(by_mobility), sources[:, :points], *map(_find_each, (alone, drawn.traffic, drawn.clutter))]
     groups = [sum(part.shape[1] for part in free[:2]), config.bystanders, config.traffic, config.clutter]
     laws = [(law, uavs) for law, uavs in zip(find_mobilities(config), groups, strict=True) if uavs]
     states = [np.array([law.start(rng, count) for rng in rngs]) for law, count in laws]
@@ -106,9 +130,9 @@ def _draw_swarms(config: SwarmConfig, rngs: Generators) -> dict[str, NDArray[Any
         place[drawn.traffic] = places.reshape(-1, 3)
     velocity = draw_normals(rngs, config.memory, uavs + references, 3)
     seeded = [np.random.default_rng(config.follow_seed) for _ in rngs] if config.follow_seed is not None else rngs
-    parameters = [np.empty(0, np.float32) if strategy is None else strategy.draw_for(rng, uavs) for rng in seeded]
+    wide = uavs + references * led
+    parameters = [np.empty(0, np.float32) if strategy is None else strategy.draw_for(rng, wide) for rng in seeded]
     kept = [kinematics.start(rng, uavs + references) for rng in rngs if kinematics.values]
-    from_heads = place[np.arange(len(rngs))[:, None], drawn.drawn[:, :references]]
     return {
         **{name: getattr(roles, name) for name in LASTING},
         "absent": drawn.root < 0,
@@ -116,9 +140,30 @@ def _draw_swarms(config: SwarmConfig, rngs: Generators) -> dict[str, NDArray[Any
         "mobility_state": mobility_state,
         "parameters": np.array(parameters),
         "kinematic_state": np.array(kept, np.float32).reshape(len(rngs), uavs + references, -1),
-        "place": np.concatenate([place, from_heads], axis=1),
+        "place": np.concatenate([place, beside], axis=1),
         "velocity": velocity,
+        "reference_source": sources,
     }
+
+
+def _draw_chains(config: SwarmConfig, rngs: Generators, drawn: Roles, roles: Roles) -> tuple[Roles, Indices, Indices]:
+    """Put a chain of up to K unseen UAVs above each of the C heads and decoys, and draw how many of them lead it.
+
+    It returns the roles, the sources ``(B, K C)`` of the unseen UAVs, level by level, and the heads and decoys
+    ``(B, C)``. The first of a chain is free. The last ones follow one after another; those between, if fewer than K
+    are drawn, follow the first, and no UAV follows them.
+    """
+    fewest, most = config.unseen_levels
+    visible = np.concatenate([drawn.drawn, _find_each(drawn.decoy)], axis=1)
+    chains = visible.shape[1]
+    unseen = drawn.head.shape[1] + np.arange(most * chains).reshape(most, chains)
+    length = np.array([rng.integers(fewest, most + 1, chains) for rng in rngs])
+    above = np.arange(most + 1)[:, None] > most + 1 - length[:, None]
+    sources = np.where(above, np.concatenate([unseen[:1], unseen]), unseen[0])  # (B, K + 1, C), the visible ones last
+    source = roles.source.copy()
+    np.put_along_axis(source, visible, sources[:, -1], axis=1)
+    source = np.where(roles.head, np.take_along_axis(source, roles.source, axis=1), source)
+    return roles._replace(source=source), sources[:, :-1].reshape(len(rngs), -1), visible
 
 
 def _find_each(chosen: Mask) -> Indices:

@@ -78,8 +78,8 @@ class Roles(NamedTuple):
 class SwarmState:
     """The true state of B swarms between two rounds; :meth:`episode` gives one swarm without the leading axis.
 
-    Besides its N UAVs a swarm of a field model may have R references: points that fly like heads and that no sensor
-    sees. Their indices are N to N + R - 1.
+    Besides its N UAVs a swarm may have R references, which no sensor sees: points of a field model that fly like heads,
+    or with ``led_by`` the unseen UAVs above heads and decoys. Their indices are N to N + R - 1.
 
     Swarms of one batch may be of several kinds, with other follow strategies, mobilities or kinematics, if N and T_0
     are the same. Arrays whose shapes then differ are arrays ``(B,)`` of arrays.
@@ -92,8 +92,8 @@ class SwarmState:
             bystander.
         past_position: ``(B, T_0 + 1, N, 3)`` float32, metres, oldest first; 0 for destroyed UAVs.
         past_velocity: ``(B, T_0, N, 3)`` float32, metres per step.
-        free: ``(B, n)`` int64, indices of the free UAVs: heads and decoys, references, bystanders, traffic, then
-            false tracks.
+        free: ``(B, n)`` int64, indices of the free UAVs: heads and decoys, unless unseen UAVs lead them, references,
+            bystanders, traffic, then false tracks.
         mobility_state: ``(B, n, MOBILITY_STATE)`` float64, the mobility state of the free UAVs.
         parameters: ``(B, P)`` float32, parameters of the follow strategy.
         bystander: ``(B, N)`` bool, the UAVs that no head leads, decoys excluded: bystanders, traffic, false tracks,
@@ -101,6 +101,7 @@ class SwarmState:
         source: ``(B, N)`` int64, the UAV or reference that each UAV copies; for f1 to f7 its head.
         clock: ``(B,)`` int64, number of steps flown.
         kinematic_state: ``(B, N + R, k)`` float32, the state of each UAV's kinematics.
+        reference_source: ``(B, R)`` int64, the reference that each reference copies; its own index if it is free.
         reference_position: ``(B, T_0 + 1, R, 3)`` float32, metres.
         reference_velocity: ``(B, T_0, R, 3)`` float32, metres per step.
     """
@@ -118,6 +119,7 @@ class SwarmState:
     source: Indices
     clock: Indices
     kinematic_state: Singles
+    reference_source: Indices
     reference_position: Singles
     reference_velocity: Singles
 
@@ -133,8 +135,9 @@ class SwarmState:
 
     @property
     def leader(self) -> Indices:
-        """``(B, N)`` int64, the UAV that each UAV copies directly; where :attr:`root` is -1, -1."""
-        return np.where(self.root >= 0, self.source, -1)
+        """``(B, N)`` int64, the UAV that each UAV copies directly, itself for a head; where :attr:`root` is -1, -1."""
+        uavs = np.arange(self.root.shape[-1])
+        return np.where(self.root >= 0, np.where(self.root == uavs, uavs, self.source), -1)
 
     def roles(self) -> dict[str, NDArray[Any]]:
         """``alive``, ``head``, ``decoy`` and ``root`` by name, as pictures take them."""

@@ -45,7 +45,8 @@ class FollowInputs:
 class TrajectoryBatch:
     """B swarms with a past of L steps and S steps to simulate; ``position`` and ``velocity`` are filled in place.
 
-    ``root``, ``source``, ``bystander``, ``parameters`` and ``clock`` are those of :class:`SwarmState`.
+    ``root``, ``source``, ``bystander``, ``parameters`` and ``clock`` are those of :class:`SwarmState`; ``source``
+    ``(B, N + R)`` ends with that of the references.
 
     Args:
         position: ``(B, L + S + 1, N + R, 3)`` float32, metres; the first L + 1 instants are given.
@@ -129,8 +130,8 @@ class FollowStrategy:
         for b in range(trajectories.episodes):
             position, velocity = trajectories.position[b], trajectories.velocity[b]
             followers = np.flatnonzero(trajectories.motion[b] == kernels.FOLLOWS)
-            heads = trajectories.root[b, followers]
-            numbers = np.cumsum(trajectories.root[b] != np.arange(len(trajectories.root[b])))[followers] - 1
+            heads = trajectories.source[b, followers]
+            numbers = np.cumsum(trajectories.source[b] != np.arange(position.shape[1]))[followers] - 1
             for s in range(trajectories.steps):
                 t = lags + s
                 past = slice(t - 1, t - 1 - lags if t > lags else None, -1)

@@ -146,6 +146,7 @@ class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
             source=root,
             clock=np.zeros((), np.int64),
             kinematic_state=np.zeros((uavs, 0), np.float32),
+            reference_source=np.zeros(0, np.int64),
             reference_position=last[:, :0],
             reference_velocity=none[:, :0],
         )

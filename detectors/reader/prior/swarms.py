@@ -13,7 +13,7 @@ from usnet_env.arrays import Indices, Mask
 from usnet_env.envs.distribution import DISTRIBUTIONS
 from usnet_env.swarm import SwarmConfig, SwarmState, advance, destroy, start
 from usnet_env.swarm.field_follow import Frontness, Links
-from usnet_env.swarm.field_kernels import DELAY
+from usnet_env.swarm.field_kernels import COLUMNS, DELAY
 
 _MOBILITY = {"gauss_markov": 4, "smooth_turn": 2, "waypoint": 1.5, "local_waypoint": 1.5, "iid": 1.5, "straight": 2.5}
 _KINEMATICS = {"unit": 5.0, **dict.fromkeys(("varied_speed", "lagged", "limited", "layered"), 1.25)}
@@ -100,10 +100,10 @@ def _find_truth(config: SwarmConfig, state: SwarmState, living: Indices) -> tupl
     leader = np.where(root == own, own, find_places(state.leader))  # a predator has a source, but no head
     strategy, follows = config.follow_strategy, leader != own
     head = (state.head & state.alive)[row, living] & (config.follow != "none")
-    if not getattr(strategy, "preference", 0.0):  # informed UAVs lead a flock whose UAVs have no head of their own
+    if not getattr(strategy, "link", 0.0):  # informed UAVs lead a flock whose UAVs have no head of their own
         head &= np.stack([np.isin(own, roots[led]) for roots, led in zip(root, follows, strict=True)])
     delay = np.full(living.shape, np.nan, np.float32)
     if isinstance(strategy, Frontness) or (isinstance(strategy, Links) and not strategy.strength):
-        table = state.parameters.reshape(len(living), -1, config.uavs)[:, DELAY]
+        table = state.parameters.reshape(len(living), COLUMNS, -1)[:, DELAY]
         delay[follows] = table[row, living][follows]
     return head, leader, root, delay, ""
