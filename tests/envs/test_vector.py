@@ -148,6 +148,16 @@ def test_games_that_the_caller_resets():
             batch.reset(options={"reset_mask": wrong})
 
 
+def test_an_observation_that_is_changed_in_place_changes_no_later_one_and_no_state():
+    batch, singles = make_pair()
+    for envs in (batch, singles):
+        for values in envs.reset(seed=3)[0].values():
+            values[:] = 0
+    np.testing.assert_equal(batch.get_state(), list(singles.call("get_state")))
+    one, other = (envs.reset(options={"reset_mask": np.arange(4) == 0})[0] for envs in (batch, singles))
+    same(one, other)
+
+
 def test_single_games_of_a_batch():
     """Pictures, attributes and states are those of single environments."""
     batch, singles = make_pair(render_mode="rgb_array")

@@ -100,6 +100,18 @@ def test_flat_observations_are_those_of_gymnasium(game):
         np.testing.assert_array_equal(flat[1, -1], spaces.flatten(games.observation_spaces[role], one))
 
 
+@pytest.mark.parametrize("game", list(GAMES))
+def test_an_observation_that_is_changed_in_place_changes_no_later_one(game):
+    games = batch_of(game, 2)
+    games.reset(seed=0)
+    seen = games.step({role: np.zeros((2, n, *games.action_spaces[role].shape)) for role, n in games.roles.items()})[0]
+    before = games.flatten(seen)
+    for part in (part for parts in seen.values() for part in parts.values()):
+        part[...] = 0
+    after = games.flatten(games.reset(games=[True, False])[0])
+    assert all(np.array_equal(after[role][1], flat[1]) for role, flat in before.items())
+
+
 def test_bad_arguments_of_a_batch_are_named():
     games = batch_of("evasion", 2)
     with pytest.raises(ArgumentError, match="num_envs must"):

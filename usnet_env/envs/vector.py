@@ -124,10 +124,9 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
         if len(chosen) < self.num_envs:
             infos = self._infos(metrics, begun.swarm, chosen)
             begun = game.require_game(self._game).with_rows(chosen, begun)
-            present = {name: values.copy() for name, values in self._window.items()}
             for name, values in window.items():
-                present[name][chosen] = values
-            window = present
+                self._window[name][chosen] = values
+            window = self._window
         else:
             infos = self._infos(metrics, begun.swarm)
         self._game = begun
@@ -203,7 +202,7 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
     def _show(
         self, window: Observation, begun: Indices, played: tuple[game.GameState, Mask, dict[str, Any]] | None = None
     ) -> Observation:
-        """Keep the present windows and, for pictures, the last round; return what is observed."""
+        """Keep the present windows and, for pictures, the last round; return copies of what is observed."""
         earlier, self._window = self._window, window
         for b, env in enumerate(self._singles if self.render_mode is not None else ()):
             last = None
@@ -218,7 +217,7 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
                 )
             if played is not None or b in begun:
                 env.show_round({name: values[b] for name, values in window.items()}, last)
-        return {name: window[name] for name in self.observe}
+        return {name: window[name].copy() for name in self.observe}
 
     @property
     def games(self) -> list[UsnetEnv]:

@@ -207,7 +207,8 @@ class GameBatch(ABC):
         """The observations of the observers, ``legal`` ``(B, n, N)``."""
         state, count = self.game, legal.shape[1]
         alive = np.repeat(state.swarm.alive[:, None], count, axis=1)
-        shown = game.show_window(ObservationBatch(**self._window, alive=alive), state.rounds)
+        window = {name: part.copy() for name, part in self._window.items()}
+        shown = game.show_window(ObservationBatch(**window, alive=alive), state.rounds)
         shown["round"] = np.tile(shown["round"][:, None, None], (1, count, 1))
         return {**shown, "legal": legal.astype(np.int8)}
 
@@ -217,7 +218,7 @@ class GameBatch(ABC):
             for role, count in self.roles.items()
         }
         for role, price in self._prices.items():
-            infos[role]["price"] = price
+            infos[role]["price"] = price.copy()
         return infos
 
     def merge_windows(self, b: int = 0) -> ObservationBatch:
