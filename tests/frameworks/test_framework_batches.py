@@ -4,6 +4,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from usnet_env import ArgumentError
+
 SMALL = {"clusters": 2, "uavs": 10, "observation_steps": 12, "max_rounds": 2}
 SEEN = {"observe": ("velocity", "alive")}
 
@@ -36,6 +38,18 @@ def test_stable_baselines_plays_the_games_of_the_batch():
     np.testing.assert_array_equal(masks, envs.env_method("action_masks")[2:])
     assert envs.get_attr("problem", indices=0) == ["P2"]
     assert len(envs.get_images()) == 3
+    envs.set_attr("note", 1)
+    envs.set_attr("note", [5, 6], indices=[0, 2])
+    assert envs.get_attr("note") == [[5, 6], 1, [5, 6]]
+    before = [rng.bit_generator.state for rng in envs.envs.np_random]
+    envs.env_method("reset", indices=[0])  # draws from the generator of game 0 only
+    assert [rng.bit_generator.state == old for rng, old in zip(envs.envs.np_random, before, strict=True)] == [
+        False,
+        True,
+        True,
+    ]
+    with pytest.raises(ArgumentError, match="that the games of a batch share"):
+        envs.set_attr("rules", None, indices=[0])
 
 
 def test_the_pair_policy_learns_raw_windows_in_stable_baselines():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -237,16 +237,16 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
         """The attribute of each game."""
         return tuple(getattr(env, name) for env in self.games)
 
-    def set_attr(self, name: str, values: Any) -> None:
-        """Set an attribute of each game, from a list or tuple of B values or from one value.
+    def set_attr(self, name: str, values: Any, games: Iterable[int] | None = None) -> None:
+        """Set an attribute of each game, or of some, from a list or tuple of B values or from one value.
 
         Raises:
             ArgumentError: all games of a batch share the attribute.
         """
         if hasattr(self, name):
             raise ArgumentError(f"name must be no attribute that the games of a batch share, got {quote(name)}.")
-        for b, env in enumerate(self._singles):
-            setattr(env, name, values[b] if isinstance(values, list | tuple) else values)
+        for b in range(self.num_envs) if games is None else games:
+            setattr(self._singles[b], name, values[b] if isinstance(values, list | tuple) else values)
 
     def get_state(self) -> list[dict[str, Any]]:
         """The state of each game, as of a single environment."""

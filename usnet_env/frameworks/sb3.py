@@ -66,18 +66,19 @@ class SwarmVecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """The attribute of some games."""
-        values = self.envs.get_attr(attr_name)
-        return [values[b] for b in self._get_indices(indices)]
+        games = self.envs.games
+        return [getattr(games[b], attr_name) for b in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Set an attribute of all games."""
-        self.envs.set_attr(attr_name, value)
+        """Set an attribute of some games; the batch refuses one that all games share."""
+        self.envs.set_attr(attr_name, [value] * self.num_envs, self._get_indices(indices))
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
         """What a method of some games returns."""
-        batched = method_name == "action_masks"  # in every step of MaskablePPO
-        values = self.envs.action_masks() if batched else self.envs.call(method_name, *args, **kwargs)
-        return [values[b] for b in self._get_indices(indices)]
+        if method_name == "action_masks":  # in every step of MaskablePPO
+            masks = self.envs.action_masks()
+            return [masks[b] for b in self._get_indices(indices)]
+        return [method(*args, **kwargs) for method in self.get_attr(method_name, indices)]
 
     def env_is_wrapped(self, wrapper_class: Any, indices: int | Iterable[int] | None = None) -> list[bool]:
         """No game is wrapped."""
