@@ -70,6 +70,7 @@ def test_twin_rollouts_are_equal(name):
     env = gym.make(name, position_noise=3.0, miss_rate=0.1)
     one, other = (episode(env, 12345, 7) for _ in range(2))
     assert all(env.observation_space.contains(step[0]) for step in one)
+    assert list(one[0][0]) == list(env.observation_space)
     assert {frozenset(step[-1]) for step in one} == {frozenset(one[0][1])}  # info has the same names in every step
     for _, reward, *_, info in one[1:]:
         assert sum(value for key, value in info.items() if key.startswith("reward_")) == pytest.approx(reward)

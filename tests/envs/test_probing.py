@@ -61,7 +61,9 @@ def test_alike_heads_and_decoys_differ_in_nothing_but_their_places():
 
 
 def test_gymnasium_s_checker_has_nothing_to_say():
-    check_env(gym.make(PROBING, **SMALL, intruders=2, render_mode="rgb_array").unwrapped)
+    env = gym.make(PROBING, **SMALL, intruders=2, render_mode="rgb_array")
+    check_env(env.unwrapped)
+    assert list(env.reset(seed=0)[0]) == list(env.observation_space)
 
 
 def wait(env, speed=0.0):

@@ -104,11 +104,11 @@ class ProbingEnv(UsnetEnv):
         super().__init__(draws, arguments.part(game.Rules, problem="P1", max_rounds=1), arguments)
         steps, track = config.observation_steps, (config.observation_steps + 1, arguments.intruders, 3)
         far = 3 * config.position_bound(1) + arguments.reach + arguments.top_speed * steps * config.sample_every
-        self.observe = (*self.observe, "intruders", "elapsed")
         window: Any = self.observation_space
         more = {"intruders": (-far, far, track), "elapsed": (0, steps, (1,))}
         boxes = {name: spaces.Box(*bounds, np.float32) for name, bounds in more.items()}
-        self.observation_space = spaces.Dict({**window.spaces, **boxes})  # type: ignore[assignment]  # Dict is invariant
+        seen = spaces.Dict({**window.spaces, **boxes})
+        self.observation_space, self.observe = seen, tuple(seen)  # type: ignore[assignment]  # Dict is invariant
         moves = spaces.Box(-1, 1, track[1:], np.float32)
         self.action_space = spaces.Dict({"velocity": moves, "candidates": spaces.MultiBinary(config.uavs)})  # type: ignore[assignment]
         # The true flight so far ``position`` (S + 1, N, 3), ``velocity`` (S, N, 3) and ``intruders`` (T_ob + 1, K, 3),

@@ -116,9 +116,8 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         self.rules = rules
         self.reveal_truth = output.reveal_truth
         self.render_mode = output.render_mode
-        parts = tuple(output.observe or game.PARTS)
-        self.observe: tuple[str, ...] = parts
-        self.observation_space = game.observation_space(config, rules, parts)  # type: ignore[assignment]  # Dict is invariant
+        seen = game.observation_space(config, rules, output.observe or game.PARTS)
+        self.observation_space, self.observe = seen, tuple(seen)  # type: ignore[assignment]  # Dict is invariant
         self.action_space = spaces.MultiBinary(config.uavs)
         self._game: game.GameState | None = None
         self._window: Observation = {}  # the present observation
