@@ -5,6 +5,8 @@ import importlib
 import numpy as np
 import pytest
 
+from usnet_env import ArgumentError
+
 pytestmark = pytest.mark.slow  # TorchRL takes seconds to import
 
 SMALL = {"clusters": 2, "uavs": 10, "observation_steps": 12, "max_rounds": 3}
@@ -63,4 +65,18 @@ def test_masks_allow_living_uavs_nobody_and_the_decoys_that_a_head_can_have(make
     assert not mask[..., 2, :].any()  # of two followers one remains
     first["observer", "action"] = np.full((2, 1), 6)
     first["head", "action"] = np.zeros((2, 2), int)
+    first["head", "active"].zero_()  # the caller's, not the game's
+    assert env.games.active["head"].all()
     assert env.step(first)["next", "observer", "action_mask"].all()
+
+
+def test_observe_keeps_some_arrays_of_each_role(make):
+    env = make("usnet_evasion_v0", 2, **SMALL, observe=("velocity", "heads"))
+    importlib.import_module("torchrl.envs").check_env_specs(env, seed=0)
+    env.set_seed(3)
+    flat, seen = env.reset(), env.games.reset(seed=3)[0]
+    assert flat["observer", "observation"].shape == (2, 1, 12 * 10 * 3)
+    parts = [seen["head"]["heads"], seen["head"]["velocity"].reshape(2, 2, -1)]
+    np.testing.assert_array_equal(flat["head", "observation"], np.concatenate(parts, axis=2))
+    with pytest.raises(ArgumentError, match=r"^observe must be one of alive, .* got 'speed'"):
+        make("usnet_evasion_v0", 2, **SMALL, observe=("velocity", "speed"))

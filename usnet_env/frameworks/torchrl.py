@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+from collections.abc import Sequence
 from typing import Any, cast
 
 import gymnasium as gym
@@ -15,6 +16,7 @@ from torchrl.data import Binary, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from usnet_env.arrays import Indices, Mask
+from usnet_env.config import unknown_name
 
 
 class _Batch(EnvBase):  # type: ignore[misc]  # TorchRL is an extra
@@ -90,23 +92,33 @@ class GamesEnv(_Batch):
     Args:
         game: ``usnet_observers_v0`` or ``usnet_evasion_v0``.
         num_envs: B, number of games.
+        observe: the arrays in the flat observations, such as ``("velocity", "alive")``; ``None``: all.
         arguments: the arguments of the game.
+
+    Raises:
+        ArgumentError: no role has an array of this name.
     """
 
-    def __init__(self, game: str, num_envs: int, **arguments: Any) -> None:
+    def __init__(self, game: str, num_envs: int, observe: Sequence[str] | None = None, **arguments: Any) -> None:
         super().__init__(num_envs)
         make = importlib.import_module(f"usnet_env.multiagent.{game}").batch_env
         self.games, one = make(num_envs, **arguments), make(1, **arguments)
         one.reset(seed=0)
+        known = {name for space in self.games.observation_spaces.values() for name in space}
+        if unknown := set(observe or ()) - known:
+            raise unknown_name("observe", unknown.pop(), known)
         seen = Composite(state=Unbounded((num_envs, one.state().shape[1])), shape=self.batch_size)
         acts, rewards = Composite(shape=self.batch_size), Composite(shape=self.batch_size)
         self._numbered: dict[str, tuple[NDArray[Any], Indices]] = {}
+        self._kept: dict[str, Indices] = {}  # the numbers of a flat observation that are observed
         for role, count in self.games.roles.items():
             space, sees = self.games.action_spaces[role], self.games.observation_spaces[role]
             self._numbered[role] = _number_actions(space, flatdim(sees["legal"]))
+            kept = [np.full(flatdim(part), observe is None or name in observe) for name, part in sees.items()]
+            self._kept[role] = np.flatnonzero(np.concatenate(kept))
             number, shape = len(self._numbered[role][0]), (num_envs, count)
             parts = {
-                "observation": Unbounded((*shape, flatdim(sees))),
+                "observation": Unbounded((*shape, len(self._kept[role]))),
                 "action_mask": Binary(number, shape=(*shape, number), dtype=torch.bool),
                 "active": Binary(1, shape=(*shape, 1), dtype=torch.bool),
             }
@@ -131,7 +143,8 @@ class GamesEnv(_Batch):
         for role, flat in self.games.flatten(seen).items():
             legal = np.pad(seen[role]["legal"].astype(bool), ((0, 0), (0, 0), (0, 1)), constant_values=True)
             mask, active = legal[..., self._numbered[role][1]].all(axis=-1), self.games.active[role]
-            parts[role] = {"observation": flat, "action_mask": mask, "active": active[..., None]}
+            flat, active = flat[..., self._kept[role]], active[..., None].copy()
+            parts[role] = {"observation": flat, "action_mask": mask, "active": active}
         return parts
 
 
