@@ -193,7 +193,8 @@ def test_nothing_global_is_touched(monkeypatch):
 
 
 def test_without_matplotlib_one_sentence_says_what_to_install(monkeypatch):
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    for name in ("figure", "collections", "colors", "lines"):
+        monkeypatch.setitem(sys.modules, f"matplotlib.{name}", None)
     with pytest.raises(drawing.MissingExtraError, match=r"`pip install 'usnet\[render\]'` installs it"):
         frame_of(**scene())
 

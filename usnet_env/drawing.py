@@ -247,11 +247,11 @@ def draw_round(
     Raises:
         MissingExtraError: matplotlib is not installed.
     """
+    if axes is None:
+        axes = new_figure(9.6, 7.2).add_axes((0.07, 0.08, 0.66, 0.86) if legend else (0.09, 0.08, 0.88, 0.86))
     from matplotlib.collections import LineCollection
     from matplotlib.colors import to_rgba_array
 
-    if axes is None:
-        axes = new_figure(9.6, 7.2).add_axes((0.07, 0.08, 0.66, 0.86) if legend else (0.09, 0.08, 0.88, 0.86))
     place = last_seen_position(position, seen & alive)
     shown = np.isfinite(place[:, 0])
     if truth:

@@ -49,12 +49,14 @@ print(result.to_markdown(["exact", "J"]))
 assert result["PPO"]["exact"]["mean"] > 0.95
 
 # %% [markdown]
-# One of these swarms. The star is the UAV that the agent names:
+# One of these swarms, in ``learned.png`` too. The star is the UAV that the agent names:
 
 # %%
 env = gym.make("USNET/SingleCluster-v0", **GAME)
 window = Window.from_observation(env.reset(seed=2)[0])
-plot_detection(detectors["PPO"].detect(window), window)
+figure = plot_detection(detectors["PPO"].detect(window), window)
+figure.savefig("learned.png")
+figure
 
 # %% [markdown]
 # What it learned is the law f1. ``follow="random"`` is another law in every game: learn from these, and f1 to f7 are

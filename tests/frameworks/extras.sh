@@ -20,7 +20,7 @@ replay|matplotlib rerun|tests/replay
 multiagent|pettingzoo|tests/multiagent
 ray|ray|tests/evaluation
 torch|torch|tests/frameworks tests/detectors/gassl tests/detectors/mc_gassl tests/detectors/test_policy_detector.py
-rl|stable_baselines3 sb3_contrib|tests/frameworks tests/detectors/test_policy_detector.py
+rl|stable_baselines3 sb3_contrib matplotlib|tests/frameworks tests/detectors/test_policy_detector.py
 torchrl|torchrl tensordict pettingzoo|tests/frameworks
 benchmarl|benchmarl torchrl pettingzoo|tests/frameworks
 tianshou|tianshou|tests/frameworks
@@ -43,7 +43,7 @@ try() {
     if grep -q "^$name = .*\"torch>=" "$root/pyproject.toml"; then
         "$bin/pip" install --quiet "$torch" || return
     fi
-    (cd "$root" && "$bin/pip" install --quiet "$wanted" pytest) || return
+    (cd "$root" && "$bin/pip" install --quiet "$wanted" pytest hypothesis) || return
     for module in $(field "$name" 2); do
         "$bin/python" -c "import $module" || return
     done
