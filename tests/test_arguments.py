@@ -128,6 +128,7 @@ def try_value(call, valid, argument, value):
     return "taken"
 
 
+@pytest.mark.filterwarnings("ignore:redundancy_price is 0")
 def test_2000_values_are_taken_or_refused_by_name_and_leave_no_file(doors, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     cases = [(door, argument) for door, (_, valid) in doors.items() for argument in valid]

@@ -96,6 +96,7 @@ def play(env, seed, choose):
     return swarm.head, rounds, rewards, info, terminated
 
 
+@pytest.mark.filterwarnings("ignore:redundancy_price is 0")
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 2**31), share=st.floats(0, 1), price=st.sampled_from([0.0, 0.5, 1.0, 3.0]))
 def test_the_return_of_p2_is_minus_j_m(seed, share, price):
@@ -128,6 +129,7 @@ def test_the_reward_of_p1_is_j_s(seed, share):
     assert terminated
 
 
+@pytest.mark.filterwarnings("ignore:redundancy_price is 0")
 @pytest.mark.parametrize(("price", "expected"), [(1.0, -3.0), (0.5, -2.0), (0.0, -1.0)])
 def test_the_price_of_p1_leaves_a_miss_at_one(price, expected):
     env = gym.make(SINGLE, followers=5, observation_steps=12, redundancy_price=price)
@@ -166,6 +168,14 @@ def test_the_empty_answer():
         gym.make(MULTI, max_rounds=4), 0, lambda swarm, r: np.zeros(82, np.int8)
     )
     assert (rewards, info["success"], terminated, len(rounds)) == ([-1.0] * 4, 0, False, 4)
+
+
+@pytest.mark.parametrize("make", [gym.make, gym.make_vec])
+@pytest.mark.parametrize("name", [MULTI, SINGLE, "USNET/Probing-v0"])
+def test_free_candidates_are_warned_of_unless_a_budget_limits_them(make, name):
+    make(name, redundancy_price=0, shot_budget=1)
+    with pytest.warns(UserWarning, match="redundancy_price is 0, so to name all UAVs is the best answer"):
+        make(name, redundancy_price=0)
 
 
 @pytest.mark.parametrize(("name", "reward"), [(MULTI, -1.0), (SINGLE, -1.0)])
@@ -242,6 +252,7 @@ anything = st.one_of(
 )
 
 
+@pytest.mark.filterwarnings("ignore:redundancy_price is 0")
 @pytest.mark.parametrize("kind", [SingleClusterEnv, MultiClusterEnv])
 @given(data=st.data())
 def test_every_argument_works_or_is_named(kind, data):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, Self
@@ -9,7 +10,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from gymnasium import logger, spaces
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from usnet_env.arrays import Floats, Indices, Mask, Observation
 from usnet_env.config import ArgumentError, Config, format_count, quote
@@ -44,6 +45,12 @@ class Rules(RoundArguments):
     """The rules: the problem, its limits and its prices."""
 
     problem: Literal["P1", "P2"] = Field("P2", description="one cluster and one round, or rounds until no head is left")
+
+    @model_validator(mode="after")
+    def _warn_of_free_candidates(self) -> Self:
+        if self.redundancy_price == 0 and self.shot_budget is None:
+            warnings.warn("redundancy_price is 0, so to name all UAVs is the best answer.", stacklevel=2)
+        return self
 
 
 class RenderArguments(Config):
