@@ -49,9 +49,13 @@ def play(envs: gym.vector.VectorEnv, network: PairNetwork, seen: dict[str, np.nd
         velocity, alive = torch.from_numpy(seen["velocity"]), torch.from_numpy(seen["alive"])
         policy, value = act(network, velocity, alive)
         action = policy.sample()
-        seen, reward, terminated, truncated, _ = envs.step(action.numpy().astype(np.int8))
-        over = torch.from_numpy(terminated | truncated)
-        step = {"velocity": velocity, "alive": alive, "action": action, "value": value, "over": over}
+        seen, reward, terminated, truncated, info = envs.step(action.numpy().astype(np.int8))
+        over, rest = torch.from_numpy(terminated | truncated), torch.zeros(GAMES)
+        if truncated.any():  # the game would have gone on: the value of its last window stands for the rest
+            last = info["final_obs"][truncated]
+            windows = (torch.from_numpy(np.stack([one[name] for one in last])) for name in ("velocity", "alive"))
+            rest[torch.from_numpy(truncated)] = act(network, *windows)[1]
+        step = {"velocity": velocity, "alive": alive, "action": action, "value": value, "over": over, "rest": rest}
         steps.append({**step, "log_prob": policy.log_prob(action), "reward": torch.from_numpy(reward).float()})
     rollout = {name: torch.stack([step[name] for step in steps]) for name in steps[0]}
     after = act(network, torch.from_numpy(seen["velocity"]), torch.from_numpy(seen["alive"]))[1]
@@ -63,7 +67,7 @@ def find_advantages(rollout: Rollout, after: Tensor) -> Tensor:
     advantage, last = torch.zeros_like(rollout["reward"]), torch.zeros(GAMES)
     for t in reversed(range(ROUNDS)):
         goes_on = 1.0 - rollout["over"][t].float()
-        surprise = rollout["reward"][t] + DISCOUNT * after * goes_on - rollout["value"][t]
+        surprise = rollout["reward"][t] + DISCOUNT * (after * goes_on + rollout["rest"][t]) - rollout["value"][t]
         last = surprise + DISCOUNT * SMOOTH * goes_on * last
         advantage[t], after = last, rollout["value"][t]
     return advantage

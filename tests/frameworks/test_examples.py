@@ -3,6 +3,7 @@
 import importlib
 import re
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -28,3 +29,23 @@ def test_an_example_trains_and_compares_its_agent_with_detectors(name, capsys, m
     scores = [(line[1], float(line[2])) for line in lines if line]
     assert [agent for agent, _ in scores] == EXAMPLES[name][2]
     assert np.isfinite([score for _, score in scores]).all()
+
+
+def test_a_truncated_game_has_the_value_of_its_last_window(monkeypatch):
+    torch = pytest.importorskip("torch")
+    ppo = importlib.import_module("ppo")
+    monkeypatch.setattr(ppo, "GAMES", 4)
+    monkeypatch.setattr(ppo, "ROUNDS", 1)
+    torch.manual_seed(0)
+    arguments = {"clusters": 3, "uavs": 12, "observation_steps": 20, "max_rounds": 1, "observe": ("velocity", "alive")}
+    envs, twins = (gym.make_vec("USNET/MultiCluster-v0", 4, autoreset_mode="SameStep", **arguments) for _ in range(2))
+    network = ppo.PairNetwork()
+    for part in network.parameters():
+        torch.nn.init.normal_(part)  # a new network has the value 0
+    rollout, _ = ppo.play(envs, network, envs.reset(seed=0)[0])
+    twins.reset(seed=0)
+    _, reward, _, truncated, info = twins.step(rollout["action"][0].numpy().astype(np.int8))
+    assert truncated.all()
+    last = [torch.from_numpy(np.stack([one[name] for one in info["final_obs"]])) for name in ("velocity", "alive")]
+    expected = torch.from_numpy(reward).float() + network(*last)[1] - rollout["value"][0]
+    torch.testing.assert_close(rollout["advantage"][0], expected)
