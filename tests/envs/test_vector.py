@@ -4,6 +4,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 from usnet_env import ArgumentError
 from usnet_env.envs import ENVIRONMENTS
@@ -96,6 +97,8 @@ def test_bad_input_is_named():
     for arguments in ({"num_envs": 0}, {"follow": "f0"}, {"autoreset_mode": "never"}, {"observe": ["speed"]}):
         with pytest.raises(ArgumentError, match=f"^{next(iter(arguments))} must"):
             gym.make_vec(MULTI, **{"num_envs": 2, **arguments})
+    with pytest.raises(ArgumentError, match=r"^max_episode_steps is not .* 'max_rounds' limits an episode"):
+        gym.make_vec(MULTI, num_envs=2, max_episode_steps=5)
     batch = gym.make_vec(MULTI, num_envs=2, observation_steps=10)
     with pytest.raises(ArgumentError, match="reset must be called first"):
         batch.step(np.zeros((2, 82)))
@@ -146,6 +149,17 @@ def test_games_that_the_caller_resets():
     for wrong in (np.zeros(4, bool), np.ones(3, bool), [1, 0, 0, 0]):
         with pytest.raises(ArgumentError, match=r"^reset_mask must"):
             batch.reset(options={"reset_mask": wrong})
+
+
+def test_statistics_of_games_that_restart_in_the_step_that_ends_them():
+    """Gymnasium 1.2 and 1.3 report a return of 0, the best of P1, in each game but the first."""
+    batch = gym.make_vec("USNET/SingleCluster-Tiny-v0", num_envs=2, autoreset_mode="SameStep")
+    envs = RecordEpisodeStatistics(batch)
+    envs.reset(seed=0)
+    for _ in range(3):
+        *_, info = envs.step(np.zeros((2, 8), np.int8))
+        assert info["episode"]["r"].tolist() == [-1.0, -1.0]
+        assert info["episode"]["l"].tolist() == [1, 1]
 
 
 def test_an_observation_that_is_changed_in_place_changes_no_later_one_and_no_state():

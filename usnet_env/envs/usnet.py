@@ -81,7 +81,10 @@ class SingleClusterArguments(
 class MultiClusterArguments(DrawnArguments, OutputArguments, game.RoundArguments, SwarmConfig):
     """The arguments of :class:`MultiClusterEnv`."""
 
-    instead: ClassVar[Mapping[str, str]] = {"followers": "the sizes are 'clusters', 'uavs' and 'cluster_sizes'"}
+    instead: ClassVar[Mapping[str, str]] = {
+        "followers": "the sizes are 'clusters', 'uavs' and 'cluster_sizes'",
+        "max_episode_steps": "in a batch, 'max_rounds' limits an episode",
+    }
 
 
 def _make_cluster(arguments: SingleClusterArguments, drawn: dict[str, Any], most: int | None) -> SwarmConfig:
