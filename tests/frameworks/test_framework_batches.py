@@ -38,8 +38,9 @@ def test_stable_baselines_plays_the_games_of_the_batch():
     np.testing.assert_array_equal(masks, envs.env_method("action_masks")[2:])
     assert envs.get_attr("problem", indices=0) == ["P2"]
     assert len(envs.get_images()) == 3
-    envs.set_attr("note", 1)
     envs.set_attr("note", [5, 6], indices=[0, 2])
+    assert envs.get_attr("note", indices=2) == [[5, 6]]
+    envs.set_attr("note", 1, indices=1)
     assert envs.get_attr("note") == [[5, 6], 1, [5, 6]]
     before = [rng.bit_generator.state for rng in envs.envs.np_random]
     envs.env_method("reset", indices=[0])  # draws from the generator of game 0 only
