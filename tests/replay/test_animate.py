@@ -146,12 +146,15 @@ def test_a_uav_is_named_where_it_is_drawn(page, scenes):
     assert (picture[len(picture) - 1 - up, column] < 200).all()  # a grey dot
 
 
-def test_a_page_of_many_rounds_animates_the_first_and_names_cannot_break_it(tmp_path, monkeypatch):
+def test_a_page_of_many_windows_animates_the_first_and_names_cannot_break_it(tmp_path, monkeypatch):
     monkeypatch.setattr("usnet_env.replay.page._MOST_ROUNDS", 1)
-    record = small_episode(detector="<b>&amp;</script>", **dict.fromkeys(MIND))
+    about = {"detector": "<b>&amp;</script>", "config": {"ids": ["<!--<script>"] * UAVS}}
+    record = small_episode(**about, **dict.fromkeys(MIND))
     text = write_page(record, tmp_path / "x.html").read_text()
+    assert "<!--" not in text
+    assert json.loads(re.search("const names = (.*), frames", text)[1]) == ["<!--<script>"] * UAVS
     assert "<title>&lt;b&gt;&amp;amp;&lt;/script&gt; on" in text
-    assert "The animation shows the first 1 round." in text
+    assert "The animation shows the first 1 window." in text
 
 
 def test_a_page_of_recorded_tracks_says_what_is_true_of_them(tmp_path):

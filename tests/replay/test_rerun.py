@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -190,6 +191,20 @@ def test_nothing_global_is_touched_and_a_place_that_cannot_be_written_is_named(t
     assert [file.name for file in tmp_path.iterdir()] == ["e.rrd"]
     with pytest.raises(ArgumentError, match=r"^path must"):
         write_recording(small_episode(), tmp_path)
+
+
+def test_a_replay_that_cannot_be_written_whole_leaves_the_old_one(tmp_path):
+    path = tmp_path / "e.rrd"
+    path.write_text("old")
+    _, most = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, most))  # as on a full disk
+    try:
+        with pytest.raises(ArgumentError, match=r"^path must be a file that can be written, got .*e\.rrd"):
+            write_recording(small_episode(), path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_without_rerun_one_sentence_says_what_to_install(tmp_path, monkeypatch):

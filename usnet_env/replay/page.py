@@ -59,7 +59,7 @@ def _animate(record: EpisodeRecord) -> tuple[str, dict[int, str]]:
     player = re.findall(r"(anim\w+) = new Animation", text)[0]
     numbers = [scene.round for scene in scenes]
     show = ' <button onclick="{0}.pause_animation(); {0}.set_frame({1}); return false">show</button>'
-    names = json.dumps([name_uav(record, i) for i in range(record.uavs)]).replace("</", "<\\/")
+    names = json.dumps([name_uav(record, i) for i in range(record.uavs)]).replace("<", r"\u003c")
     places = [painter.locate(scene).round(3).tolist() for scene in scenes]
     values = {"NAMES": names, "FRAMES": json.dumps(places), "PLAYER": player, "BESIDE": str(BESIDE)}
     text += re.sub("|".join(values), lambda word: values[word[0]], _POINTER)

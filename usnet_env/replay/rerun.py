@@ -310,14 +310,13 @@ def write_recording(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path
     stream.set_log_time_enabled(False)
     stream.set_log_tick_enabled(False)
     writer = EpisodeWriter(record, stream, _find_span(record))
+    memory = stream.memory_recording()  # on a full disk, Rerun's own files are truncated without an error, or it waits
+    stream.send_blueprint(_arrange(writer), make_active=False)
+    stream.send_recording_name(f"{label} on {record.env_id}, seed {record.seed}")
+    stream.log("about", rr.TextDocument(explain_replay(record), media_type="text/markdown"), static=True)
+    writer.write()
     with atomic_write(place) as aside:
-        stream.save(aside, default_blueprint=_arrange(writer))
-        try:
-            stream.send_recording_name(f"{label} on {record.env_id}, seed {record.seed}")
-            stream.log("about", rr.TextDocument(explain_replay(record), media_type="text/markdown"), static=True)
-            writer.write()
-        finally:
-            stream.disconnect()  # writes the rest and closes the file
+        aside.write_bytes(memory.drain_as_bytes())
     return place
 
 
