@@ -257,7 +257,9 @@ def test_gaps_jumps_and_uneven_sampling_are_reported():
     assert "uneven" in found
 
 
-@pytest.mark.parametrize(("name", "value"), [("step", 0), ("step", "fast"), ("step", 1e-9), ("max_gap", np.nan)])
+@pytest.mark.parametrize(
+    ("name", "value"), [("step", 0), ("step", "fast"), ("step", 1e-9), ("step", 10), ("max_gap", np.nan)]
+)
 def test_a_bad_resampling_is_refused(name, value):
     with pytest.raises(ArgumentError, match=f"^{name} must be"):
         dense(straight()).resample(**{"step": 1.0, name: value})

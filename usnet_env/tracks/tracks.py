@@ -140,7 +140,7 @@ class Tracks(Samples):
             length: steps of the windows that will be cut, for which a chosen step leaves room; 0: not known.
 
         Raises:
-            ArgumentError: ``step`` or ``max_gap`` is not a positive number, or no id has two samples.
+            ArgumentError: ``step`` or ``max_gap`` is not a positive number, or no id has two samples, before or after.
         """
         max_gap = None if max_gap is None else real_number("max_gap", max_gap, 1e-9, 1e9)
         step = None if step is None else real_number("step", step, 1e-9, 1e9)
@@ -160,7 +160,11 @@ class Tracks(Samples):
             notes.append(why)
         if spikes := self.samples - tracks.samples:
             notes.append(f"{format_count(spikes, 'spike')} left out, unless keep_spikes (--keep-spikes) is given.")
-        return replace(resample_positions(tracks, step, max_gap), notes=tuple(notes), source=source, max_gap=max_gap)
+        even = resample_positions(tracks, step, max_gap)
+        if not even.inner_steps.any():
+            got = f"{step:g} s for tracks of {self.duration:g} s"
+            raise ArgumentError(f"step must be so short that an id is seen at two times, got {got} (--step sets it).")
+        return replace(even, notes=tuple(notes), source=source, max_gap=max_gap)
 
     @cached_property
     def other_steps(self) -> tuple[Tracks, ...]:
