@@ -2,6 +2,7 @@
 
 import gzip
 import json
+import re
 
 import numpy as np
 import pytest
@@ -45,6 +46,8 @@ CASES = {  # rows of the file, delimiter, options
     "AM": ([HEADER, *rows([f"{each} AM" for each in stamps(hours="{}")])], ",", {}),
     "a zone": ([HEADER, *rows([f"{each} UTC" for each in stamps()])], ",", {}),
     "a format": ([HEADER, *rows(stamps("03.04.2024"))], ",", {"time_format": "%d.%m.%Y %H:%M:%S"}),
+    "digits": ([HEADER, *rows([re.sub(r"\D", "", each) for each in stamps()])], ",", {"time_format": "%Y%m%d%H%M%S"}),
+    "zeros lost": ([HEADER, *rows([int(t) // 60 * 100 for t in TIMES])], ",", {"time_format": "%M%S"}),
     "date and time": (table(["id", "x", "y", "date", "time"], IDS, X, Y, *zip(*DATES, strict=True)), ",", {}),
     "times of day": ([HEADER, *rows([each.split()[1] for each in stamps(hours="{}")])], ",", {}),
     "microseconds": ([HEADER, *rows([int(1.7e15 + 1e6 * t) for t in TIMES])], ",", {}),
@@ -97,6 +100,8 @@ def test_wide_tables_json_and_a_file_for_each_id(tmp_path):
 
 def test_what_cannot_be_known_is_refused_with_the_option_that_helps(tmp_path):
     assert "--time-format" in refusal(write_csv(tmp_path / "days.csv", rows(stamps("03/04/2024"))))
+    for no_format in ("nonsense", "%Q"):
+        assert f"got {no_format!r} for '0'" in refusal(write_csv(tmp_path / "t.csv", ROWS), time_format=no_format)
     assert "--columns" in refusal(write_csv(tmp_path / "t.txt", ROWS[1:], list(map(str, ROWS[0])), delimiter=" "))
     assert "--duplicates" in refusal(write_csv(tmp_path / "two.csv", [*ROWS, ["a", 60, 1e3, 1e3]]))
     (tmp_path / "tracks.xls").write_bytes(b"\xd0\xcf\x11\xe0" + bytes(99))

@@ -125,12 +125,13 @@ def read_numbers(
 
     A cell that can't be read is refused, or is NaN with ``skip_few``, if fewer than half of the different ones are so.
     """
-    if column.dtype.kind in "fiu":
+    formatted = role in TIMES and time_format is not None
+    if column.dtype.kind in "fiu" and not formatted:
         numbers = column.to_numpy(np.float64)
     else:
         codes, different = pd.factorize(column)
         cells = pd.Series(different)
-        dated = role in TIMES and (bool(time_format) or has_timestamps(column))
+        dated = formatted or (role in TIMES and has_timestamps(column))
         values = (
             _parse_timestamps(cells, time_format)
             if dated
@@ -138,6 +139,9 @@ def read_numbers(
         )
         wrong = np.isnan(values) & ~cells.map(is_none).to_numpy(bool)
         if wrong.any() and not (skip_few and wrong.mean() < 0.5):
+            if formatted:
+                got = f"{quote(time_format)} for {quote(to_text(cells[wrong].iloc[0]))} in column {column.name!r}"
+                raise ArgumentError(f"time_format (--time-format) must be that of all times of {where}, got {got}.")
             refuse_cell(role, column, cells[wrong].iloc[0], where)
         numbers = np.append(values, math.nan)[codes]
         if dated:
@@ -170,14 +174,26 @@ def _parse(cell: Any, decimal: str) -> float:
         return math.nan
 
 
+def _write_times(cells: pd.Series[Any], time_format: str | None) -> pd.Series[Any]:
+    """Times as texts; a number gets the zeros at its front back: in the format ``%H%M%S``, 507 is ``000507``."""
+    texts = cells.map(to_text).astype(str)
+    if time_format is None:
+        return texts.str.replace(",", ".")
+    texts = texts.str.removesuffix(".0") if cells.dtype.kind == "f" else texts
+    return texts.where(~texts.str.isdigit(), texts.str.zfill(len(pd.Timestamp(0).strftime(time_format))))
+
+
 def _parse_timestamps(cells: pd.Series[Any], time_format: str | None) -> Floats:
     """Microseconds from 1970 to dates, or to texts (in UTC if they have no time zone); NaN for others.
 
     Texts are in the given format or in ISO 8601. Others with a year of four digits are read too, if it is plain from
     all of them whether days or months come first.
     """
-    texts = cells if cells.dtype.kind == "M" else cells.map(to_text).str.replace(",", ".")
-    moments = pd.to_datetime(texts, format=time_format or "ISO8601", utc=True, errors="coerce")
+    texts = cells if cells.dtype.kind == "M" else _write_times(cells, time_format)
+    try:
+        moments = pd.to_datetime(texts, format=time_format or "ISO8601", utc=True, errors="coerce")
+    except ValueError:  # the format has a directive that does not exist
+        return np.full(len(cells), math.nan)
     if not time_format and moments.isna().any() and texts.dtype.kind != "M":
         pairs = texts.str.extract(_DAYS).dropna().astype(int)
         day_first, month_first = (bool((pairs[k] > 12).any()) for k in (0, 1))

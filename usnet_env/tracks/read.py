@@ -180,7 +180,8 @@ def _read_part(table_of_file: formats.Table, options: _Options, where: str, stem
     if "id" not in names:
         names, table, for_itself = {"id": "file", **names}, table.assign(id=stem), True
     count = len(table)
-    if "t" in names and count and re.match(_TIME_OF_DAY, roles.to_text(table["t"].iloc[0])):
+    joins = options.time_format is None or "date" in marks
+    if "t" in names and count and joins and re.match(_TIME_OF_DAY, roles.to_text(table["t"].iloc[0])):
         table["t"] = _join_date(table["t"].astype(str), table.get("date"))
         names["t"] += " + date" * ("date" in marks)
     if "visible" in marks:
@@ -277,7 +278,8 @@ def _read_csv(data: bytes, options: _Options) -> formats.Table:
 
     def read(names: Mapping[str, str]) -> pd.DataFrame:
         places = {header.index(name): role for role, name in names.items()}
-        numbers = [place for place, role in places.items() if role.partition(":")[0] in formats.NUMBERS]
+        plain = formats.NUMBERS - set(roles.TIMES if options.time_format is not None else ())  # others are texts
+        numbers = [place for place, role in places.items() if role.partition(":")[0] in plain]
         with warnings.catch_warnings():
             warnings.simplefilter("error", ParserWarning)  # a row has more cells than the header
             warnings.simplefilter("ignore", DtypeWarning)  # texts among numbers are read, or refused by name, later
