@@ -33,6 +33,7 @@ _COLUMN = "Name of a column; without NAME, the role is left out. May be repeated
 _HEADER = "Names of the columns, with commas, of a file without them in row 1."
 _LENGTH = "Unit of x, y and z; beside degrees of z.  [default: m]"
 _DUPLICATES = "Of several places of an id at one time, keep one.  [default: error]"
+_SIZE = "MiB to which a file of gzip, zip or NumPy may unpack."
 _EXAMPLES = """
 \b
 Examples:
@@ -90,6 +91,7 @@ def _parse_place(context: click.Context, option: click.Parameter, words: str | N
 @click.option("--min-confidence", type=float, help="Skip rows with a smaller confidence, likelihood or score.")
 @click.option("--split-gap", type=PositiveNumber(), help="Seconds; after a longer gap, an id is another one.")
 @click.option("--pool", is_flag=True, help="Files are recordings of the same ids, each with its own time.")
+@click.option("--max-size", type=PositiveNumber(), default=256, show_default=True, help=_SIZE)
 @click.option("--encoding", default="utf-8", show_default=True, metavar="NAME", help="Encoding of a CSV file.")
 @click.option("--decimal", type=click.Choice([".", ","]), default=".", help="Decimal sign of a CSV file.  [default: .]")
 @click.option("--seed", type=WholeNumber(0, 2**63 - 1), default=0, show_default=True, help="Seed of the detector.")

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import csv
-import gzip
 import io
 import os
 import re
 import warnings
-import zipfile
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -26,13 +24,12 @@ from usnet_env.config import ArgumentError, Config, how_to_install, quote
 from usnet_env.files import as_path
 from usnet_env.tracks import columns as roles
 from usnet_env.tracks import formats
-from usnet_env.tracks.readers import READERS
+from usnet_env.tracks.readers import READERS, check_archive, unpack
 from usnet_env.tracks.samples import Clock, match_leaders, number_labels, sort_samples, split_gaps
 from usnet_env.tracks.tracks import Tracks
 
 _DELIMITERS = ",;\t|"
 _FOR_ITSELF = ("gpx", "ulg")  # formats in whose files a name is that of a track
-_TEXTS = (".csv", ".tsv", ".gpx", ".json", ".txt")  # in zip archives; one of the last only if there is no other
 _TIME_OF_DAY = r"\d{1,2}:\d\d"
 _RECORDED = (315_532_800, 4_102_444_800)  # seconds from 1970 to 1980 and to 2100
 _SHORT = 0.05  # seconds between samples, or 72 minutes in days
@@ -59,6 +56,7 @@ class _Options(Config):
     split_gap: Annotated[float, Field(gt=0)] | None
     duplicates: Literal["error", "first", "mean"]
     pool: bool
+    max_size: Annotated[float, Field(gt=0)]
     encoding: str
     decimal: Literal[".", ","]
 
@@ -78,6 +76,7 @@ def read_tracks(
     split_gap: float | None = None,
     duplicates: Literal["error", "first", "mean"] = "error",
     pool: bool = False,
+    max_size: float = 256,
     encoding: str = "utf-8",
     decimal: Literal[".", ","] = ".",
 ) -> Tracks:
@@ -108,6 +107,7 @@ def read_tracks(
         split_gap: seconds; after a longer gap, an id is another one: ``a`` is ``a/2``, and then ``a/3``.
         duplicates: of several places of an id at one time, keep the ``"first"`` or the ``"mean"``, or refuse them.
         pool: whether the files are recordings of the same ids, each with a time of its own; no window has two of them.
+        max_size: MiB to which a file of gzip, zip or NumPy may unpack.
         encoding: of a CSV file.
         decimal: the decimal sign of a CSV file.
 
@@ -226,7 +226,7 @@ def _join_date(clock: pd.Series[Any], date: pd.Series[Any] | None) -> pd.Series[
 def _open_table(path: Path, options: _Options) -> tuple[formats.Table, bool]:
     """The table of a file, and whether its ids, such as the names of tracks, mean nothing in other files."""
     packed = path.suffix.lower() in (".gz", ".zip")
-    data, name = _expand(path) if packed else (b"", path.name)
+    data, name = unpack(path, options.max_size) if packed else (b"", path.name)
     kind = options.format or Path(name).suffix[1:].lower()
     if kind in READERS or options.format not in (None, "csv"):
         reader = READERS.find(kind)
@@ -234,29 +234,14 @@ def _open_table(path: Path, options: _Options) -> tuple[formats.Table, bool]:
             if packed:
                 path = Path(folder, Path(name).name)
                 path.write_bytes(data)
+            check_archive(path, options.max_size)
             frame = reader(path)
         if not isinstance(frame, pd.DataFrame):
             raise ArgumentError(f"reader {kind!r} must return a pandas.DataFrame, got {quote(frame)}.")
         return formats.as_table(frame), kind in _FOR_ITSELF
-    table = _read_csv(data if packed else _expand(path)[0], options)
+    table = _read_csv(data if packed else unpack(path, options.max_size)[0], options)
     has_places = {"id", "x", "lon"} & (options.columns or {}).keys()
     return (table if has_places else formats.as_long(table)), False
-
-
-def _expand(path: Path) -> tuple[bytes, str]:
-    """The content of a text file, unpacked, and its name."""
-    data = path.read_bytes()
-    if data[:2] == b"\x1f\x8b":
-        return gzip.decompress(data), path.stem
-    if data[:4] != b"PK\x03\x04":
-        return data, path.name
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        names = archive.namelist()
-        texts = [name for name in names if name.lower().endswith(_TEXTS) and not name.startswith("__MACOSX/")]
-        texts = [name for name in texts if not name.lower().endswith(".txt")] or texts
-        if len(texts) != 1:
-            raise ValueError(f"the archive must hold one file of {', '.join(_TEXTS)}, not {quote(names)}")
-        return archive.read(texts[0]), texts[0]
 
 
 def _read_csv(data: bytes, options: _Options) -> formats.Table:

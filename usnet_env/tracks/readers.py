@@ -1,4 +1,4 @@
-"""Readers of formats other than CSV, as functions from a path to a frame; by their exceptions they say what is wrong.
+"""Archives, and readers of other formats than CSV: functions from a path to a frame, whose exceptions tell the fault.
 
 The frame has a row for each sample, and columns that are named as those of a CSV file. An installed distribution adds a
 reader by an entry point of the group ``usnet.readers``. A reader is taken for files with its name as their suffix, or
@@ -7,10 +7,12 @@ where ``format`` (``--format``) names it.
 
 from __future__ import annotations
 
+import gzip
 import io
 import json
 import os
 import warnings
+import zipfile
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from operator import attrgetter
@@ -23,6 +25,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from usnet_env.arrays import Floats
+from usnet_env.config import quote
 from usnet_env.parts import Registry, check_factory
 
 Reader = Callable[[Path], pd.DataFrame]
@@ -43,8 +46,41 @@ _PLACES = {  # in messages of ROS: the columns, and where they are
     "geometry_msgs/msg/PointStamped": ("x y z", _POSITION.format("point")),
     "sensor_msgs/msg/NavSatFix": ("lon lat z", "longitude latitude altitude"),
 }
+_TEXTS = (".csv", ".tsv", ".gpx", ".json", ".txt")  # in zip archives; one of the last only if there is no other
 _SLEAP = {"tracks": '["track", "xy", "node", "frame"]', "instance_scores": '["track", "frame"]'}  # the usual axes
 _MOVEMENT = ("position", "confidence")
+
+
+def unpack(path: Path, most: float) -> tuple[bytes, str]:
+    """The content of a text file, unpacked to at most so many MiB, and its name."""
+    data = path.read_bytes()
+    if data[:2] == b"\x1f\x8b":
+        with gzip.open(io.BytesIO(data)) as packed:
+            data = packed.read(int(most * 2**20) + 1)
+        _check_size(len(data), most)
+        return data, path.stem
+    if data[:4] != b"PK\x03\x04":
+        return data, path.name
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        names = archive.namelist()
+        texts = [name for name in names if name.lower().endswith(_TEXTS) and not name.startswith("__MACOSX/")]
+        texts = [name for name in texts if not name.lower().endswith(".txt")] or texts
+        if len(texts) != 1:
+            raise ValueError(f"the archive must hold one file of {', '.join(_TEXTS)}, not {quote(names)}")
+        _check_size(archive.getinfo(texts[0]).file_size, most)
+        return archive.read(texts[0]), texts[0]
+
+
+def check_archive(path: Path, most: float) -> None:
+    """Refuse a zip archive, as NPZ is one, whose files unpack to more MiB."""
+    if path.is_file() and zipfile.is_zipfile(path):  # a pipe can be read once
+        with zipfile.ZipFile(path) as archive:
+            _check_size(sum(info.file_size for info in archive.infolist()), most)
+
+
+def _check_size(size: int, most: float) -> None:
+    if size > most * 2**20:
+        raise ValueError(f"it unpacks to more than {most:g} MiB (max_size, or --max-size, allows more)")
 
 
 def read_json(path: Path) -> pd.DataFrame:
