@@ -99,6 +99,12 @@ def real_number(name: str, value: Any, least: float, most: float) -> float:
     return float(plain)
 
 
+def instance_of(name: str, value: Any, kind: type) -> None:
+    """Refuse the argument ``name`` if it is no object of a class."""
+    if not isinstance(value, kind):
+        raise ArgumentError(f"{name} must be an object of {kind.__name__}, got {quote(value)}.")
+
+
 def optional_seed(name: str, value: Any) -> int | None:
     """Return a seed, a whole number from 0, as an ``int``, or ``None`` if it is ``None``."""
     return None if value is None else whole_number(name, value, 0)

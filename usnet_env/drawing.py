@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from usnet_env.arrays import Floats, Indices, Mask, Singles
 from usnet_env.config import MissingExtraError as MissingExtraError  # others import it from here
-from usnet_env.config import how_to_install
+from usnet_env.config import how_to_install, instance_of
 from usnet_env.detection import Detection
 from usnet_env.files import atomic_write
 from usnet_env.objectives import find_roots
@@ -198,8 +198,11 @@ def plot_detection(detection: Detection, window: Window) -> Figure:
     """Draw a window from above: stars are the candidates, lines connect the others to those that lead them.
 
     Raises:
+        ArgumentError: an argument is of another class.
         MissingExtraError: matplotlib is not installed.
     """
+    instance_of("detection", detection, Detection)
+    instance_of("window", window, Window)
     root = np.full(window.uavs, -1) if detection.leader is None else find_roots(detection.leader)
     heads, none = np.flatnonzero(detection.candidates), np.zeros(window.uavs, bool)
     root = np.where(np.isin(root, heads), root, -1)

@@ -8,7 +8,8 @@ import pytest
 
 import usnet_env.envs  # noqa: F401  # registers the environments
 from usnet_env import ArgumentError, Detection, Window
-from usnet_env.replay import EpisodeRecord, record_episode
+from usnet_env.replay import EpisodeRecord, animate, draw_episode, record_episode, write_picture, write_recording
+from usnet_env.replay.page import write_page
 
 
 class Scripted:
@@ -106,6 +107,13 @@ def test_the_mind_of_the_detector_is_recorded():
     assert record.reasons == [{str(heads[0]): "Because."}] * 2
     bare = record_episode(multi(), Scripted(heads), 0, 7)
     assert bare.probability is bare.attention is bare.reasons is None
+
+
+@pytest.mark.parametrize("show", [animate, draw_episode, write_page, write_picture, write_recording])
+def test_what_is_no_record_is_refused(tmp_path, show):
+    with pytest.raises(ArgumentError, match=r"^record must be an object of EpisodeRecord, got 'episode.npz'\.$"):
+        show("episode.npz", *[tmp_path / "x.png"] * (show is not draw_episode))
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_other_environments_are_refused():

@@ -2,7 +2,7 @@
 
 import pandas as pd
 import pytest
-from track_files import Answers, answer_of, example, rows_of, straight
+from track_files import Answers, answer_of, example, rows_of, straight, write_csv
 
 import usnet_env
 from usnet_env import ArgumentError, Detection, plot_detection
@@ -82,6 +82,18 @@ def test_a_data_frame_is_read_like_a_file():
         read_tracks(frame.drop(columns="uid"))
 
 
+def test_leaders_are_found_in_whatever_holds_tracks(tmp_path):
+    path = write_csv(tmp_path / "tracks.csv", rows_of(straight(steps=80)))
+    found = find_leaders(read_tracks(path), "one-per-round", confirm=False).to_frame()
+    for given in (str(path), pd.read_csv(path)):
+        assert find_leaders(given, "one-per-round", confirm=False).to_frame().equals(found)
+    for wrong in (3, [], straight()):
+        with pytest.raises(ArgumentError, match=r"^path must be a file of tracks, .* or a pandas.DataFrame, got "):
+            find_leaders(wrong)
+    with pytest.raises(ArgumentError, match=r"^detector must be a name, "):
+        find_leaders(path, 3)
+
+
 def test_texts_are_short_and_names_are_listed():
     tracks = read_tracks(pd.DataFrame(example().flock(), columns=["id", "t", "x", "y", "leader"]))
     found = find_leaders(tracks, Answers(lambda uavs, k: answer_of(uavs, 0, [0] * uavs)), length=100, confirm=False)
@@ -93,5 +105,7 @@ def test_texts_are_short_and_names_are_listed():
     detection = Detection([True, False, *[False] * 10], [1.0] * 12, leader=[0] * 12)
     assert repr(detection) == "<Detection for 12 UAVs, 1 named: 0>"
     assert len(plot_detection(detection, cut.window).axes) == 1
+    with pytest.raises(ArgumentError, match=r"^window must be an object of Window, got "):
+        plot_detection(detection, cut)
     assert {"read_tracks", "find_leaders", "Tracks", "evaluate"} <= set(dir(usnet_env))
     assert usnet_env.read_tracks is read_tracks

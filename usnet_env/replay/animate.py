@@ -12,7 +12,7 @@ import numpy as np
 
 from usnet_env import drawing
 from usnet_env.arrays import Floats
-from usnet_env.config import ArgumentError, format_count, quote, whole_number
+from usnet_env.config import ArgumentError, format_count, instance_of, quote, whole_number
 from usnet_env.files import atomic_write
 from usnet_env.replay.episode import EpisodeRecord
 from usnet_env.replay.figure import check_ending, describe_scene, find_least_side
@@ -141,6 +141,7 @@ def animate(record: EpisodeRecord, path: str | os.PathLike[str], *, frames: int 
             and ffmpeg is not installed.
         MissingExtraError: matplotlib is not installed.
     """
+    instance_of("record", record, EpisodeRecord)
     place = check_ending(path, ".gif", ".mp4")
     scenes = list_scenes(record, whole_number("frames", frames, 2))
     drawing.new_figure(1, 1)  # refuses without matplotlib

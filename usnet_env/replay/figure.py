@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from usnet_env import drawing
-from usnet_env.config import ArgumentError, quote
+from usnet_env.config import ArgumentError, instance_of, quote
 from usnet_env.files import as_path
 from usnet_env.replay.episode import EpisodeRecord
 from usnet_env.replay.story import describe_outcome, describe_round, name_game, name_round
@@ -54,6 +54,7 @@ def draw_episode(record: EpisodeRecord) -> Figure:
     Raises:
         MissingExtraError: matplotlib is not installed.
     """
+    instance_of("record", record, EpisodeRecord)
     numbers = [*range(1, min(record.rounds, _MOST_PANELS)), record.rounds]
     columns = min(len(numbers), _MOST_COLUMNS)
     rows = -(-len(numbers) // columns)

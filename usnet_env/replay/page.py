@@ -10,7 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from usnet_env import drawing
-from usnet_env.config import format_count
+from usnet_env.config import format_count, instance_of
 from usnet_env.files import write_html
 from usnet_env.replay.animate import BESIDE, list_scenes, write_frames
 from usnet_env.replay.episode import EpisodeRecord
@@ -73,6 +73,7 @@ def write_page(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path:
         ArgumentError: the place can't be written to.
         MissingExtraError: matplotlib is not installed.
     """
+    instance_of("record", record, EpisodeRecord)
     more = f" The animation shows the first {format_count(_MOST_ROUNDS, name_round(record).lower())}."
     animation, shows = _animate(record)
     rounds = []

@@ -15,7 +15,7 @@ from usnet_env.detection import Detection, ask
 from usnet_env.envs.play import PlayedRound, play_probe, play_rounds
 from usnet_env.envs.probers import Prober
 from usnet_env.objectives import list_followers
-from usnet_env.plugins import DetectorLike, detector_label
+from usnet_env.plugins import DetectorLike, detector_label, find_detector
 from usnet_env.provenance import versions
 from usnet_env.replay.episode import EpisodeRecord
 from usnet_env.window import Window
@@ -23,7 +23,7 @@ from usnet_env.window import Window
 
 def record_episode(
     env: gym.Env[Any, Any],
-    detector: DetectorLike,
+    detector: str | DetectorLike,
     seed: int | None,
     detector_seed: int | None,
     *,
@@ -36,7 +36,7 @@ def record_episode(
 
     Args:
         env: an environment of this project; wrappers must keep the form of observations and actions.
-        detector: any object with ``reset(seed)`` and ``detect(window) -> Detection``.
+        detector: a name, or any object with ``reset(seed)`` and ``detect(window) -> Detection``.
         seed: seed of the environment; ``None`` continues with its generator.
         detector_seed: seed of the detector.
         label: name of the detector in the record; by default its name in tables, see ``detector_label``.
@@ -46,6 +46,7 @@ def record_episode(
             ``Detection`` for its N UAVs.
     """
     _check_environment(env)
+    detector = find_detector(detector)
     seed, detector_seed = optional_seed("seed", seed), optional_seed("detector_seed", detector_seed)
     detector.reset(detector_seed)
     rounds = list(play_rounds(env, lambda seen: ask(detector, Window.from_observation(seen)), seed))

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usnet_env.arrays import Indices, Mask, Singles
-from usnet_env.config import MissingExtraError, how_to_install
+from usnet_env.config import MissingExtraError, how_to_install, instance_of
 from usnet_env.drawing import CLUSTER_COLORS, MOST_LINKED, NO_CLUSTER_COLOR, cluster_colors, last_seen_position
 from usnet_env.files import as_path, atomic_write
 from usnet_env.replay.episode import EpisodeRecord
@@ -300,6 +300,7 @@ def write_recording(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path
         ArgumentError: the place can't be written to.
         MissingExtraError: rerun-sdk is not installed.
     """
+    instance_of("record", record, EpisodeRecord)
     try:
         import rerun as rr
     except ImportError:

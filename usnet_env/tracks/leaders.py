@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -18,10 +19,11 @@ from usnet_env.detection import Detection
 from usnet_env.drawing import CLUSTER_COLORS
 from usnet_env.objectives import list_followers
 from usnet_env.parts import describe_error
-from usnet_env.plugins import DetectorLike, detector_label, make_detector
+from usnet_env.plugins import DetectorLike, detector_label, find_detector
 from usnet_env.tracks.answers import Answer, answer_window
 from usnet_env.tracks.confirm import LEVEL, confirm_leaders, find_confound
 from usnet_env.tracks.events import Event, find_events
+from usnet_env.tracks.read import read_tracks
 from usnet_env.tracks.tracks import Tracks, TrackWindow
 
 if TYPE_CHECKING:
@@ -238,7 +240,7 @@ def _cell(value: Any) -> Any:
 
 
 def find_leaders(
-    tracks: Tracks,
+    tracks: Tracks | str | os.PathLike[str] | pd.DataFrame,
     detector: str | DetectorLike = DEFAULT_DETECTOR,
     *,
     length: int | None = None,
@@ -254,7 +256,7 @@ def find_leaders(
     group keeps its number where it shares the most members with an earlier one.
 
     Args:
-        tracks: the tracks; if they are not resampled, the step is chosen.
+        tracks: the tracks, or what :func:`read_tracks` takes; if they are not resampled, the step is chosen.
         detector: a name as :func:`usnet_env.make_detector` takes it, or a detector.
         length: steps of a window; ``None``: as many as fit the tracks (:meth:`Tracks.choose_length`).
         stride: steps from the start of a window to the start of the next; ``None``: ``length``.
@@ -266,7 +268,8 @@ def find_leaders(
     Raises:
         ArgumentError: an argument is refused, the tracks hold no window, or the detector fails in one.
     """
-    player = make_detector(detector) if isinstance(detector, str) else detector
+    tracks = tracks if isinstance(tracks, Tracks) else read_tracks(tracks)
+    player = find_detector(detector)
     seed = whole_number("seed", seed, 0)
     groups: list[Group] = []
     windows: list[DetectedWindow] = []

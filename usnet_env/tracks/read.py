@@ -125,10 +125,12 @@ def read_tracks(
             plain = path.reset_index() if any(path.index.names) else path
             part = _read_part(formats.as_table(plain.rename(columns=str)), options, where, None)
             return _make_tracks([Path(where)], [part], options, where)
-        given = [as_path("path", file) for file in (path if isinstance(path, list | tuple) else [path])]
-        if not given:
-            raise ArgumentError("path must be a file of tracks, or a list of such files, got an empty one.")
-        paths = list({file.resolve(): file for file in reversed(given)}.values())[::-1]  # two paths may be of one file
+        given = path if isinstance(path, list | tuple) else [path]
+        if not given or not isinstance(given[0], str | os.PathLike):
+            what = "a file of tracks, a list of such files, or a pandas.DataFrame"
+            raise ArgumentError(f"path must be {what}, got {quote(path)}.")
+        files = [as_path("path", file) for file in given]
+        paths = list({file.resolve(): file for file in reversed(files)}.values())[::-1]  # two paths may be of one file
         where = ", ".join(quote(os.fspath(file)) for file in paths[:3])
         return _make_tracks(paths, [_read_file(file, options, len(paths) > 1) for file in paths], options, where)
     except ImportError as error:
