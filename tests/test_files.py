@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from usnet_env import ArgumentError
-from usnet_env.files import as_path, atomic_write, reserve_folder, write_text
+from usnet_env.files import as_path, atomic_write, replace_files, reserve_folder, write_text
 
 
 def test_a_file_is_replaced_at_the_end_only(tmp_path):
@@ -20,6 +20,17 @@ def test_a_file_is_replaced_at_the_end_only(tmp_path):
         aside.write_text("\ud800", encoding="utf-8")
     assert path.read_text() == "new"
     assert list(path.parent.iterdir()) == [path]
+
+
+def test_files_are_replaced_together_and_optional_ones_go(tmp_path):
+    for name in ("a", "b", "mine"):
+        write_text(tmp_path / name, "old")
+    with pytest.raises(UnicodeEncodeError), replace_files(tmp_path, ["b", "c"]) as aside:
+        write_text(aside / "a", "\ud800")
+    assert {file.name: file.read_text() for file in tmp_path.iterdir()} == dict.fromkeys(("a", "b", "mine"), "old")
+    with replace_files(tmp_path, ["b", "c"]) as aside:
+        write_text(aside / "a", "new")
+    assert {file.name: file.read_text() for file in tmp_path.iterdir()} == {"a": "new", "mine": "old"}
 
 
 def test_what_cannot_be_written_is_one_sentence(tmp_path):

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from html import escape
 from pathlib import Path
-from tempfile import TemporaryFile
+from tempfile import TemporaryDirectory, TemporaryFile
 from typing import Any
 from uuid import uuid4
 
@@ -47,6 +47,22 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     finally:
         with suppress(OSError):  # after success it no longer exists
             aside.unlink()
+
+
+@contextmanager
+def replace_files(folder: Path, optional: Iterable[str] = ()) -> Iterator[Path]:
+    """Write files into a temporary folder, which is yielded; they move into ``folder`` at the end of the block.
+
+    Of the names ``optional``, the files that weren't written are deleted then. An error, or the end of this process,
+    before leaves all files as they were.
+    """
+    with TemporaryDirectory(dir=folder, prefix=".unfinished-") as aside:
+        yield Path(aside)
+        written = {file.name for file in Path(aside).iterdir()}
+        for name in written:
+            os.replace(Path(aside, name), folder / name)
+        for name in {*optional} - written:
+            (folder / name).unlink(missing_ok=True)
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:

@@ -68,6 +68,19 @@ def test_a_detector_without_followers_has_no_confirmed_leaders(run, tmp_path):
     assert "names no followers" not in run("detect", path, "--detector", "destroy-all", "--unconfirmed")[2]
 
 
+def test_an_interrupted_run_leaves_the_files_of_an_earlier_one(run, tmp_path, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    path, out = flock(tmp_path / "flock.csv"), tmp_path / "out"
+    out.mkdir()
+    for name in ("leaders.json", "windows.csv", "network.png", "page.html", "episode.npz"):
+        (out / name).write_text("old")
+    monkeypatch.setattr("usnet_env.drawing.write_figure", interrupt)
+    assert run("detect", path, *QUICK, "--out", out)[0] == 130
+    assert [file.read_text() for file in out.iterdir()] == ["old"] * 5
+
+
 def test_windows_that_are_too_short_for_the_test_are_named(run, tmp_path):
     path = flock(tmp_path / "flock.csv")
     for length, words in (("15", ()), ("15", ("--unconfirmed",)), ("16", ())):

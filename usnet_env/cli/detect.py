@@ -15,7 +15,7 @@ import numpy as np
 from usnet_env.cli.options import PositiveNumber, WholeNumber, complete_names
 from usnet_env.cli.output import print_message, show
 from usnet_env.config import ArgumentError, MissingExtraError, printable, quote
-from usnet_env.files import as_path, reserve_folder, write_text
+from usnet_env.files import as_path, replace_files, reserve_folder, write_text
 from usnet_env.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 _DETECTOR = "reader(policy='map')"
 _MOST_ROWS, _MOST_NAMES = 40, 6  # of a table that is printed; ids in a row
+_OPTIONAL = ("episode.npz", "replay.rrd", "network.png", "delays.png", "timeline.png", "picture.png")  # files
 _COLUMN = "Name of a column; without NAME, the role is left out. May be repeated."
 _HEADER = "Names of the columns, with commas, of a file without them in row 1."
 _LENGTH = "Unit of x, y and z; beside degrees of z.  [default: m]"
@@ -172,10 +173,12 @@ def detect(
     if folder is not None:
         title = ", ".join(Path(name).name for name in tracks)
         episode = _make_record(even, kept, title, found.detector, seed) if record else None
-        write_text(folder / "leaders.json", content + "\n")
-        _write_files(folder, found, episode, ([cut for cut, _, _ in kept], title, even))
-        write_page(found, folder / "page.html", title, facts)
-        click.echo(f"{', '.join(sorted(path.name for path in folder.iterdir()))} are in {folder}.", err=True)
+        with replace_files(folder, _OPTIONAL) as aside:
+            write_text(aside / "leaders.json", content + "\n")
+            _write_files(aside, found, episode, ([cut for cut, _, _ in kept], title, even))
+            write_page(found, aside / "page.html", title, facts)
+            names = ", ".join(sorted(path.name for path in aside.iterdir()))
+        click.echo(f"{names} are in {folder}.", err=True)
 
 
 def _tables(found: FoundLeaders) -> list[Table]:
@@ -223,12 +226,6 @@ def _write_files(folder: Path, found: FoundLeaders, episode: EpisodeRecord | Non
 
     pictures = {"network": found.plot, "delays": found.plot_delays, "timeline": found.plot_timeline}
     pictures["picture"] = lambda: draw_leaders(found, *drawn)
-    for name in (
-        "episode.npz",
-        "replay.rrd",
-        *(f"{each}.png" for each in pictures),
-    ):  # of an earlier run, which this one may not replace
-        (folder / name).unlink(missing_ok=True)
     for name, table in found.tables().items():
         write_text(folder / f"{name}.csv", table.to_csv(index=False))
     writers: dict[str, Any] = {
