@@ -1,12 +1,13 @@
 """What can be done with found leaders: events, a frame, pictures, and short texts."""
 
+import numpy as np
 import pandas as pd
 import pytest
 from track_files import Answers, answer_of, example, rows_of, straight, write_csv
 
 import usnet_env
 from usnet_env import ArgumentError, Detection, plot_detection
-from usnet_env.tracks import DetectedWindow, FoundLeaders, Leader, Link, find_leaders, read_tracks
+from usnet_env.tracks import DetectedWindow, FoundLeaders, Leader, Link, Tracks, find_leaders, read_tracks
 
 pytest.importorskip("matplotlib")
 
@@ -80,6 +81,10 @@ def test_a_data_frame_is_read_like_a_file():
     assert repr(tracks) == "<Tracks: 3 ids, 60 samples, 0.0095 s, 2-D>"
     with pytest.raises(ArgumentError, match="name those of the frame for id"):
         read_tracks(frame.drop(columns="uid"))
+    places = straight()[..., :2].reshape(20, 6).T
+    wide = pd.DataFrame(dict(zip(["a_x", "a_y", "b_x", "b_y", "c_x", "c_y"], places, strict=True)))
+    tracks = read_tracks(wide.assign(timestamp=pd.to_timedelta(np.arange(20) / 2, unit="s")))
+    assert (tracks.ids, tracks.samples, tracks.duration) == (("a", "b", "c"), 60, 9.5)
 
 
 def test_leaders_are_found_in_whatever_holds_tracks(tmp_path):
@@ -92,6 +97,9 @@ def test_leaders_are_found_in_whatever_holds_tracks(tmp_path):
             find_leaders(wrong)
     with pytest.raises(ArgumentError, match=r"^detector must be a name, "):
         find_leaders(path, 3)
+    alone = Tracks.from_samples([*"aabb"], [0, 1, 8, 9], np.zeros((4, 2)))
+    with pytest.raises(ArgumentError, match=r"^tracks must hold a window in which 2 ids are seen in half of the steps"):
+        find_leaders(alone.resample(1.0), "none", length=4)
 
 
 def test_texts_are_short_and_names_are_listed():

@@ -224,23 +224,23 @@ def _write_files(folder: Path, found: FoundLeaders, episode: EpisodeRecord | Non
     from usnet_env.replay import write_recording
     from usnet_env.tracks.picture import draw_leaders
 
-    pictures = {"network": found.plot, "delays": found.plot_delays, "timeline": found.plot_timeline}
-    pictures["picture"] = lambda: draw_leaders(found, *drawn)
+    pictures = {"network.png": found.plot, "delays.png": found.plot_delays, "timeline.png": found.plot_timeline}
+    pictures["picture.png"] = lambda: draw_leaders(found, *drawn)
     for name, table in found.tables().items():
         write_text(folder / f"{name}.csv", table.to_csv(index=False))
     writers: dict[str, Any] = {
-        name: partial(lambda name, draw: write_figure(draw(), folder / f"{name}.png"), name, draw)
+        name: partial(lambda name, draw: write_figure(draw(), folder / name), name, draw)
         for name, draw in pictures.items()
     }
     if episode is not None:
         episode.save(folder / "episode.npz")
-        writers["replay"] = lambda: write_recording(episode, folder / "replay.rrd")
+        writers["replay.rrd"] = lambda: write_recording(episode, folder / "replay.rrd")
     with warnings.catch_warnings(record=True, action="always") as caught:
         for name, write in writers.items():
             try:
                 write()
             except MissingExtraError as error:
-                print_message(f"the {name} is left out. {error}")
+                print_message(f"{name} is left out. {error}")
     for message in dict.fromkeys(str(warning.message) for warning in caught):
         print_message(f"warning: {message}")
 

@@ -83,8 +83,8 @@ def choose_columns(
         must = f"name those of {where} for {', '.join(missing)}" + " (min_confidence)" * ("confidence" in missing)
         if any(_is_number(name) for name in header):
             first = quote(" ".join(header)[:80])
-            hint = "header=['frame', 'id', 'x', 'y'], or --columns frame,id,x,y,"
-            raise ArgumentError(f"row 1 of {where} must name its columns, got values: {first} ({hint} names them).")
+            hint = "header=, or --columns, names them in their order, such as frame,id,x,y"
+            raise ArgumentError(f"row 1 of {where} must name its columns, got values: {first} ({hint}).")
     elif len(set(chosen)) < len(chosen) or any(header.count(name) != 1 for name in chosen):
         must = f"give each role a column that {where} has once"
     hint = " (several files may be the tracks of one id each)" * (missing == ["id"])
@@ -126,6 +126,7 @@ def read_numbers(
     A cell that can't be read is refused, or is NaN with ``skip_few``, if fewer than half of the different ones are so.
     """
     formatted = role in TIMES and time_format is not None
+    column = column.dt.total_seconds() if column.dtype.kind == "m" else column
     if column.dtype.kind in "fiu" and not formatted:
         numbers = column.to_numpy(np.float64)
     else:
@@ -155,7 +156,7 @@ def read_numbers(
 
 def has_timestamps(column: pd.Series[Any]) -> bool:
     """Whether a column of times holds timestamps: its first value is no number."""
-    if column.dtype.kind in "fiuM":
+    if column.dtype.kind in "fiumM":
         return bool(column.dtype.kind == "M")
     return math.isnan(_parse(next((cell for cell in column if not is_none(cell)), "0"), "."))
 

@@ -284,7 +284,8 @@ def find_leaders(
         if on_window is not None:
             on_window(cut, answer.detection, found)
     if not windows:
-        raise ArgumentError("tracks must hold a window in which at least 2 ids are seen together; no window does.")
+        hint = "no window does (--window makes them shorter)"
+        raise ArgumentError(f"tracks must hold a window in which 2 ids are seen in half of the steps; {hint}.")
     leaders = _summarise(windows, tracks.ids, seen if confirm else None)
     return FoundLeaders(tuple(windows), leaders, detector_label(player), tracks.ids)
 

@@ -123,7 +123,7 @@ def read_tracks(
     try:
         if isinstance(path, pd.DataFrame):
             plain = path.reset_index() if any(path.index.names) else path
-            part = _read_part(formats.as_table(plain.rename(columns=str)), options, where, None)
+            part = _read_part(_split_wide(formats.as_table(plain.rename(columns=str)), options), options, where, None)
             return _make_tracks([Path(where)], [part], options, where)
         given = path if isinstance(path, list | tuple) else [path]
         if not given or not isinstance(given[0], str | os.PathLike):
@@ -229,7 +229,8 @@ def _open_table(path: Path, options: _Options) -> tuple[formats.Table, bool]:
     """The table of a file, and whether its ids, such as the names of tracks, mean nothing in other files."""
     packed = path.suffix.lower() in (".gz", ".zip")
     data, name = unpack(path, options.max_size) if packed else (b"", path.name)
-    kind = options.format or Path(name).suffix[1:].lower()
+    rosbag = (path / "metadata.yaml").exists()  # a folder, in ROS 2
+    kind = options.format or ("db3" if rosbag else Path(name).suffix[1:].lower())
     if kind in READERS or options.format not in (None, "csv"):
         reader = READERS.find(kind)
         with TemporaryDirectory() as folder:
@@ -241,9 +242,12 @@ def _open_table(path: Path, options: _Options) -> tuple[formats.Table, bool]:
         if not isinstance(frame, pd.DataFrame):
             raise ArgumentError(f"reader {kind!r} must return a pandas.DataFrame, got {quote(frame)}.")
         return formats.as_table(frame), kind in _FOR_ITSELF
-    table = _read_csv(data if packed else unpack(path, options.max_size)[0], options)
-    has_places = {"id", "x", "lon"} & (options.columns or {}).keys()
-    return (table if has_places else formats.as_long(table)), False
+    return _split_wide(_read_csv(data if packed else unpack(path, options.max_size)[0], options), options), False
+
+
+def _split_wide(table: formats.Table, options: _Options) -> formats.Table:
+    """The table with a row for each sample, if it has columns for each id and no argument names others."""
+    return table if {"id", "x", "lon"} & (options.columns or {}).keys() else formats.as_long(table)
 
 
 def _read_csv(data: bytes, options: _Options) -> formats.Table:
@@ -252,6 +256,8 @@ def _read_csv(data: bytes, options: _Options) -> formats.Table:
     if encoding == "utf-8" and b"\0" in data[:1024]:
         raise ValueError("it is no text, and its suffix names no format that is read (--format does)")
     comments = 0
+    if data[:64].lstrip().startswith((b"{", b"[{", b"<?xml")):
+        raise ValueError("it is JSON or XML, of which only the formats of `usnet list format` are read (--format)")
     with io.TextIOWrapper(io.BytesIO(data), encoding) as lines:
         while (first := lines.readline(2**20).removeprefix("\ufeff")).startswith("#"):
             comments += 1
