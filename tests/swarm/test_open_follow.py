@@ -1,38 +1,69 @@
-"""Open laws: what a seed draws, and how followers fly by it."""
+"""Open laws: what an episode draws, and how followers fly by them."""
 
-from dataclasses import replace
-from hashlib import sha256
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 import pytest
-from flights import fly
+from flights import fly, generators
 
-from usnet_env.evaluation import load_suite
-from usnet_env.swarm.open_follow import ANSWERS, BENT, HEARD, MEMORY, PUBLIC_SEED, OpenLaw, draw_laws
+from usnet_env.swarm import SwarmConfig, start
+from usnet_env.swarm.open_follow import ANSWERS, BENT, HEARD, MEMORY, OPEN_LAWS, Constants, OpenLaw
 from usnet_env.swarm.strategy import FollowInputs
 
-PLAIN = OpenLaw("late", "copies", "nothing", 3, 0, 0.7, 40.0, 0.5, 1.0, noise=0.0)
+PLAIN = Constants(delay=3, spread=0, gain=0.7, reach=40.0, sharpness=0.5, course=1.0)
 
 
-def test_a_seed_draws_ten_laws_of_different_parts():
-    assert draw_laws(5) == draw_laws(5) != draw_laws(6)
-    for seed in range(50):
-        laws = draw_laws(seed).values()
-        parts = {(law.hears, law.answers, law.bends) for law in laws}
-        assert len(parts) == len(laws) == 10
-        assert ("late", "copies", "nothing") not in parts
+@dataclass(frozen=True)
+class FixedLaw(OpenLaw):
+    """A law whose constants are not drawn."""
+
+    constants: Constants = PLAIN
+
+    def draw_for(self, rng, uavs):
+        return np.array([*self.constants, *rng.random(uavs)], np.float32)
 
 
-def test_the_suite_has_all_laws_and_the_hash_of_another_seed():
-    suite = load_suite("open")
-    assert [cell.arguments["follow"] for cell in suite.cells.values()] == list(draw_laws(PUBLIC_SEED))
-    assert suite.commitment not in {None, sha256(str(PUBLIC_SEED).encode()).hexdigest()}
+def test_the_laws_are_all_combinations_but_a_bare_late_copy():
+    parts = [(law.hears, law.answers, law.bends) for law in OPEN_LAWS.values()]
+    assert parts == [each for each in product(HEARD, ANSWERS, BENT) if each != ("late", "copies", "nothing")]
+    assert list(OPEN_LAWS) == [f"open-{number}" for number in range(1, 84)]
+
+
+def test_follow_seed_fixes_the_constants_which_differ_from_law_to_law():
+    def draw(follow, seed, uavs=24, **fixed):
+        config = SwarmConfig(follow=follow, memory=12, clusters=2, uavs=uavs, **fixed)
+        return start(config, generators([seed])).parameters[0]
+
+    first = draw("open-5", 0, follow_seed=4)
+    assert len(first) == len(PLAIN) + 24
+    assert np.array_equal(first, draw("open-5", 1, follow_seed=4))
+    assert np.array_equal(first, draw("open-5", 0, uavs=40, follow_seed=4)[: len(first)])
+    for other in (draw("open-6", 0, follow_seed=4), draw("open-5", 0, follow_seed=5), draw("open-5", 0)):
+        assert (first[2:] != other[2:]).all()
+    drawn = np.array([draw("open-1", seed)[:6] for seed in range(200)])
+    for column, low, high in zip(drawn.T, (1, 0, 0.4, 20, 0, -np.pi), (5, 3, 0.9, 60, 1, np.pi), strict=True):
+        assert low <= column.min() < low + 0.03 * (high - low)
+        assert high >= column.max() > high - 0.03 * (high - low)
+
+
+def test_the_noise_is_less_with_a_larger_gain():
+    """It is 0.1 (1 - g)^0.5, beside a head that flies straight on."""
+    for gain in (0.4, 0.9):
+        law = FixedLaw(0, "late", "copies", "nothing", constants=PLAIN._replace(gain=gain))
+        state, window = fly(law, memory=12, mobility="straight", uavs=60)
+        velocity, followers = window.velocity[0].astype(float), np.flatnonzero(~state.head)
+        wanted = (1 - gain) * velocity[:-1, followers] + gain * velocity[:-1, state.root[followers]]
+        flown = velocity[1:, followers]
+        across = flown / (flown * wanted).sum(axis=2, keepdims=True) - wanted
+        measured = np.sqrt((across**2).sum(axis=2).mean() / 2)
+        assert measured == pytest.approx(0.1 * (1 - gain) ** 0.5, rel=0.06)
 
 
 @pytest.mark.parametrize("bends", ["nothing", "aside"])
 def test_flight_obeys_a_literal_reading(bends):
-    state, window = fly(replace(PLAIN, bends=bends, sharpness=1.0), memory=12, mobility="gauss_markov")
+    law = FixedLaw(0, "late", "copies", bends, noise=0.0, constants=PLAIN._replace(sharpness=1.0))
+    state, window = fly(law, memory=12, mobility="gauss_markov")
     velocity, checked = window.velocity[0].astype(float), 0
     turn = np.pi / 3 if bends == "aside" else 0.0
     turned = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
@@ -52,12 +83,13 @@ def make_inputs(uavs=30):
         np.concatenate([np.zeros((uavs, 1, 3)), head], axis=1), axis=1
     )
     own = rng.uniform(-60, 60, (uavs, 1, 3)) + rng.normal(0, 0.6, (uavs, MEMORY + 1, 3))
-    return FollowInputs(own, head, place, rng.random(uavs, dtype=np.float32))
+    constants = PLAIN._replace(delay=2, spread=3, reach=30.0, sharpness=0.3)
+    return FollowInputs(own, head, place, np.array([*constants, *rng.random(uavs)], np.float32))
 
 
 @pytest.mark.parametrize("parts", [*product(HEARD, ANSWERS, BENT)], ids=" ".join)
 def test_a_follower_depends_on_its_own_row_and_on_the_head(parts):
-    inputs, law = make_inputs(), OpenLaw(*parts, 2, 3, 0.7, 30.0, 0.3, 1.0, noise=0.0)
+    inputs, law = make_inputs(), OpenLaw(0, *parts)
     direction, rows = law.direction(inputs), np.arange(30)
     assert np.isfinite(direction).all()
     for name in ("own_position", "head_velocity"):
@@ -71,7 +103,7 @@ def test_a_follower_depends_on_its_own_row_and_on_the_head(parts):
 def test_what_is_heard_is_an_average_of_the_past():
     share, distance = np.linspace(0, 1, 9, dtype=np.float32), np.linspace(0, 300, 9)
     for hear in HEARD.values():
-        weights = hear(replace(PLAIN, delay=5, spread=3), share, distance)
+        weights = hear(PLAIN._replace(delay=5, spread=3), share, distance)
         np.testing.assert_allclose(weights.sum(axis=1), 1.0)
         assert (weights[:, MEMORY - 3 :] == 0).all()  # the velocity 3 steps before is known too
         age = weights @ np.arange(MEMORY)

@@ -46,7 +46,7 @@ class SwarmArguments(Config):
     )
     decoys: Few = Field(0, description="number of UAVs that move like heads but have no followers")
     follow_seed: Annotated[int, Field(ge=0, lt=2**63)] | None = Field(
-        None, description="seed of the parameters of f7's network; ``None``: a new network in each episode"
+        None, description="seed of what f7 and others draw for an episode; ``None``: each episode has its own"
     )
     observation_steps: Count = Field(100, description="T_ob, number of velocity samples in a window")
     sample_every: Steps = Field(1, description="the observer samples every k-th step")
