@@ -113,7 +113,10 @@ def test_results_of_two_folders_are_merged_and_compared():
     both = first.merge(second)
     assert [(entry["detector"], entry["episodes"]) for entry in both.summary] == [("a", 3), ("b", 2)]
     assert both.compare("a", "b").difference == -0.5
+    strange = from_values(b=[2.0, 2.0])
+    strange.rows.loc[1, "swarm_seed"] = 7
     for other, message in (
+        (strange, "other must have .* got another swarm in the same episode"),
         (from_values(a=[1.0]), "other must have other labels, .* got 'a' in both"),
         (from_values(cell="E", b=[1.0]), "other must have .* got another cells"),
         (from_values(config={"seed": 1}, b=[1.0]), "other must have .* got another seed"),

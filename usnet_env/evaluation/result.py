@@ -228,17 +228,20 @@ class EvaluationResult:
         return found[0] if isinstance(b, str) else found
 
     def merge(self, other: EvaluationResult) -> EvaluationResult:
-        """Join the result of other detectors, with the same suite, cells and seed; it has the columns of both."""
+        """Join the result of other detectors, with the same suite, cells, seed and swarms, by the columns of both."""
         shared = [label for label in self.detectors if label in other.detectors]
         differing = [name for name in ("suite", "cells", "seed") if self.config.get(name) != other.config.get(name)]
-        if shared or differing:
-            got = f"{quote(shared[0])} in both" if shared else f"another {differing[0]}"
-            raise ArgumentError(f"other must have other labels, and the same suite, cells and seed, got {got}.")
-        episodes = max(result.config.get("episodes", 0) for result in (self, other))
-        config = {"detectors": [*self.detectors, *other.detectors], "episodes": episodes}
         import pandas as pd
 
-        return EvaluationResult(pd.concat([self.rows, other.rows], join="inner"), self.config | config)
+        rows = pd.concat([self.rows, other.rows], join="inner")
+        if (rows.groupby(["cell", "episode"]).swarm_seed.nunique() > 1).any():
+            differing.append("swarm in the same episode")
+        if shared or differing:
+            got = f"{quote(shared[0])} in both" if shared else f"another {differing[0]}"
+            raise ArgumentError(f"other must have other labels, and the same suite, cells, seed and swarms, got {got}.")
+        episodes = max(result.config.get("episodes", 0) for result in (self, other))
+        config = {"detectors": [*self.detectors, *other.detectors], "episodes": episodes}
+        return EvaluationResult(rows, self.config | config)
 
     def _check_metric(self, metric: str, argument: str = "metric") -> None:
         if metric not in self.metrics:
