@@ -55,13 +55,13 @@ def mean(metric: str, digits: int = 2, scale: float = 1.0, group: str = "episode
     return say
 
 
-def rate(metric: str, count: bool = False) -> Say:
+def rate(metric: str, count: bool = False, group: str = "episode") -> Say:
     """The share of ones in percent with its interval, and n if ``count``."""
 
     def say(rows: pd.DataFrame) -> str:
         if not len(rows):
             return "–"
-        middle, low, high = (f"{100 * value:.1f}" for value in interval(rows, metric))
+        middle, low, high = (f"{100 * value:.1f}" for value in interval(rows, metric, group))
         return f"{middle} % ({low}–{high})" + (f"; {len(rows):,}" if count else "")
 
     return say

@@ -36,7 +36,7 @@ from detectors.reader.features import CONTEXT_GROUPS, PAIR_GROUPS, UAV_GROUPS, m
 from detectors.reader.forward import load_reader, read
 from detectors.reader.prior import FAMILIES, draw_examples
 from usnet_env import Window
-from usnet_env.evaluation import load_suite
+from usnet_env.evaluation import list_suites, load_suite
 from usnet_env.progress import progress_bar
 
 KEYS = ["reader", "dropped", "source", "episode"]
@@ -171,8 +171,9 @@ def report(rows: pd.DataFrame, study: str) -> str:
     """The tables of a study."""
     sure = pd.cut(rows.confidence.clip(1e-6), CONFIDENCES).astype(str)
     rows = rows.assign(set=rows.source.str.partition("/")[0], sure=sure)
+    rows["unit"] = rows.source.where(rows.set == "open", rows.episode.astype(str))  # laws, or windows
     windows = rows.drop_duplicates(KEYS)
-    says = {"windows": size, "exact": rate("exact"), "mean confidence": say_confidence}
+    says = {"windows": size, "exact": rate("exact", group="unit"), "mean confidence": say_confidence}
     says["errors by 1 - confidence"] = measure_doubt
     if study in ("scaling", "ablation"):
         lines = {"reader": "reader"} | ({"dropped": "dropped"} if study == "ablation" else {})
@@ -207,14 +208,19 @@ def main(argv: list[str] | None = None) -> None:
     parser = shared.parse(__doc__, Path("out/reader"))
     parser.add_argument("study", choices=["families", "scaling", "ablation", "calibration"])
     parser.add_argument("names", nargs="*", help="families or groups of features; by default all")
-    parser.add_argument("--episodes", type=int, default=50, help="windows of each source")
+    parser.add_argument("--episodes", type=int, default=50, help="windows of each source, at most those of its suite")
     parser.add_argument("--readers", type=Path, default=Path("out/reader"), help="folder of the trainings")
     parser.add_argument("--shards", type=int, default=25, help="of a training, except in scaling")
     parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu")
     parser.add_argument("--retrained", action="store_true", help="ablation: train without each group")
     given = parser.parse_args(argv)
-    played = product(dict.fromkeys(choose(given)), range(given.episodes))
-    games = [dict(zip(KEYS, (*key, episode), strict=True)) for key, episode in played]
+    most = {name: suite.episodes for name, suite in list_suites().items()}
+    played = [
+        (*key, episode)
+        for key in dict.fromkeys(choose(given))
+        for episode in range(min(given.episodes, most.get(key[2].partition("/")[0], given.episodes)))
+    ]
+    games = [dict(zip(KEYS, each, strict=True)) for each in played]
     given.rows /= f"{given.study}.csv.gz"
     rows = shared.measure(given, games, partial(play, readers=given.readers, seed=given.seed))
     print(report(rows, given.study))

@@ -14,6 +14,7 @@ import re
 import sys
 from collections.abc import Callable
 from functools import cache, partial
+from operator import attrgetter
 from pathlib import Path
 
 import evasion
@@ -31,6 +32,7 @@ from pivot import Say, across, markdown, mean, median, name_detector, pivot, rat
 
 from usnet_env.evaluation import list_suites
 from usnet_env.files import write_text
+from usnet_env.swarm.open_follow import OPEN_LAWS
 
 DETECTOR = {"detector": "detector"}  # lines of a table
 BLOCK = re.compile(r"(<!-- results:begin ?([\w-]*) -->)\n.*?<!-- results:end -->", re.DOTALL)
@@ -53,6 +55,8 @@ SUITES = {  # those of README.md; `reader` solves the others
 SOLVED = ("field-v2", "controls-v2", "sensing-v2")
 OLDER = ("controls", "sensing", "field")  # only in the leaderboard
 BEST = 8  # detectors of a table of cells
+#: The detectors of a table of kinds of laws: the best ones, then controls that can't know who follows.
+OF_LAWS = ("reader(policy='map')", "reader", "lagged-network", "track-outlier", "reader(weights='untrained')")
 #: The lines of README.md's table; the page of the suites has every detector.
 SHORT_LIST = ["reader(policy='map')", "reader", "lagged-network", "lagged-regression"]
 SHORT_LIST += ["reader(weights='untrained')", "track-outlier", "destroy-all", "random", "none"]
@@ -88,10 +92,18 @@ def read_suite(name: str) -> pd.DataFrame:
     return rows.sort_values("detector", key=lambda names: names.map(list(best).index), kind="stable")
 
 
+def _group(name: str) -> str:
+    """The column that names what was drawn for the rows of a suite, the unit of its intervals."""
+    return "cell" if list_suites()[name].unit == "cell" else "episode"
+
+
 def suite_block(name: str) -> str:
-    """A line for each detector, over all cells; a line for each cell."""
-    rows, suite = read_suite(name), list_suites()[name]
-    columns: dict[str, Say] = {"n": size, "exact": rate("exact"), "F1 in round 1": mean("f1_first"), "J": mean("J")}
+    """A line for each detector, over all cells; a line for each cell, or for each kind of law."""
+    if not suite_file(name).exists():
+        return "This version has no rows yet."
+    rows, suite, group = read_suite(name), list_suites()[name], _group(name)
+    columns: dict[str, Say] = {"n": size, "exact": rate("exact", group=group)}
+    columns |= {"F1 in round 1": mean("f1_first", group=group), "J": mean("J", group=group)}
     parts = [pivot(rows, DETECTOR, {**columns, "seconds": median("seconds_per_round")})]
     counts = rows.groupby("detector", sort=False).episode.max() + 1
     few = [f"{name_detector(label)} {count}" for label, count in counts.items() if count < suite.episodes]
@@ -99,6 +111,8 @@ def suite_block(name: str) -> str:
         parts.append(f"Slow detectors played only the first of the {suite.episodes} episodes: {', '.join(few)}.")
     order = list(suite.cells)
     rows = rows.sort_values("cell", key=lambda cells: cells.map(order.index), kind="stable")
+    if group == "cell":
+        return "\n\n".join([*parts, *_compare_laws(rows)])
     percent = across("detector", counts.index[:BEST], lambda part: f"{100 * part.exact.mean():.0f}")
     percent = {name_detector(label): say for label, say in percent.items()}
     title = f"Exact in percent, cell by cell, of the first {BEST} lines"
@@ -111,6 +125,18 @@ def suite_block(name: str) -> str:
         )
         percent = {"oracle": partial(_say_possible, oracle["mean"]), **percent}
     return "\n\n".join([*parts, f"{title}:", pivot(rows, {"cell": "cell"}, percent)])
+
+
+def _compare_laws(rows: pd.DataFrame) -> list[str]:
+    """A table of how followers answer, one of how they hear their head, and one of how the answer is bent."""
+    columns: dict[str, Say] = {"laws": lambda part: str(part["cell"].nunique())}
+    columns |= {
+        name_detector(name): say for name, say in across("detector", OF_LAWS, rate("exact", group="cell")).items()
+    }
+    kinds = {"the answer": "answers", "the head is heard": "hears", "the answer is bent": "bends"}
+    laws = rows["cell"].map(OPEN_LAWS)
+    rows = rows.assign(**{kind: laws.map(attrgetter(kind)) for kind in kinds.values()})
+    return [pivot(rows, {title: kind}, columns) for title, kind in kinds.items()]
 
 
 def _say_possible(oracle: pd.Series, rows: pd.DataFrame) -> str:
@@ -130,12 +156,13 @@ def scale_block() -> str:
 
 def readme_block() -> str:
     """The tables of README.md: the best detector of each suite, some detectors, the paper's algorithms."""
-    suites, best = {name: read_suite(name) for name in SUITES}, []
-    for name, about in SUITES.items():
-        rows, suite = suites[name], list_suites()[name]
+    suites, best = {name: read_suite(name) for name in SUITES if suite_file(name).exists()}, []
+    for name, rows in suites.items():
+        about, suite = SUITES[name], list_suites()[name]
         chosen = rows[rows.detector == rows.groupby("detector").exact.sum().idxmax()]
         played = f"{len(suite.cells)} × {suite.episodes}"
-        best.append([f"`{name}`", about, played, name_detector(chosen.detector.iloc[0]), rate("exact")(chosen)])
+        best.append([f"`{name}`", about, played, name_detector(chosen.detector.iloc[0])])
+        best[-1].append(rate("exact", group=_group(name))(chosen))
     rows = pd.concat([part.assign(suite=name) for name, part in suites.items()])
     detectors = set(rows.detector)
     names = len({label.partition("(")[0] for label in detectors})
@@ -154,7 +181,7 @@ def readme_block() -> str:
             "*Exact*: round 1 names all heads and no other UAV. J_m: the number of rounds, plus the redundant "
             "candidates divided by N; lower is better, 1 is best. A name without arguments means the default settings. "
             "[All detectors and cells, with 95 % intervals](docs/results/suites.md).",
-            pivot(rows, DETECTOR, across("suite", SUITES, say, "`{}`: % exact; J_m")),
+            pivot(rows, DETECTOR, across("suite", suites, say, "`{}`: % exact; J_m")),
             "GASSL plays P1, MC-GASSL plays P2; iid heads, f1 to f7, means of cells, seed 2022, n after the semicolon. "
             "A *decoy* flies like a head, and no UAV follows it. The paper's J_m follows from the rounds and redundant "
             "candidates that its text reports.",

@@ -120,7 +120,7 @@ def measure(given: argparse.Namespace, games: Sequence[Game], play: Play) -> pd.
 
 
 def interval(rows: pd.DataFrame, metric: str, group: str = "episode") -> Interval:
-    """The mean of a metric with its 95 % interval; rows with the same number of the episode are one group.
+    """The mean of a metric with its 95 % interval; rows with the same ``group`` are one value.
 
     Rows without a value, such as those of a detector without clusters, are left out.
     """

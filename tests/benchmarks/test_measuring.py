@@ -13,6 +13,7 @@ import suites
 import tracks
 from paper.shared import RESULTS, read_rows
 
+from usnet_env import results
 from usnet_env.evaluation import load_suite
 from usnet_env.evaluation.play import episode_seeds
 
@@ -69,11 +70,13 @@ def test_rows_of_other_swarms_or_with_gaps_are_refused(suite, tmp_path):
     assert path.read_bytes() == content
 
 
-@pytest.mark.parametrize("name", ["paper", "controls", "sensing", "field", "scale"])
-def test_the_printed_seed_is_that_of_the_committed_swarms(name, capsys):
+@pytest.mark.parametrize("path", sorted((RESULTS / "suites").glob("*-v*.csv.gz")), ids=lambda path: path.name)
+def test_the_seed_of_published_rows_is_that_of_their_swarms(path, capsys):
+    name, _, version = path.name.removesuffix(".csv.gz").rpartition("-v")
+    assert int(version) == load_suite(name).version
     suites.main([name, "--print-seed"])
-    seed, suite = int(capsys.readouterr().out), load_suite(name)
-    rows = read_rows(RESULTS / "suites" / f"{name}-v{suite.version}.csv.gz").drop_duplicates("episode")
+    seed, rows = int(capsys.readouterr().out), results(name).rows.drop_duplicates("episode")
+    assert results(name).config["seed"] == seed
     assert [episode_seeds(seed, episode)[0] for episode in rows.episode] == list(rows.swarm_seed)
 
 

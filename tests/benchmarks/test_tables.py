@@ -1,5 +1,6 @@
 """Published tables: they say what the rows say, and a page that differs is found."""
 
+import re
 import shutil
 
 import numpy as np
@@ -10,6 +11,8 @@ import tables
 from paper.shared import RESULTS, ROOT, interval, read_rows, write_rows
 
 from usnet_env.evaluation import list_suites
+from usnet_env.evaluation.stats import rate_interval
+from usnet_env.swarm.open_follow import OPEN_LAWS
 
 
 def make_rows(**columns):
@@ -109,6 +112,23 @@ def test_committed_rows_of_a_suite_have_the_same_swarms_for_all(name):
     counts = rows.groupby(["detector", "cell"]).episode.agg(["size", "nunique", "max"])
     assert (counts["size"] == counts["nunique"]).all()
     assert (counts["size"] == counts["max"] + 1).all()
+
+
+def test_laws_are_the_unit_of_the_tables_of_open(tmp_path, monkeypatch):
+    monkeypatch.setattr(tables, "RESULTS", tmp_path)
+    monkeypatch.setattr(tables, "read_suite", tables.read_suite.__wrapped__)  # without its memory
+    assert tables.suite_block("open") == "This version has no rows yet."
+    suite = list_suites()["open"]
+    games = [(cell, episode) for cell in suite.cells for episode in range(suite.episodes)]
+    rows = pd.DataFrame(games, columns=["cell", "episode"]).assign(detector="reader", J=1.0, seconds_per_round=0.1)
+    rows["exact"] = rows["f1_first"] = rows["cell"].map(lambda name: int(OPEN_LAWS[name].answers == "turns alike"))
+    write_rows(tables.suite_file("open"), rows)
+    lines = tables.suite_block("open").splitlines()
+    low, high = (100 * end for end in rate_interval([1] * 12 + [0] * 71)[1:])
+    assert lines[2].startswith(f"| `reader` | 415 | 14.5 % ({low:.1f}–{high:.1f}) |")
+    assert "| turns alike | 12 | – | 100.0 % (75.8–100.0) | – |" in "\n".join(lines)
+    counts = [int(line.split("|")[2]) for line in lines[3:] if re.match(r"\| [a-z ]+ \| \d", line)]
+    assert (len(counts), sum(counts)) == (7 + 3 + 4, 3 * 83)
 
 
 def test_the_paper_s_rates_are_rows_of_1000_runs():

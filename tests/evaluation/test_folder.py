@@ -48,6 +48,7 @@ def test_a_run_leaves_its_arguments_and_rows_and_is_not_repeated(tmp_path, whole
     assert set(about) == {"arguments", "versions", "machine", "commit"}
     assert about["arguments"] == {
         "suite": None,
+        "unit": "swarm",
         "cells": {MULTI: {"env": MULTI, "arguments": SMALL}},
         "detectors": ["third", "followed"],
         "episodes": 4,

@@ -135,3 +135,24 @@ def test_aggregates_take_each_cell_as_a_stratum():
     assert lines[-1].startswith("| all cells | 6.750 (")
     with pytest.raises(ArgumentError, match="metrics must be one of"):
         both.to_markdown("j")
+
+
+def test_cells_that_were_drawn_at_random_are_the_unit_of_intervals():
+    """A law is found nearly always or never, so 4 laws of 30 swarms tell less than 120 swarms."""
+    values = {"easy": 1.0, "plain": 1.0, "fair": 1.0, "hard": 0.0}
+    parts = [from_values(name, a=[value] * 29 + [0.5], b=[0.5] * 30).rows for name, value in values.items()]
+    rows = pd.concat(parts, ignore_index=True)
+    rows["exact"] = rows["J"].round()
+    drawn, fixed = (EvaluationResult(rows, {"unit": unit}) for unit in ("cell", "swarm"))
+    for metric in ("J", "exact"):
+        wide, narrow = drawn["a"][metric], fixed["a"][metric]
+        assert wide["mean"] == pytest.approx(narrow["mean"])
+        assert wide["high"] - wide["low"] > 3 * (narrow["high"] - narrow["low"])
+    assert fixed["a"]["J"]["high"] - fixed["a"]["J"]["low"] < 0.05  # but for one, each seed has the same mean
+    wide, narrow = (result.compare("a", "b") for result in (drawn, fixed))
+    assert narrow.high - narrow.low < 0.05
+    assert narrow.p < 0.001 < 0.6 < wide.p
+    assert wide.low < 0 < narrow.low
+    lines, others = (result.to_markdown("J").splitlines() for result in (drawn, fixed))
+    assert lines[2:-1] == others[2:-1]  # within a cell, the swarm is what was drawn
+    assert lines[-1] != others[-1]

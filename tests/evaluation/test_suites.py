@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from hashlib import sha256
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from sample_detectors import SUITE, untimed
 from usnet_env import ArgumentError, Detection, evaluate
 from usnet_env.evaluation import EvaluationResult, evaluate_suite, list_suites, load_suite
 from usnet_env.evaluation.environments import make_environment
+from usnet_env.swarm.open_follow import OPEN_LAWS
 
 HASHES = json.loads((Path(__file__).parent / "data" / "suite_hashes.json").read_text())
 
@@ -27,9 +29,9 @@ def path(tmp_path):
 
 
 def test_no_file_changed_without_a_new_version():
-    """A change, but of the purpose, needs a new version, and a line in tests/evaluation/data/suite_hashes.json."""
+    """A change of what is played needs a new version, and a line in tests/evaluation/data/suite_hashes.json."""
     for name, suite in list_suites().items():
-        played = json.dumps(suite.model_dump(exclude={"purpose"}), sort_keys=True)
+        played = json.dumps(suite.model_dump(exclude={"purpose", "unit", "weights"}), sort_keys=True)
         assert HASHES[name][str(suite.version)] == sha256(played.encode()).hexdigest()
         assert suite.version == max(map(int, HASHES[name]))
 
@@ -41,6 +43,18 @@ def test_every_cell_can_be_made_and_seeds_of_suites_differ():
             make_environment(cell.env, cell.arguments).close()
     seeds = [seed for suite in suites for seed in (suite.seed, suite.tuning_seed)]
     assert len(set(seeds)) == len(seeds)
+
+
+def test_the_shipped_weights_are_those_before_the_draw_of_the_suite_open():
+    """New weights need a new draw: docs/suites.md, "The suite open", says how."""
+    shipped = files("detectors.reader").joinpath("data/reader.safetensors").read_bytes()
+    assert sha256(shipped).hexdigest() == load_suite("open").weights, "new weights of the reader need a new draw"
+
+
+def test_the_suite_open_has_every_law_with_the_constants_of_its_seed():
+    suite = load_suite("open")
+    assert {name: cell.arguments["follow"] for name, cell in suite.cells.items()} == {name: name for name in OPEN_LAWS}
+    assert {cell.arguments["follow_seed"] for cell in suite.cells.values()} == {suite.seed}
 
 
 def test_a_suite_extends_another_one(path, tmp_path):

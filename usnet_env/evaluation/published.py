@@ -11,13 +11,14 @@ from usnet_env.config import ArgumentError, quote
 from usnet_env.evaluation.result import EvaluationResult
 from usnet_env.evaluation.suites import Suite, load_suite
 
-#: A number that was drawn for the published rows, so that no detector could be tuned on their swarms before.
-DRAWN = 0x60413604136041360413604136041300
+#: Makes the swarms of published rows others than those of a suite's own seed. It is no draw: 60413, the seed of the
+#: suite ``field``, again and again.
+PUBLISHED_ENTROPY = 0x60413604136041360413604136041300
 
 
 def published_seed(suite: Suite) -> int:
     """The seed of the published rows of a suite."""
-    return suite.seed + (DRAWN << 32)
+    return suite.seed + (PUBLISHED_ENTROPY << 32)
 
 
 def results(suite: str) -> EvaluationResult:
@@ -35,7 +36,7 @@ def results(suite: str) -> EvaluationResult:
     if not path.is_file():
         raise ArgumentError(f"suite must be one whose rows are published, got {quote(suite)}.")
     rows = pd.read_csv(path, compression="gzip", dtype={"error": object}).fillna({"error": ""})
-    about = {"suite": chosen.label, "cells": json.loads(chosen.model_dump_json())["cells"]}
+    about = {"suite": chosen.label, "unit": chosen.unit, "cells": json.loads(chosen.model_dump_json())["cells"]}
     about |= {"detectors": list(rows.groupby("detector").exact.mean().sort_values(ascending=False).index)}
     return EvaluationResult(rows, about | {"episodes": int(rows.episode.max()) + 1, "seed": published_seed(chosen)})
 

@@ -64,7 +64,8 @@ class EvaluationResult:
         rows: one row for each cell, detector and episode: the columns ``cell, detector, episode, swarm_seed,
             detector_seed, uavs, heads``, the metrics, and ``error``: why the detector failed, or an empty text. A row
             with an error has no metrics. They are sorted by cell, detector and episode.
-        config: the arguments of the evaluation as plain values, with ``cells``, ``detectors``, ``episodes``, ``seed``.
+        config: the arguments of the evaluation as plain values, with ``cells``, ``detectors``, ``episodes``, ``seed``,
+            and the ``unit`` of intervals, by default ``"swarm"``; with ``"cell"``, the rows of a cell are one group.
     """
 
     def __init__(self, rows: pd.DataFrame, config: Mapping[str, Any]) -> None:
@@ -89,7 +90,8 @@ class EvaluationResult:
         """One entry for each detector, with the keys ``detector``, ``episodes``, ``failed`` and ``metrics``.
 
         ``metrics`` has ``{"mean", "low", "high"}`` by the name of each metric: its mean over all episodes of all cells
-        that have it, and its 95 % interval; episodes of several cells with the same seed of the swarm are one group.
+        that have it, and its 95 % interval; episodes of several cells with the same seed of the swarm are one group,
+        or, in a suite whose cells were drawn at random, all episodes of a cell.
         """
         return self._summarise(self.metrics)
 
@@ -102,11 +104,16 @@ class EvaluationResult:
         """The summary; the other metrics have their mean in place of the ends of the interval."""
         entries = []
         for label, rows in self._by_detector():
-            found = {name: _interval(rows, name, name in with_interval) for name in self.metrics}
+            found = {name: _interval(rows, name, self._unit, name in with_interval) for name in self.metrics}
             metrics = {name: interval._asdict() for name, interval in found.items() if interval is not None}
             failed = int((rows["error"] != "").sum())
             entries.append({"detector": label, "episodes": len(rows) - failed, "failed": failed, "metrics": metrics})
         return entries
+
+    @property
+    def _unit(self) -> str:
+        """The column that names the group of a row, if intervals are those of several cells."""
+        return "cell" if self.config.get("unit") == "cell" else "swarm_seed"
 
     def _by_detector(self) -> list[tuple[str, pd.DataFrame]]:
         """The label and the rows of each detector that has some."""
@@ -187,10 +194,10 @@ class EvaluationResult:
             known = [name for name in self.metrics if any(name in entry["metrics"] for entry in self.summary)]
             chosen = known if metrics is None else [name for name in metrics if name in known]
             return tables.list_lines(self.summary, chosen, pattern)
-        parts = [(cell, self.rows[self.rows["cell"] == cell]) for cell in self.cells]
+        parts = [(cell, self.rows[self.rows["cell"] == cell], "swarm_seed") for cell in self.cells]
         lines = []
-        for cell, rows in [*parts, ("all cells", self.rows)]:
-            found = [_interval(rows[rows["detector"] == label], metrics) for label in self]
+        for cell, rows, unit in [*parts, ("all cells", self.rows, self._unit)]:
+            found = [_interval(rows[rows["detector"] == label], metrics, unit) for label in self]
             lines.append([cell, *(tables.format_interval(each and each._asdict()) for each in found)])
         return [tables.heading(self._ranked, metrics), *map(printable, self)], lines
 
@@ -198,8 +205,9 @@ class EvaluationResult:
         """Compare a detector with another one (a :class:`Comparison`) or several (a list of them), episode by episode.
 
         Cells whose swarms have the same seed depend on each other: their differences are one group, which is resampled,
-        and changes its sign, as a whole. With k others, the intervals have the level 1 - 0.05 / k and the p-values are
-        adjusted by Holm's method, so that the chance of any false difference among them is at most 5 %.
+        and changes its sign, as a whole; so are those of a cell that was drawn at random. With k others, the intervals
+        have the level 1 - 0.05 / k and the p-values are adjusted by Holm's method, so that the chance of any false
+        difference among them is at most 5 %.
 
         Args:
             a: label of a detector.
@@ -219,11 +227,11 @@ class EvaluationResult:
         for other, pair in pairs.items():
             if pair.empty:
                 raise ArgumentError(f"b must have episodes with {metric} in common with {a!r}, got {quote(other)}.")
-        adjusted = stats.holm([stats.paired_test(pair.groupby("swarm_seed").sum()) for pair in pairs.values()])
+        adjusted = stats.holm([stats.paired_test(pair.groupby(self._unit).sum()) for pair in pairs.values()])
         level = 1 - (1 - CONFIDENCE) / max(1, len(others))
         found = []
         for (other, pair), p in zip(pairs.items(), adjusted, strict=True):
-            interval = mean_interval(pair, confidence=level, groups=pair.index.get_level_values("swarm_seed"))
+            interval = mean_interval(pair, confidence=level, groups=pair.index.get_level_values(self._unit))
             found.append(Comparison(a, other, metric, len(pair), *interval, p, len(others)))
         return found[0] if isinstance(b, str) else found
 
@@ -248,15 +256,15 @@ class EvaluationResult:
             raise unknown_name(argument, metric, self.metrics)
 
 
-def _interval(rows: pd.DataFrame, metric: str, resampled: bool = True) -> Interval | None:
+def _interval(rows: pd.DataFrame, metric: str, unit: str, resampled: bool = True) -> Interval | None:
     """The mean of a metric with its interval, or the mean three times; ``None`` if no row has a value.
 
-    Rows of the same swarm are one group.
+    Rows with the same value of the column ``unit`` are one group.
     """
-    values = rows[["swarm_seed", metric]].dropna()
+    values = rows[[unit, metric]].dropna()
     if values.empty:
         return None
     if not resampled:
         return Interval(*[float(values[metric].to_numpy().mean())] * 3)
     interval = stats.rate_interval if metric in RATES else mean_interval
-    return interval(values[metric].to_numpy(), groups=values["swarm_seed"].to_numpy())
+    return interval(values[metric].to_numpy(), groups=values[unit].to_numpy())

@@ -218,6 +218,7 @@ def _evaluate_cells(
             raise ArgumentError(f"{str(error).removesuffix('.')}{place}.") from None
     config = {
         "suite": None if suite is None else suite.label,
+        "unit": "swarm" if suite is None else suite.unit,
         "cells": {name: cell.model_dump() for name, cell in cells.items()},
         "detectors": list(detectors),
         "episodes": how.episodes,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib.resources import files
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import yaml
 from pydantic import Field
@@ -33,8 +33,9 @@ class Suite(Config):
     episodes: int = Field(ge=1, le=1_000_000, description="episodes of a cell in published tables")
     seed: int = Field(ge=1000, lt=2**63, description="seed of published tables")
     tuning_seed: int = Field(ge=0, lt=1000, description="seed for tuning a detector, whose swarms are other ones")
-    commitment: str | None = Field(
-        None, pattern="^[0-9a-f]{64}$", description="SHA-256 of a seed that is kept until its table is published"
+    unit: Literal["swarm", "cell"] = Field("swarm", description="what was drawn at random: the unit of intervals")
+    weights: str | None = Field(
+        None, pattern="^[0-9a-f]{64}$", description="SHA-256 of the reader's weights, which the seed was drawn after"
     )
     cells: dict[str, Cell] = Field(min_length=1, description="the settings by name")
 
