@@ -3,6 +3,7 @@
     python benchmarks/suites.py paper --workers 2                      # all detectors, by way of out/suites/paper
     python benchmarks/suites.py paper --detector none --episodes 5 --out out/look --results out/look
     python benchmarks/suites.py paper --add out/mine/paper             # plays nothing: adds the rows of a run
+    python benchmarks/suites.py open --draw                            # plays nothing: draws the suite's seed, once
 
 `--add` takes the folder of a run of `usnet evaluate --suite paper --seed SEED --out out/mine/paper`, where SEED is what
 `python benchmarks/suites.py paper --print-seed` prints: then it met the swarms of the committed rows. The rows of a
@@ -11,14 +12,18 @@ detector that is played or added replace those that the file holds.
 
 from __future__ import annotations
 
+import secrets
+import subprocess
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from paper.shared import RESULTS, parse, read_rows, write_rows
+from paper.shared import RESULTS, ROOT, parse, read_rows, write_rows
 
 from usnet_env.evaluation import EvaluationResult, Suite, evaluate_suite, list_suites, load_suite
 from usnet_env.evaluation.published import published_seed
+from usnet_env.files import write_text
 
 COLUMNS = ("cell", "detector", "episode", "swarm_seed", "J", "exact", "f1_first", "seconds_per_round", "error")
 DETECTORS = (
@@ -32,6 +37,7 @@ FEWER = {"paper": {"gassl": 1, "gassl(steps=0)": 10, "mc-gassl": 3, "neural-gran
 FEWER["paper"]["mc-gassl(gassl={'steps': 0})"] = 10
 FEWER["paper-hard"] = {"gassl": 10, "mc-gassl": 10, "neural-granger": 10}
 TIME_LIMITS = {"scale": 60.0}  # seconds for an answer
+WEIGHTS = ROOT / "detectors/reader/data/reader.safetensors"
 
 
 def play(suite: Suite, detectors: list[str], episodes: int | None, folder: Path, **how: Any) -> list[pd.DataFrame]:
@@ -70,6 +76,29 @@ def pack(suite: Suite, parts: list[pd.DataFrame], path: Path) -> None:
     write_rows(path, rows.replace("nan", None).sort_values(["cell", "detector", "episode"]))
 
 
+def draw_seed(path: Path, weights: Path) -> int:
+    """Draw the seed of a suite whose file names the committed weights, and write it in place of the one before.
+
+    Raises:
+        ValueError: the file names other weights, is not committed, or has a seed that was drawn after these weights.
+    """
+    suite, digest = load_suite(path), sha256(weights.read_bytes()).hexdigest()
+
+    def git(*words: str | Path) -> str:
+        return subprocess.run(["git", *words], cwd=path.parent, capture_output=True, text=True, check=True).stdout
+
+    if suite.weights != digest:
+        raise ValueError(f"weights in {path.name} must be {digest}, that of {weights.name}, got {suite.weights}.")
+    if git("status", "--porcelain", "--", path, weights):
+        raise ValueError(f"{path.name} and {weights.name} must be committed before the draw.")
+    committed = git("log", "-1", "--format=%H", f"-S{digest}", "--", path).strip()  # the commit that named the weights
+    if f"\nseed: {suite.seed}\n" not in git("show", f"{committed}:./{path.name}"):
+        raise ValueError(f"the seed in {path.name} was drawn after these weights; another draw needs other weights.")
+    drawn = secrets.randbits(63)
+    write_text(path, path.read_text(encoding="utf-8").replace(f"seed: {suite.seed}", f"seed: {drawn}"))
+    return drawn
+
+
 def main(argv: list[str] | None = None) -> None:
     parser = parse(__doc__)
     parser.add_argument("suite", choices=list(list_suites()))
@@ -82,11 +111,14 @@ def main(argv: list[str] | None = None) -> None:
         "--add", type=Path, nargs="+", metavar="FOLDER", help="add the rows of these runs, play nothing"
     )
     parser.add_argument("--print-seed", action="store_true", help="print the seed of the committed rows, play nothing")
+    parser.add_argument("--draw", action="store_true", help="draw the seed of a suite with weights, play nothing")
     parser.set_defaults(seed=None)  # that of the committed rows
     given = parser.parse_args(argv)
     suite = load_suite(given.suite)
     path = given.results / f"{suite.name}-v{suite.version}.csv.gz"
-    if given.print_seed:
+    if given.draw:
+        print(draw_seed(ROOT / f"usnet_env/evaluation/suites/{suite.name}.yaml", WEIGHTS))
+    elif given.print_seed:
         print(published_seed(suite))
     elif given.add:
         pack(suite, [EvaluationResult.load(folder).rows for folder in given.add], path)

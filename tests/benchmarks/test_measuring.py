@@ -1,6 +1,9 @@
 """The programs that play suites, recorded tracks and speeds, each at a tiny size."""
 
 import json
+import re
+import subprocess
+from hashlib import sha256
 
 import early
 import learning
@@ -78,6 +81,40 @@ def test_the_seed_of_published_rows_is_that_of_their_swarms(path, capsys):
     seed, rows = int(capsys.readouterr().out), results(name).rows.drop_duplicates("episode")
     assert results(name).config["seed"] == seed
     assert [episode_seeds(seed, episode)[0] for episode in rows.episode] == list(rows.swarm_seed)
+
+
+def test_a_seed_is_drawn_once_after_the_weights_were_committed(tmp_path):
+    def git(*words):
+        subprocess.run(["git", "-c", "user.name=a", "-c", "user.email=a", *words], cwd=tmp_path, check=True)
+
+    def commit(weights):
+        path.write_text(re.sub("weights: .*", f"weights: {sha256(weights).hexdigest()}", path.read_text()))
+        file.write_bytes(weights)
+        git("add", ".")
+        git("commit", "-qm", "weights")
+        return int(load_suite(path).seed)
+
+    path, file = tmp_path / "own.yaml", tmp_path / "reader.safetensors"
+    path.write_text(
+        "version: 1\npurpose: A.\nepisodes: 5\nseed: 5000\ntuning_seed: 7\nweights: none\n"
+        "arguments: {follow_seed: 5000}\ncells: {a: {}}\n"
+    )
+    git("init", "-q")
+    assert commit(b"1") == 5000
+    drawn = suites.draw_seed(path, file)
+    suite = load_suite(path)
+    assert drawn == suite.seed == suite.cells["a"].arguments["follow_seed"] != 5000
+    assert suite.tuning_seed == 7
+    with pytest.raises(ValueError, match="must be committed"):
+        suites.draw_seed(path, file)
+    assert commit(b"1") == drawn
+    with pytest.raises(ValueError, match="was drawn after these weights"):
+        suites.draw_seed(path, file)
+    file.write_bytes(b"2")
+    with pytest.raises(ValueError, match=r"^weights in .* must be"):
+        suites.draw_seed(path, file)
+    assert commit(b"2") == drawn
+    assert suites.draw_seed(path, file) == load_suite(path).seed != drawn
 
 
 def test_a_suite_is_played_and_packed(tmp_path):
