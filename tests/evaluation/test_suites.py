@@ -127,6 +127,16 @@ def test_a_suite_of_tracks_has_their_metrics_and_ranks_by_f1(path, tmp_path):
     assert not (tmp_path / "other").exists()
 
 
+def test_a_cell_that_was_drawn_at_random_has_swarms_of_its_own(path):
+    """Otherwise an interval over the cells would leave out that they all met the same few swarms."""
+    path.write_text(f"unit: cell{SUITE}")
+    played = evaluate_suite(path, "none")
+    assert (played.config["unit"], played.rows.swarm_seed.nunique()) == ("cell", 4)
+    assert_frame_equal(
+        untimed(evaluate_suite(path, "none", cells=["run.json"])), untimed(played)[2:].reset_index(drop=True)
+    )
+
+
 def test_detectors_are_compared_over_cells_by_groups_of_a_swarm(path):
     played = evaluate_suite(path, ["destroy-all", "none", "one-per-round"], episodes=3)
     found = played.compare("destroy-all", "one-per-round")

@@ -91,7 +91,7 @@ class EvaluationResult:
 
         ``metrics`` has ``{"mean", "low", "high"}`` by the name of each metric: its mean over all episodes of all cells
         that have it, and its 95 % interval; episodes of several cells with the same seed of the swarm are one group,
-        or, in a suite whose cells were drawn at random, all episodes of a cell.
+        and all episodes of a cell that was drawn at random.
         """
         return self._summarise(self.metrics)
 

@@ -24,13 +24,15 @@ from usnet_env.evaluation.tasks import EvaluationError, map_tasks
 from usnet_env.files import as_path
 from usnet_env.progress import progress_bar
 
+MOST_EPISODES = 1_000_000  # of a cell
+
 __all__ = ["TRIVIAL", "evaluate", "evaluate_suite", "map_tasks"]
 
 
 class RunArguments(Config):
     """The plain arguments of a run."""
 
-    episodes: int = Field(default=100, ge=1, le=1_000_000)
+    episodes: int = Field(default=100, ge=1, le=MOST_EPISODES)
     seed: int = Field(default=0, ge=0, lt=2**192)  # published rows use a suite's seed + (a 128-bit number << 32)
     workers: int = Field(default=1, ge=1, le=4_096)
     progress: bool = False
@@ -176,7 +178,7 @@ def evaluate_suite(
     out: str | PathLike[str] | None = None,
     **how: Any,
 ) -> EvaluationResult:
-    """Evaluate detectors in every cell of a suite; all cells have the same seeds.
+    """Evaluate detectors in every cell of a suite; all cells have the same seeds, unless they were drawn at random.
 
     Args:
         suite: a name, the path of a YAML file, or what :func:`load_suite` returns.
@@ -231,7 +233,10 @@ def _evaluate_cells(
         known = pd.DataFrame(columns=columns) if kept is None else kept.rows
         done = set(known.loc[known["error"] == "", ["cell", "detector", "episode"]].itertuples(index=False, name=None))
         everything = list(product(config["cells"], config["detectors"], range(how.episodes)))
-        tasks = [Task(*place, episode_seeds(how.seed, place[2])) for place in everything if place not in done]
+        drawn = list(suite.cells) if suite is not None and suite.unit == "cell" else []  # each has swarms of its own
+        first = {cell: number * MOST_EPISODES for number, cell in enumerate(drawn)}
+        left = [place for place in everything if place not in done]
+        tasks = [Task(*place, episode_seeds(how.seed, first.get(place[0], 0) + place[2])) for place in left]
         show = stack.enter_context(progress_bar("episodes", how.progress))
         played = stack.enter_context(closing(map_tasks(play, tasks, workers=how.workers, backend=how.backend)))
         for number, row in enumerate(played, len(everything) - len(tasks) + 1):

@@ -33,7 +33,9 @@ class Suite(Config):
     episodes: int = Field(ge=1, le=1_000_000, description="episodes of a cell in published tables")
     seed: int = Field(ge=1000, lt=2**63, description="seed of published tables")
     tuning_seed: int = Field(ge=0, lt=1000, description="seed for tuning a detector, whose swarms are other ones")
-    unit: Literal["swarm", "cell"] = Field("swarm", description="what was drawn at random: the unit of intervals")
+    unit: Literal["swarm", "cell"] = Field(
+        "swarm", description="what was drawn at random, the unit of intervals; a drawn cell has swarms of its own"
+    )
     weights: str | None = Field(
         None, pattern="^[0-9a-f]{64}$", description="SHA-256 of the reader's weights, which the seed was drawn after"
     )
