@@ -125,6 +125,17 @@ def test_results_of_two_folders_are_merged_and_compared():
             first.merge(other)
 
 
+def test_cells_with_the_same_swarms_do_not_narrow_an_interval():
+    rng = np.random.default_rng(0)
+    values = {name: rng.normal(5, 2, 20).tolist() for name in "ab"}
+    one = from_values(**values)
+    cells = [from_values(cell, **values).rows for cell in ("USNET/Made-v0", "other", "third")]
+    three = EvaluationResult(pd.concat(cells, ignore_index=True), {})
+    assert three["a"]["J"] == pytest.approx(one["a"]["J"])
+    lone, found = one.compare("a", "b"), three.compare("a", "b")
+    assert (found.low, found.high, found.p) == pytest.approx((lone.low, lone.high, lone.p))
+
+
 def test_aggregates_take_each_cell_as_a_stratum():
     first, second = from_values(a=[1.0, 2.0, 3.0, 40.0], b=[5.0] * 4), from_values("other", a=[2.0] * 4, b=[5.0] * 4)
     rows = pd.concat([first.rows, second.rows], ignore_index=True)
