@@ -30,6 +30,38 @@ def test_whoever_names_all_uavs_ends_each_game_at_once():
     assert list(rows.price) == pytest.approx([0.05 * 2 * 10 / 12] * 3)  # of the only window
 
 
+@pytest.mark.parametrize("role", ["head", "observer"])
+def test_the_swarm_gets_the_rounds_minus_the_price_and_the_observer_loses_them(role):
+    swarm, observer = evasion.choose(0, 0, 0, 2), evasion.detect("destroy-all")
+    own, other = {"head": (swarm, observer), "observer": (observer, swarm)}[role]
+    games = evasion.OneSide(3, role, [other], [1.0], "SameStep")
+    games.reset(seed=0)
+    total, over = np.zeros(3), np.zeros(3, bool)
+    while not over.all():
+        _, reward, over, *_ = games.step(own(games._seen[role], np.arange(3)))
+        total += reward
+    assert total == pytest.approx([(1 + 10 / 12 - 0.05 * 2 * 10 / 12) * (1 if role == "head" else -1)] * 3)
+
+
+def test_gains_are_of_games_that_tell_no_equilibrium():
+    payoff = {"nothing": (2.0, 3.0, 1.0), "swarm 1": (4.0, 5.0, 3.0)}  # against each observer, in even games
+    observers = (*evasion.SCRIPTED, "observer 1")
+    pairs = [(head, name, value) for head, line in payoff.items() for name, value in zip(observers, line, strict=True)]
+    rows = [
+        {"head": head, "observer": name, "episode": game, "J": value * (1 + 9 * (game % 2)), "price": 0.0}
+        for head, name, value in pairs
+        for game in range(4)
+    ]
+    rows = pd.DataFrame(rows).eval("payoff = J - price")
+    gains = evasion.find_gains(rows).set_index(["response", "episode"])[["value", "gain"]]
+    assert gains.T.to_dict("list") == {
+        ("swarm 1", 1): [20.0, 20.0],  # the best of the known observers is the first
+        ("swarm 1", 3): [20.0, 20.0],
+        ("observer 1", 1): [40.0, 10.0],
+        ("observer 1", 3): [40.0, 10.0],
+    }
+
+
 def test_both_sides_learn_in_turn_and_meet_all_others(tmp_path, monkeypatch, capsys):
     path = tmp_path / "rows.csv"
     monkeypatch.setattr(evasion, "WEIGHTS", tmp_path / "players.safetensors")

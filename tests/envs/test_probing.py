@@ -92,11 +92,12 @@ def test_a_window_grows_and_its_past_stays(sample_every):
 
 
 def test_the_reward_is_the_objective_minus_time_and_moves():
-    env = gym.make(PROBING, **SMALL, look_every=6, time_price=0.4, move_price=0.2)
+    """The last look is shorter, and the moves are the mean of the intruders."""
+    env = gym.make(PROBING, **SMALL, look_every=8, time_price=0.3, move_price=0.6, intruders=2)
     for named, objective in ((None, -1.0), ("head", 0.0), ("follower", -1.0)):
         env.reset(seed=2)
-        rewards = [env.step(wait(env, 1.0))[1], env.step(wait(env, 0.5))[1]]
-        assert rewards == pytest.approx([-0.3, -0.25])
+        rewards = [env.step(wait(env, speed))[1] for speed in ([1.0, 0.5], [0.0, 0.5])]
+        assert rewards == pytest.approx([-0.2 - 0.3, -0.1 - 0.05])
         action, head = wait(env, 1.0), env.unwrapped.swarm.head
         if named:
             action["candidates"][np.flatnonzero(head == (named == "head"))[0]] = 1
@@ -105,6 +106,14 @@ def test_the_reward_is_the_objective_minus_time_and_moves():
         assert sum(value for name, value in info.items() if name.startswith("reward_")) == reward
         with pytest.raises(ArgumentError, match="reset must be called"):
             env.step(action)
+
+
+def test_intruders_start_where_no_uav_avoids_them():
+    env = gym.make(PROBING, **SMALL, intruders=20)
+    for seed in range(3):
+        window, _ = env.reset(seed=seed)
+        apart = np.linalg.norm(window["intruders"][0][:, None] - window["position"][0], axis=2)
+        assert apart.min() >= 20.0
 
 
 def test_a_state_restores_the_episode():
