@@ -1,11 +1,13 @@
 """Mobility of heads: each law by its statistics."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from flights import flown, fly, turns
 
 from usnet_env import ArgumentError, register_mobility
-from usnet_env.swarm import MOBILITIES, SwarmConfig, advance, start
+from usnet_env.swarm import FOLLOW_STRATEGIES, MOBILITIES, SwarmConfig, advance, start
 
 NAMES = ["iid", "gauss_markov", "smooth_turn", "waypoint", "local_waypoint", "straight"]
 
@@ -83,15 +85,19 @@ def test_flight_goes_on_smoothly_between_rounds(name):
     assert ((one.velocity[0, -1, heads] * other.velocity[0, 0, heads]).sum(axis=1) > -0.2).all()
 
 
-def test_jitter_gives_heads_the_followers_noise():
-    config = SwarmConfig(mobility="straight", head_jitter=True, clusters=2, uavs=9, observation_steps=2000)
+@pytest.mark.parametrize("noise", [0.05, 0.2])
+def test_jitter_gives_heads_the_followers_noise(noise):
+    follow = replace(FOLLOW_STRATEGIES["f1"], noise=noise)
+    config = SwarmConfig(
+        follow=follow, mobility="straight", head_jitter=True, clusters=2, uavs=9, observation_steps=2000
+    )
     rngs = [np.random.default_rng(0)]
     state = start(config, rngs)
     _, window = advance(config, state, rngs)
     flown = window.velocity[0][:, state.head[0]].astype(float)
     mean = flown.mean(axis=0) / np.linalg.norm(flown.mean(axis=0), axis=-1, keepdims=True)
     across = flown - (flown * mean).sum(axis=-1, keepdims=True) * mean
-    assert np.sqrt((across**2).sum(axis=-1).mean() / 2) == pytest.approx(0.05, rel=0.05)
+    assert np.sqrt((across**2).sum(axis=-1).mean() / 2) == pytest.approx(noise, rel=0.05)
 
 
 def test_a_registered_function_is_used_by_name_and_keeps_its_state():

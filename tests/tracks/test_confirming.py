@@ -105,15 +105,17 @@ def test_straight_ways_at_one_speed_tell_nothing_of_a_leader():
 
 def test_leaders_of_short_windows_are_confirmed():
     """In 32 steps, the trends of all hide who is first; changes of their velocity help to show it."""
-    right = wrong = 0
+    right = wrong = abrupt = 0
     for seed in range(20):
         rng = np.random.default_rng(seed)
-        leader = walk(rng, 34)
+        leader, free = walk(rng, 34), rng.normal(0, 1, (36, 2))
         velocity = np.array([leader[2:], *(leader[1:-1] for _ in range(3)), *(leader[:-2] for _ in range(2))])
         window = make_window(velocity + rng.normal(0, 0.03, velocity.shape))
         right += confirm_leaders(window, [0], [[1, 2, 3, 4, 5]])[0][0]
         wrong += confirm_leaders(window, [4], [[0, 1, 2, 3, 5]])[0][0]
-    assert (right >= 13, wrong) == (True, 0)
+        late = np.array([free[4:], *[free[:-4]] * 3])
+        abrupt += confirm_leaders(make_window(late + rng.normal(0, 0.5, late.shape)), [0], [[1, 2, 3]])[0][0]
+    assert (right >= 13, wrong, abrupt >= 15) == (True, 0, True)
 
 
 def go_along(seed, uavs=6, steps=100):

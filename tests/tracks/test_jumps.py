@@ -106,6 +106,8 @@ def test_a_jump_that_stays_is_closed_and_repeated_fixes_are_left_out():
     flown = np.diff(even.position[:300, :2], axis=0)
     np.testing.assert_allclose(np.delete(flown, 149, axis=0), np.delete(expected, 149, axis=0), atol=1e-9)
     assert (even.samples, tracks.resample(1.0, keep_spikes=True).samples) == (581, 600)
+    walks[150:, 0] -= 6970  # ten times as fast as usual may have been flown
+    assert not any("closed" in note for note in pair(walks).resample(1.0).notes)
 
 
 def test_heights_whose_grain_hides_the_movement_are_left_out():

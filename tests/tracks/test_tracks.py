@@ -131,9 +131,12 @@ def test_the_step_puts_the_delay_at_1_to_4_samples(delay):
 
 
 def test_the_step_is_longer_where_positions_are_noisy():
+    """It is the first in which the squared movement exceeds its noise, of two axes at both ends, four times."""
     quiet, noisy = (dense(wandering(steps=1500, noise=noise)).resample() for noise in (0.0, 3.0))
-    assert quiet.step == 0.5
-    assert noisy.step > 1
+    place = wandering(steps=1500)
+    moved = [((place[k:] - place[:-k]) ** 2).sum(axis=2).mean() / (4 * 3.0**2 / k) for k in (3, 4)]
+    assert moved[0] < 4 < moved[1]
+    assert (quiet.step, noisy.step) == (0.5, 4 * 0.5)
     assert "about 3 m, and shorter delays may be missed" in noisy.notes[0]
 
 
