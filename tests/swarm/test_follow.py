@@ -43,6 +43,29 @@ def test_noise_free_flight_obeys_the_row_of_table_2(name, formation):
     assert share > 0.5 if formation == "around" else share < 0.5  # both branches of f6's indicator are flown
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_proposition_1_holds(name):
+    """The loss (15) is 0 where the IFSN is the strategy and all attention is on the head, by (16) and (17)."""
+    swarm, window = fly(replace(FOLLOW_STRATEGIES[name], noise=0.0), formation="around", memory=4, uavs=9)
+    p, v = window.position[0].astype(float), window.velocity[0].astype(float)
+    i = np.flatnonzero(~swarm.head)
+    network = slow(FOLLOW_STRATEGIES[name], swarm.parameters)
+    losses = []
+    for noticed in (swarm.root[i], np.roll(swarm.root[i], 1)):
+        alpha, loss = (noticed[:, None] == np.arange(9)).astype(float), 0.0
+        for t in range(3, len(v) - 1):
+            pooled = np.einsum("ij,ljk->ilk", alpha, v[t - 3 : t + 1][::-1])  # (16)
+            oldest = alpha @ p[t - 3]  # (17)
+            # appendix A.1: the later positions follow from the oldest one and the velocities
+            place = oldest[:, None] + np.pad(pooled[:, ::-1], ((0, 0), (1, 0), (0, 0))).cumsum(axis=1)
+            own = p[t - 3 : t + 2, i][::-1].swapaxes(0, 1)
+            predicted = network.direction(FollowInputs(own, pooled, place[:, ::-1], swarm.parameters))
+            loss += ((v[t + 1, i] - unit(predicted)) ** 2).sum()
+        losses.append(loss)
+    assert losses[0] == pytest.approx(0.0, abs=1e-3)
+    assert losses[1] > 10.0
+
+
 @pytest.mark.parametrize("name", [*NAMES, "random"])
 def test_compiled_flight_equals_the_general_loop(name):
     config = SwarmConfig(follow=name, clusters=3, uavs=20, formation="around", observation_steps=50)
