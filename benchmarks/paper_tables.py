@@ -41,8 +41,8 @@ ALGORITHMS = {  # the detectors of P1 and of P2, by the words of their line
 def read_table2() -> pd.DataFrame:
     """The rows of P1, with the paper's 1,000 runs of each cell as rows of the detector ``the paper``."""
     cells = pd.read_csv(DATA / "table2_detection_rate.csv").rename(columns={"ifs": "follow"})
-    paper = cells.loc[cells.index.repeat(1000)].assign(episode=np.tile(np.arange(1000), len(cells)))
-    paper["hit"] = (paper.episode < (10 * paper.detection_rate_percent).round()).astype(int)
+    paper = cells.loc[cells.index.repeat(1000)].assign(episode=np.arange(1000 * len(cells)))  # independent runs
+    paper["hit"] = (paper.episode % 1000 < (10 * paper.detection_rate_percent).round()).astype(int)
     paper = paper.assign(detector="the paper", decoys=0, mobility="iid", head_jitter=False)
     rows = pd.concat([paper, read_rows(RESULTS / "paper" / "table2.csv.gz")])
     heads = rows.mobility + np.where(rows.head_jitter, " with jitter", "")

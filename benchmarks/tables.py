@@ -159,14 +159,11 @@ def readme_block() -> str:
     suites, best = {name: read_suite(name) for name in SUITES if suite_file(name).exists()}, []
     for name, rows in suites.items():
         about, suite = SUITES[name], list_suites()[name]
-        chosen = rows[rows.detector == rows.groupby("detector").exact.sum().idxmax()]
-        played = f"{len(suite.cells)} × {suite.episodes}"
-        best.append([f"`{name}`", about, played, name_detector(chosen.detector.iloc[0])])
-        best[-1].append(rate("exact", group=_group(name))(chosen))
+        chosen = rows[rows.detector == rows.detector.iloc[0]]
+        played, settings = f"{len(suite.cells)} × {suite.episodes}", f"{rows.detector.nunique()}"
+        label = name_detector(chosen.detector.iloc[0])
+        best.append([f"`{name}`", about, played, settings, label, rate("exact", group=_group(name))(chosen)])
     rows = pd.concat([part.assign(suite=name) for name, part in suites.items()])
-    detectors = set(rows.detector)
-    names = len({label.partition("(")[0] for label in detectors})
-    title = f"best of {len(detectors)} settings of {names} detectors"
     rows = rows[rows.detector.isin(SHORT_LIST)]
     rows = rows.sort_values("detector", key=lambda labels: labels.map(SHORT_LIST.index), kind="stable")
 
@@ -177,7 +174,7 @@ def readme_block() -> str:
         [
             "In a [frozen suite](docs/suites.md) all detectors meet the same swarms. They are not given the number of "
             "clusters.",
-            markdown(("suite", "swarms", "cells × episodes = n", title, "exact"), best),
+            markdown(("suite", "swarms", "cells × episodes = n", "settings that played", "best of them", "exact"), best),
             "*Exact*: round 1 names all heads and no other UAV. J_m: the number of rounds, plus the redundant "
             "candidates divided by N; lower is better, 1 is best. A name without arguments means the default settings. "
             "[All detectors and cells, with 95 % intervals](docs/results/suites.md).",
@@ -204,13 +201,20 @@ def leaderboard_block() -> str:
     """A line for each detector: what it is, and its share of exact episodes in every suite that has rows."""
     names = (*SUITES, *SOLVED, *OLDER)
     suites = {name: read_suite(name) for name in names if suite_file(name).exists()}
-    shares = pd.DataFrame({name: rows.groupby("detector").exact.mean() for name, rows in suites.items()})
-    shares = shares.loc[shares.mean(axis=1).sort_values(ascending=False, kind="stable").index]
-    lines = [
-        [name_detector(label), ABOUT.get(label.partition("(")[0], "baseline"), *map("{:.1f}".format, 100 * row)]
-        for label, row in zip(shares.index, shares.to_numpy(), strict=True)
-    ]
-    return markdown(("detector", "what it is", *(f"`{name}`" for name in suites)), lines).replace("nan", "–")
+    rows = pd.concat([part.assign(suite=name) for name, part in suites.items()])
+    shares = rows.groupby(["suite", "detector"], sort=False).exact.mean().groupby("detector").mean()
+    order = list(shares.sort_values(ascending=False, kind="stable").index)
+    rows = rows.sort_values("detector", key=lambda labels: labels.map(order.index), kind="stable")
+    rows["what"] = [ABOUT.get(label.partition("(")[0], "baseline") for label in rows.detector]
+    most = rows.groupby(["suite", "detector"]).size().groupby("suite").max()
+
+    def say(part: pd.DataFrame) -> str:
+        if not len(part):
+            return "–"
+        n = f"; {len(part)}" if len(part) < most[part.suite.iloc[0]] else ""
+        return f"{100 * part.exact.mean():.1f}{n}"
+
+    return pivot(rows, {"detector": "detector", "what it is": "what"}, across("suite", suites, say, "`{}`"))
 
 
 def tracks_block() -> str:

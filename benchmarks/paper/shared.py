@@ -44,7 +44,7 @@ TITLES = {
     "uavs": "Against the number of UAVs (f3, M = 5)",
     "example": "The example (f1, M = 8, N = 185)",
 }
-RATES = {"exact", "success", "hit"}  # metrics of 0 and 1
+RATES = {"exact", "success", "hit", "right"}  # metrics of 0 and 1
 _DPI, _PALETTE = 110, 255  # pixels an inch and colours of a committed picture
 
 Game = dict[str, Any]

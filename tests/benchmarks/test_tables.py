@@ -137,6 +137,7 @@ def test_the_paper_s_rates_are_rows_of_1000_runs():
     rows = paper_tables.read_table2()
     paper = rows[(rows.detector == "the paper") & (rows.follow == "f4") & (rows.followers == 2)]
     assert (len(paper), paper.hit.sum()) == (1000, 920)
+    assert "70,000 | 98.9 % (98.8–98.9) |" in paper_tables.table2_block()  # Wilson's
     assert "| the paper | 98.9; 70,000 |" in paper_tables.paper_algorithms()
     assert "3.06–4.06; – |" in paper_tables.paper_algorithms()
 
