@@ -24,10 +24,10 @@ _DECIMALS = 6  # of a probability: smaller differences are rounding errors, and 
 
 
 class Reader(Detector):
-    """Names heads by a network that was trained with labels on every kind of swarm that the simulator can draw.
+    """Names heads by a network that was trained with labels on 50 families of simulated windows.
 
-    It reads statistics of every ordered pair of UAVs, and needs no PyTorch. More than 200 UAVs are read in
-    neighbourhoods of UAVs that move alike.
+    f1 to f7 and the laws of the suite ``open`` are no families. The network reads statistics of every ordered pair of
+    UAVs, and needs no PyTorch. More than 200 UAVs are read in neighbourhoods of UAVs that move alike.
 
     Args:
         policy: ``"cost"`` (default) names the set with the least expected cost (:func:`detectors.policy.choose`),
