@@ -174,7 +174,7 @@ def readme_block() -> str:
         [
             "In a [frozen suite](docs/suites.md) all detectors meet the same swarms. They are not given the number of "
             "clusters.",
-            markdown(("suite", "swarms", "cells × episodes = n", "settings that played", "best of them", "exact"), best),
+            markdown(("suite", "swarms", "cells × episodes = n", "settings played", "best of them", "exact"), best),
             "*Exact*: round 1 names all heads and no other UAV. J_m: the number of rounds, plus the redundant "
             "candidates divided by N; lower is better, 1 is best. A name without arguments means the default settings. "
             "[All detectors and cells, with 95 % intervals](docs/results/suites.md).",
