@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import sys
 import threading
+from importlib import import_module
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -67,6 +72,57 @@ def test_a_function_computes_the_same_whoever_calls_it_first(tmp_path, monkeypat
 def test_loops_compile_where_no_cache_folder_can_be_written(monkeypatch):
     monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [])  # Numba finds no folder
     assert compiled()(twice)(3) == 6
+
+
+def test_a_change_in_another_file_compiles_a_function_anew(tmp_path, monkeypatch):
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path / "cache"))
+    head = "from usnet_env.compiling import compiled\n"
+    calls = "@compiled()\ndef {}(number):\n    return {}\n"
+    (tmp_path / "outer.py").write_text(head + "from middle import middle\n" + calls.format("outer", "middle(number)"))
+    middle = (
+        head + "from inner import inner\nfrom shift import SHIFT\n" + calls.format("middle", "inner(number) + SHIFT")
+    )
+    (tmp_path / "middle.py").write_text(middle)
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def run(shift, factor):
+        (tmp_path / "shift.py").write_text(f"SHIFT = {shift}")
+        (tmp_path / "inner.py").write_text(head + calls.format("inner", f"{factor} * number"))
+        for name in ("outer", "middle", "inner", "shift"):
+            sys.modules.pop(name, None)
+            shutil.rmtree(tmp_path / "__pycache__", ignore_errors=True)  # its times have a second's precision
+        outer = import_module("outer").outer
+        return outer(1.5), bool(outer.stats.cache_hits)
+
+    assert run(1, 2) == (4.0, False)
+    assert run(1, 2) == (4.0, True)
+    assert run(1, 4) == (7.0, False)
+    assert run(3, 4) == (9.0, False)
+    (tmp_path / "middle.py").write_text(middle.replace("+ SHIFT", "- SHIFT"))
+    assert run(3, 4) == (3.0, False)
+
+
+def test_damaged_code_is_compiled_anew(tmp_path, monkeypatch):
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
+    for pattern, size in (("*.nbi", 0), ("*.nbi", 200), ("*.nbc", 0), ("*.nbc", 200)):
+        assert compiled()(twice)(1.5) == 3.0
+        for path in tmp_path.rglob(pattern):
+            os.truncate(path, size)
+        assert compiled()(twice)(1.5) == 3.0
+        again = compiled()(twice)
+        assert again(1.5) == 3.0
+        assert again.stats.cache_hits
+
+
+def test_a_folder_that_takes_no_code_is_one_warning(tmp_path, monkeypatch):
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
+    loop = compiled()(twice)
+    folder = Path(loop.stats.cache_path)
+    folder.rmdir()
+    folder.write_text("no folder")
+    with pytest.warns(UserWarning, match="can't keep machine code in") as found:
+        assert (loop(1.5), loop(1)) == (3.0, 2)
+    assert len(found) == 1
 
 
 def test_a_person_hears_once_that_it_takes_long(tmp_path, monkeypatch):

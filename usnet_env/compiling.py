@@ -5,9 +5,13 @@ from __future__ import annotations
 import gc
 import os
 import threading
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from typing import Any
+
+import numpy as np
 
 try:
     import fcntl
@@ -33,10 +37,11 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Return a decorator that compiles a function at its first call; ``options`` are those of :func:`numba.njit`.
 
     With ``inner=True`` it may be called by compiled functions only, and compiles faster. With ``_nrt=False`` it
-    makes no arrays, and counts no references to arrays, which takes longer than a short loop. Where no folder can be
-    written, a function is compiled again in every process. Of several processes that need the same code, one compiles
-    it, and the others wait and load it (except on Windows): Numba's own cache mixes up the code of two processes that
-    compile different signatures of one function at the same time.
+    makes no arrays, and counts no references to arrays, which takes longer than a short loop. A change of the function,
+    or of a function or a number that it uses, in any file, compiles it again. Where no folder can be written, it is
+    compiled again in every process. Of several processes that need the same code, one compiles it, and the others wait
+    and load it (except on Windows): Numba's own cache mixes up the code of two processes that compile different
+    signatures of one function at the same time.
     """
     from numba import njit  # it takes a quarter of a second, also where nothing is compiled
 
@@ -46,14 +51,15 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     options |= {"no_cfunc_wrapper": True, "no_cpython_wrapper": options.pop("inner", False)}
 
     def compile_function(function: Callable[..., Any]) -> Any:
+        loop = njit(nogil=True, **options)(function)
+        if loop is function:  # NUMBA_DISABLE_JIT
+            return function
         try:
-            loop = njit(cache=True, nogil=True, **options)(function)
+            loop._cache = _cache_class()(function)
         except RuntimeError as error:
             if "no locator available" not in str(error):
                 raise
-            return njit(nogil=True, **options)(function)
-        if loop is function:  # NUMBA_DISABLE_JIT
-            return function
+            return loop
         lock = os.path.join(loop.stats.cache_path, f".{function.__module__}.{function.__qualname__}.lock")
         compile_signature = loop.compile
 
@@ -73,6 +79,59 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         return loop
 
     return compile_function
+
+
+@cache
+def _cache_class() -> Any:
+    """The class of caches; a function, because importing Numba takes long."""
+    from numba.core.caching import FunctionCache
+
+    class Cache(FunctionCache):
+        """It notices changes in other files too, and takes a damaged file or a full disk for an empty folder."""
+
+        def __init__(self, function: Any) -> None:
+            super().__init__(function)  # type: ignore[no-untyped-call]
+            self.stamp = self._cache_file._source_stamp  # of the function's file
+
+        def load_overload(self, signature: Any, target: Any) -> Any:
+            self._cache_file._source_stamp = _find_stamps(self, {})
+            try:
+                return super().load_overload(signature, target)  # type: ignore[no-untyped-call]
+            except Exception:  # unpickling a file that was not written to its end may raise anything
+                return self._forget()
+
+        def save_overload(self, signature: Any, code: Any) -> None:
+            try:
+                super().save_overload(signature, code)  # type: ignore[no-untyped-call]
+            except OSError as error:
+                self._forget()  # it may name code that was not written
+                _warn_once(f"can't keep machine code in {self.cache_path}: {error.strerror}.")
+
+        def _forget(self) -> None:
+            with suppress(OSError):
+                os.unlink(self._cache_file._index_path)
+
+    return Cache
+
+
+@cache
+def _warn_once(sentence: str) -> None:
+    warnings.warn(sentence, stacklevel=1)
+
+
+def _find_stamps(kept: Any, found: dict[str, Any]) -> dict[str, Any]:
+    """Collect the stamps of a function's file and of those of all that it calls, and the constants that they use."""
+    function = kept._py_func
+    found[f"{function.__module__}.{function.__qualname__}"] = kept.stamp
+    for name in function.__code__.co_names:
+        value = function.__globals__.get(name)
+        called = getattr(value, "_cache", None)
+        if hasattr(called, "stamp"):
+            if f"{value.__module__}.{value.__qualname__}" not in found:
+                _find_stamps(called, found)
+        elif isinstance(value, int | float | tuple | np.generic | np.ndarray):
+            found[f"{function.__module__}:{name}"] = repr(value)
+    return found
 
 
 @contextmanager

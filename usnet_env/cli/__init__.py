@@ -84,7 +84,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             _usnet.invoke(context)
             sys.stdout.flush()
         return 0
-    except (KeyboardInterrupt, EOFError):
+    except KeyboardInterrupt:
         if argv is None:  # this process ends now: a second Ctrl-C must not break the sentence
             signal.signal(signal.SIGINT, signal.SIG_IGN)
         print_message(f"interrupted. {(context and context.obj) or ''}".rstrip())
