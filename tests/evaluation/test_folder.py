@@ -12,7 +12,7 @@ from pandas.testing import assert_frame_equal
 from sample_detectors import Followed, RandomThird, untimed
 
 from usnet_env import ArgumentError, evaluate
-from usnet_env.evaluation import EvaluationResult
+from usnet_env.evaluation import EvaluationResult, folder
 from usnet_env.evaluation.folder import COLUMNS, RunFolder, read_run
 
 MULTI = "USNET/MultiCluster-v0"
@@ -45,7 +45,8 @@ def test_a_run_leaves_its_arguments_and_rows_and_is_not_repeated(tmp_path, whole
     result = play(tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {"run.json", "rows.csv"}
     about = json.loads((tmp_path / "run.json").read_text())
-    assert set(about) == {"arguments", "versions", "machine", "commit"}
+    assert set(about) == {"arguments", "builds"}
+    assert [set(build) for build in about["builds"]] == [{"commit", "versions", "machine"}]
     assert about["arguments"] == {
         "suite": None,
         "unit": "swarm",
@@ -130,6 +131,29 @@ def test_what_is_no_folder_of_a_run_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ArgumentError, match="out must be a folder that can be written"):
         play(tmp_path / "file", "none")
+
+
+def test_a_folder_that_another_run_writes_is_refused(tmp_path, whole):
+    pytest.importorskip("fcntl")
+    config = whole.config | {"detectors": ["third"]}
+    first = RunFolder(tmp_path, config, COLUMNS)
+    with pytest.raises(ArgumentError, match="out must be a folder that no other run writes now"):
+        play(tmp_path)
+    first.append(whole.rows.iloc[0].dropna().to_dict())
+    first.close()
+    result = play(tmp_path)
+    assert_frame_equal(untimed(result), untimed(whole))
+    assert_frame_equal(result.rows[:1], whole.rows[:1])
+
+
+def test_a_run_names_every_build_that_has_added_rows(tmp_path, monkeypatch):
+    play(tmp_path, "none", episodes=1)
+    first = json.loads((tmp_path / "run.json").read_text())["builds"]
+    monkeypatch.setattr(folder, "versions", lambda: {"usnet": "0.0.1"})
+    for episodes in (2, 3):
+        play(tmp_path, "none", episodes=episodes)
+    builds = json.loads((tmp_path / "run.json").read_text())["builds"]
+    assert builds == [*first, first[0] | {"versions": {"usnet": "0.0.1"}}]
 
 
 LABELS = st.text(st.characters(exclude_categories=["C", "Zl", "Zp"]), min_size=1)

@@ -9,7 +9,7 @@ import json
 import subprocess
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -32,22 +32,34 @@ class RunFolder:
     """A folder that is open for further rows: a new one, or that of a run with the same arguments."""
 
     def __init__(self, folder: Path, config: dict[str, Any], columns: Sequence[str]) -> None:
+        self.path = reserve_folder(folder) / ROWS
+        self._file = self.path.open("a", encoding="utf-8", errors="backslashreplace", newline="")
+        try:
+            self._begin(folder, config, columns)
+        except BaseException:
+            self.close()
+            raise
+
+    def _begin(self, folder: Path, config: dict[str, Any], columns: Sequence[str]) -> None:
+        """Lock the rows, and read what the folder holds before its files change."""
         import pandas as pd
 
-        self.path = reserve_folder(folder) / ROWS
+        _lock(self._file, folder)
         self.rows = pd.DataFrame(columns=list(columns))
-        about = {"versions": versions(), "machine": machine(), "commit": _find_commit(), "arguments": config}
-        if (folder / RUN).exists() or self.path.exists():
-            known, self.rows = read_run(folder)
-            about |= known | {"arguments": _join(folder, known["arguments"], config)}
+        build, builds = {"commit": _find_commit(), "versions": versions(), "machine": machine()}, list[Any]()
         whole = _read_whole_lines(self.path)
+        if whole or (folder / RUN).exists():
+            known, self.rows = read_run(folder)
+            config = _join(folder, known["arguments"], config)
+            builds = known.get("builds") or [{name: known.get(name) for name in build}]
+        about = {"builds": builds + [build] * (build not in builds), "arguments": config}
         write_text(folder / RUN, json.dumps(about, indent=2) + "\n")
-        self._file = self.path.open("a", encoding="utf-8", errors="backslashreplace", newline="")
         self._file.truncate(len(whole))  # without a last line that was not written to its end
         names = self.rows.columns if whole else columns
         self._rows = csv.DictWriter(self._file, list(names), extrasaction="ignore", lineterminator="\n")
         if not whole:
             self._rows.writeheader()
+            self._file.flush()
 
     def append(self, row: Row) -> None:
         """Write a row, so that it is in the file when this process is killed."""
@@ -61,6 +73,18 @@ class RunFolder:
         """Close the file."""
         with contextlib.suppress(OSError):  # of a row that couldn't be written
             self._file.close()
+
+
+def _lock(file: IO[str], folder: Path) -> None:
+    """Refuse rows that another run writes; the lock ends with its process. Windows and some disks have none."""
+    try:
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise ArgumentError(f"out must be a folder that no other run writes now, got {quote(str(folder))}.") from None
+    except (ImportError, OSError):
+        return
 
 
 def column_types(names: Iterable[str]) -> dict[str, Any]:
