@@ -36,7 +36,7 @@ def draw_ahead(
     draw: Callable[[int], list[Batch]], numbers: range, workers: int, start: Callable[[], None]
 ) -> Iterator[list[Batch]]:
     """Yield shards in order while processes, begun by ``start``, draw the next, one each: so memory has a bound."""
-    executor = get_reusable_executor(max_workers=workers, timeout=None, initializer=start)
+    executor = get_reusable_executor(max_workers=max(1, min(workers, len(numbers))), timeout=None, initializer=start)
     waiting: deque[Future[list[Batch]]] = deque()
     try:
         for number in numbers:

@@ -67,6 +67,32 @@ def test_a_worker_that_is_killed_ends_the_call_in_one_sentence_and_the_next_one_
     count_calls(workers=2)
 
 
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="fork is the fastest start")
+def test_a_worker_ends_whose_parent_ended_while_it_started(fresh_process):
+    """What it holds of the standard output would keep the call waiting."""
+    fresh_process.run(
+        """
+import multiprocessing, os, time
+from usnet_env.evaluation.tasks import become_worker
+
+def start_late(parent=os.getpid()):
+    while os.getppid() == parent:
+        time.sleep(0.01)
+    become_worker()
+    time.sleep(600)
+
+multiprocessing.get_context("fork").Process(target=start_late).start()
+os._exit(0)
+"""
+    )
+
+
+def test_there_are_no_more_workers_than_tasks():
+    ((_, _, _, process),) = map_tasks(Counting(), [1], workers=1_000)
+    assert process == os.getpid()
+    assert list(map_tasks(Counting(), [], workers=1_000)) == []
+
+
 def play_with_workers():
     assert len(evaluate("USNET/MultiCluster-v0", "none", episodes=3, workers=2).rows) == 3
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import multiprocessing
 import os
 import pickle
 import signal
@@ -10,7 +11,7 @@ import threading
 import time
 import traceback
 import warnings
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Sized
 from concurrent.futures.process import BrokenProcessPool
 from importlib import import_module
 from itertools import islice
@@ -70,7 +71,7 @@ def map_tasks(
     Args:
         function: what to call with each task.
         tasks: the tasks.
-        workers: number of processes; 1 is this process.
+        workers: largest number of processes; no more than there are tasks, and 1 is this process.
         backend: ``"serial"``: this process; ``"processes"`` or ``None``: child processes; ``"ray"``: the nodes of a Ray
             cluster, at the address in the environment variable ``RAY_ADDRESS``, or this machine.
 
@@ -80,7 +81,8 @@ def map_tasks(
     Raises:
         EvaluationError: a worker process was ended.
     """
-    if workers == 1 or backend == "serial":
+    workers = min(workers, len(tasks)) if isinstance(tasks, Sized) else workers
+    if workers <= 1 or backend == "serial":
         yield from map(function, tasks)
         return
     payload = np.frombuffer(dumps(function), np.uint8)  # joblib shares large arrays between workers
@@ -114,9 +116,12 @@ def _run_on_ray(calls: Iterator[Any], workers: int) -> Iterator[Any]:
         import_module("ray.util.joblib").register_ray()
     except ImportError:
         raise MissingExtraError(f"backend 'ray' needs Ray; {how_to_install('ray')}.") from None
-    with joblib.parallel_config("ray"), joblib.Parallel(n_jobs=workers) as parallel:
-        while group := list(islice(calls, workers * _AT_ONCE)):
-            yield from parallel(group)
+    try:
+        with joblib.parallel_config("ray"), joblib.Parallel(n_jobs=workers) as parallel:
+            while group := list(islice(calls, workers * _AT_ONCE)):
+                yield from parallel(group)
+    except import_module("ray.exceptions").RayActorError:
+        raise BrokenProcessPool from None
 
 
 def _run_task(token: str, payload: NDArray[np.uint8], task: Any) -> Any:
@@ -151,7 +156,8 @@ def loads(data: bytes) -> Any:
 
 def become_worker() -> None:
     """Make this process a worker: it ends with its parent, ignores Ctrl-C, and prints to standard error."""
-    parent = os.getppid()
+    started_by = multiprocessing.parent_process()  # which may have ended while this process imported its modules
+    parent = os.getppid() if started_by is None else started_by.pid
 
     def watch() -> None:
         while os.getppid() == parent:
