@@ -53,6 +53,7 @@ ENVIRONMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     **LADDER,
     "USNET/Field-v0": ("MultiCluster", _FIELD),
     "USNET/Field-v1": ("MultiCluster", _FIELD | {"distribution": "field-v1"}),
+    "USNET/Field-Led-v0": ("MultiCluster", _FIELD | {"distribution": "field-led-v1", "led_by": (1, 4)}),
     "USNET/Field-Delays-v0": ("MultiCluster", _FIELD | {"follow": "unequal_delays"}),
     "USNET/Field-Chain-v0": ("MultiCluster", _FIELD | {"follow": "chain"}),
     "USNET/Field-Pigeons-v0": ("MultiCluster", _FIELD | {"follow": "pigeons"}),

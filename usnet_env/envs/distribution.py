@@ -167,11 +167,15 @@ _FIELD: dict[str, Any] = {
 }
 
 _GATHERED: dict[str, Any] = {"formation": {"gathered": 3.0, "uniform": 1.0}}
+_UNSEEN = {name: f"{name}-led" for name in ("chain", "vicsek", "couzin", "predator", "informed")}
 
-#: The distributions that have a name; the last one is for P1.
+#: The distributions that have a name; `field-led-v1` is for `led_by`, and the last one for P1.
 DISTRIBUTIONS = {
     "field-v0": Distribution(**_FIELD, formation={"around": 3.0, "uniform": 1.0}),
     "field-v1": Distribution(**_FIELD, **_GATHERED),
+    "field-led-v1": Distribution(
+        **_FIELD | _GATHERED | {"follow": {_UNSEEN.get(name, name): share for name, share in _FIELD["follow"].items()}}
+    ),
     "cluster-field-v1": Distribution(**_FIELD | _GATHERED | {"clusters": None}),
 }
 
