@@ -8,10 +8,13 @@ from contextlib import contextmanager, suppress
 from html import escape
 from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from uuid import uuid4
 
 from usnet_env.config import ArgumentError, quote
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 0 auto; padding: 1rem; }
@@ -27,6 +30,14 @@ def as_path(name: str, value: Any) -> Path:
     if not text or "\0" in text:
         raise ArgumentError(f"{name} must be a path, got {quote(value)}.")
     return Path(value)
+
+
+def read_csv(source: Any, **options: Any) -> pd.DataFrame:
+    """Call :func:`pandas.read_csv` so that each float is the one nearest to its text, with every version of pandas."""
+    import pandas as pd
+
+    always_exact = tuple(map(int, pd.__version__.split(".")[:2])) >= (3, 1)  # and the argument is deprecated
+    return pd.read_csv(source, **({} if always_exact else {"float_precision": "round_trip"}), **options)
 
 
 @contextmanager

@@ -1,5 +1,7 @@
 """Which columns are read, decimal commas, ids and leaders, and rows that are marked as outliers."""
 
+import json
+
 import numpy as np
 import pytest
 from track_files import HEADER, refusal, rows_of, straight, write_csv, write_gpx, write_parquet
@@ -104,6 +106,7 @@ def first_leaders(tracks):
         (["0", "1", "2"], ["", "0.0", "0.0"], [-1, 0, 0]),
         (["0.0", "1.5", "2.0"], ["", "0", "0"], [-1, 0, 0]),
         (["007", "8", "9"], ["", "7", "7.00"], [-1, 0, 0]),
+        (["007", "7", "12"], ["", "007", "7"], [-1, 0, 1]),
         (["1", "1.0", "9"], ["", "1", "1"], [-1, 0, 0]),
         (["NA", "nan", "b"], ["", "null", "NA"], [-1, -1, 0]),  # texts like others, but no leader unless an id
         (["01", "1", "b"], ["b", "b", "1.0"], [2, 2, -1]),  # a number that equals two ids is none of them
@@ -111,8 +114,12 @@ def first_leaders(tracks):
 )
 def test_leaders_are_the_same_text_or_an_equal_number(tmp_path, ids, leaders, expected):
     rows = [[ids[k], *row[1:], leaders[k]] for k, row in zip(NUMBER, ROWS, strict=True)]
-    read = read_tracks(write_csv(tmp_path / "tracks.csv", rows, [*HEADER, "leader"]))
-    assert (read.ids, first_leaders(read)) == (tuple(ids), expected)
+    header = [*HEADER, "leader"]
+    records = tmp_path / "tracks.json"
+    records.write_text(json.dumps([dict(zip(header, row, strict=True)) for row in rows]))
+    for path in (write_csv(tmp_path / "tracks.csv", rows, header), records):
+        read = read_tracks(path)
+        assert (read.ids, first_leaders(read)) == (tuple(ids), expected)
 
 
 @pytest.mark.parametrize("kind", ["int64", "string", "double"])

@@ -153,7 +153,7 @@ def test_out_and_record_write_all_files(run, folder, tmp_path):
 
 
 def test_missing_extras_leave_out_a_file_and_say_so(run, folder, tmp_path, monkeypatch):
-    for name in ("matplotlib.figure", "matplotlib.backends.backend_agg", "rerun", "pyarrow"):
+    for name in ("matplotlib.figure", "matplotlib.backends.backend_agg", "rerun"):
         monkeypatch.setitem(sys.modules, name, None)
     sure = ("--detector", "track_files:Sure(head=0)")
     status, _, err = run("detect", folder / "flock.csv", *sure, "--out", tmp_path, "--record")

@@ -16,7 +16,7 @@ import numpy as np
 from usnet_env.config import ArgumentError, quote
 from usnet_env.evaluation.play import KEYS, METRICS, Row
 from usnet_env.evaluation.tasks import EvaluationError
-from usnet_env.files import reserve_folder, write_text
+from usnet_env.files import read_csv, reserve_folder, write_text
 from usnet_env.provenance import machine, versions
 
 if TYPE_CHECKING:
@@ -100,18 +100,15 @@ def _read_whole_lines(path: Path) -> bytes:
 
 def read_run(folder: Path) -> tuple[dict[str, Any], pd.DataFrame]:
     """Read what ``run.json`` holds, and the rows; what is no folder of a run is refused."""
-    import pandas as pd
-
     try:
         about = json.loads((folder / RUN).read_text(encoding="utf-8"))
         whole = _read_whole_lines(folder / ROWS) or ",".join(COLUMNS).encode()
         names = whole.partition(b"\n")[0].decode().split(",")
-        rows = pd.read_csv(
+        rows = read_csv(
             io.BytesIO(whole),
             dtype=column_types(names),
             keep_default_na=False,
             na_values={name: [""] for name in names if name not in TEXTS},
-            float_precision="round_trip",
         )
         if not {"cells", "detectors", "episodes"} <= about["arguments"].keys():
             raise KeyError("arguments")

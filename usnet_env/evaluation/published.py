@@ -10,6 +10,7 @@ from typing import Any
 from usnet_env.config import ArgumentError, quote
 from usnet_env.evaluation.result import EvaluationResult
 from usnet_env.evaluation.suites import Suite, load_suite
+from usnet_env.files import read_csv
 
 #: Makes the swarms of published rows others than those of a suite's own seed. It is no draw: 60413, the seed of the
 #: suite ``field``, again and again.
@@ -29,13 +30,11 @@ def results(suite: str) -> EvaluationResult:
     Raises:
         ArgumentError: there is no such suite, or no rows of it are published.
     """
-    import pandas as pd
-
     chosen = load_suite(suite)
     path: Any = _find_folder() / f"{chosen.name}-v{chosen.version}.csv.gz"
     if not path.is_file():
         raise ArgumentError(f"suite must be one whose rows are published, got {quote(suite)}.")
-    rows = pd.read_csv(path, compression="gzip", dtype={"error": object}).fillna({"error": ""})
+    rows = read_csv(path, compression="gzip", dtype={"error": object}).fillna({"error": ""})
     about = {"suite": chosen.label, "unit": chosen.unit, "cells": json.loads(chosen.model_dump_json())["cells"]}
     about |= {"detectors": list(rows.groupby("detector").exact.mean().sort_values(ascending=False).index)}
     return EvaluationResult(rows, about | {"episodes": int(rows.episode.max()) + 1, "seed": published_seed(chosen)})

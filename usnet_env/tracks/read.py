@@ -21,7 +21,7 @@ from pydantic import Field
 
 from usnet_env.arrays import Floats
 from usnet_env.config import ArgumentError, Config, how_to_install, quote
-from usnet_env.files import as_path
+from usnet_env.files import as_path, read_csv
 from usnet_env.tracks import columns as roles
 from usnet_env.tracks import formats
 from usnet_env.tracks.readers import READERS, check_archive, unpack
@@ -206,7 +206,7 @@ def _read_part(table_of_file: formats.Table, options: _Options, where: str, stem
         good &= ~none
     if options.missing_place is not None:
         place = [role for role in names if role in ("lon", "lat", "x", "y")]
-        good &= (rows[place] != options.missing_place).any(axis=1)
+        good &= (rows[place].to_numpy() != options.missing_place).any(axis=1)
     unsure = np.zeros(len(rows), bool)
     if "confidence" in names:
         unsure = good & ~(rows["confidence"] >= options.min_confidence).to_numpy()
@@ -276,7 +276,7 @@ def _read_csv(data: bytes, options: _Options) -> formats.Table:
         with warnings.catch_warnings():
             warnings.simplefilter("error", ParserWarning)  # a row has more cells than the header
             warnings.simplefilter("ignore", DtypeWarning)  # texts among numbers are read, or refused by name, later
-            rows = pd.read_csv(
+            rows = read_csv(
                 io.BytesIO(data),
                 sep=delimiter,
                 encoding=encoding,
@@ -285,11 +285,10 @@ def _read_csv(data: bytes, options: _Options) -> formats.Table:
                 skiprows=comments,
                 names=list(range(len(header))),
                 index_col=False,
-                dtype={place: "category" for place in range(len(header)) if place not in numbers},
+                dtype={place: object for place in range(len(header)) if place not in numbers},  # the text, also of 007
                 skipinitialspace=True,
                 keep_default_na=False,
                 na_values=dict.fromkeys(numbers, _NO_NUMBER),
-                float_precision="round_trip",
             )
         return rows[list(places)].rename(columns=places)
 

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from usnet_env.arrays import Floats
 from usnet_env.config import quote
+from usnet_env.files import read_csv
 from usnet_env.parts import Registry, check_factory
 
 Reader = Callable[[Path], pd.DataFrame]
@@ -85,12 +86,12 @@ def _check_size(size: int, most: float) -> None:
 
 def read_json(path: Path) -> pd.DataFrame:
     """A list of records."""
-    return pd.read_json(path, convert_dates=False)
+    return pd.DataFrame(json.loads(path.read_bytes()))  # pandas.read_json would take the text 007 for a number
 
 
 def read_lines(path: Path) -> pd.DataFrame:
     """A JSON record on each line, or the tracks of Trajnet++."""
-    rows = pd.read_json(path, lines=True, convert_dates=False)
+    rows = pd.DataFrame([json.loads(line) for line in path.read_bytes().splitlines() if line.strip()])
     tracks = [cell for cell in rows.get("track", ()) if isinstance(cell, dict)]
     return pd.json_normalize(tracks).rename(columns={"f": "frame", "p": "id"}) if tracks else rows
 
@@ -180,7 +181,7 @@ def read_deeplabcut(path: Path) -> pd.DataFrame:
     """CSV of DeepLabCut, a file for one animal or for several; a place is the mean of the parts of the body."""
     with open(path, encoding="utf-8") as file:
         several = [file.readline(), file.readline()][1].startswith("individuals")
-    table = pd.read_csv(path, header=[1, 2, 3] if several else [1, 2], index_col=0)
+    table = read_csv(path, header=[1, 2, 3] if several else [1, 2], index_col=0)
     table.columns = table.columns.set_names(["id", "part", "axis"] if several else ["part", "axis"])
     mean = table.T.groupby(level=["id", "axis"] if several else ["axis"], sort=False).mean().T
     mean = mean.rename_axis("frame")
@@ -189,7 +190,7 @@ def read_deeplabcut(path: Path) -> pd.DataFrame:
 
 def read_mot(path: Path) -> pd.DataFrame:
     """Boxes of the MOT challenge: frame, id, left, top, width, height, confidence; a place is the middle of a box."""
-    rows = pd.read_csv(path, header=None).iloc[:, :7]
+    rows = read_csv(path, header=None).iloc[:, :7]
     frame, name, left, top, width, height, sure = (rows[k] for k in rows)
     places = {"x": left + width / 2, "y": top + height / 2}
     return pd.DataFrame({"frame": frame, "id": name, **places, "confidence": sure})
