@@ -63,15 +63,6 @@ def test_nothing_seen_means_nobody_leads(reader):
     assert answer.extras["silent"] == 1.0
 
 
-def test_a_large_swarm_is_read_in_neighbourhoods(reader):
-    window, _ = swarm_window(1, **SIMPLE | {"clusters": 14, "uavs": 210, "observation_steps": 30})
-    answer = reader.detect(window)
-    assert answer.attention is None
-    assert (answer.leader >= 0).all()
-    assert (answer.extras["probability"] > 0).all()
-    assert 0 < answer.extras["silent"] < 1
-
-
 def test_other_weights_and_arguments_are_refused(tmp_path):
     (tmp_path / "broken.safetensors").write_bytes(b"nothing")
     for wrong in ({"weights": str(tmp_path / "broken.safetensors")}, {"policy": "threshold"}, {"round_price": 0.0}):

@@ -53,6 +53,8 @@ def test_a_large_swarm_of_which_a_part_follows_has_its_heads(reader):
     answer = reader.detect(Window(*(np.concatenate(parts, axis) for *parts, axis in both)))
     assert np.array_equal(answer.candidates, np.append(truth.head, np.zeros(90, bool)))
     assert answer.extras["silent"] < 0.01
+    assert answer.attention is None
+    assert (answer.leader >= 0).all()
 
 
 def test_a_head_is_found_in_a_neighbourhood_that_is_not_its_own(reader):
