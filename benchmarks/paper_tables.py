@@ -140,18 +140,6 @@ def _found_by_round(rows: pd.DataFrame) -> str:
     return f"{about}\n\n{pivot(rows, {'detector': 'detector'}, {'n': size, **columns})}"
 
 
-def leaks_block() -> str:
-    """How well single tracks and untrained attention tell the heads of each cell."""
-    columns: dict[str, Say] = {
-        "swarms": size,
-        "AUC of single tracks": mean("auc"),
-        "untrained `gassl` names a head": rate("hit"),
-        "one UAV at random": lambda part: f"{100 * part.chance.mean():.1f} %",
-    }
-    rows = read_rows(RESULTS / "paper" / "leaks.csv.gz")
-    return pivot(rows, {"suite": "suite", "cell": "cell"}, columns)
-
-
 def purity_block() -> str:
     """Purity of every clusterer over f1 to f7."""
     columns: dict[str, Say] = {

@@ -18,6 +18,7 @@ from operator import attrgetter
 from pathlib import Path
 
 import evasion
+import leaks
 import learning
 import numpy as np
 import pandas as pd
@@ -38,6 +39,7 @@ DETECTOR = {"detector": "detector"}  # lines of a table
 BLOCK = re.compile(r"(<!-- results:begin ?([\w-]*) -->)\n.*?<!-- results:end -->", re.DOTALL)
 PAGES = (
     "README.md",
+    "docs/suites.md",
     "docs/environments.md",
     "docs/frameworks.md",
     "docs/leaderboard.md",
@@ -125,7 +127,7 @@ def suite_block(name: str) -> str:
             f"can beat it (n = {oracle['size'].min()}; –: not computed, as with noise)"
         )
         percent = {"oracle": partial(_say_possible, oracle["mean"]), **percent}
-    return "\n\n".join([*parts, f"{title}:", pivot(rows, {"cell": "cell"}, percent)])
+    return "\n\n".join([*parts, f"{title}:", pivot(rows, {"cell": "cell"}, percent | leaks.say_controls(name))])
 
 
 def _compare_laws(rows: pd.DataFrame) -> list[str]:
@@ -147,12 +149,13 @@ def _say_possible(oracle: pd.Series, rows: pd.DataFrame) -> str:
 
 
 def scale_block() -> str:
-    """A line for each detector, and what it does in each cell of the suite ``scale``."""
+    """A line for each detector, and what it does in each cell of the suite ``scale``; a line for each cell."""
 
     def say(rows: pd.DataFrame) -> str:
         return f"{median('f1_first', '.2f')(rows)}; {median('seconds_per_round')(rows)} s".replace("–; – s", "–")
 
-    return pivot(read_suite("scale"), DETECTOR, across("cell", list_suites()["scale"].cells, say))
+    lines = pivot(read_suite("scale"), DETECTOR, across("cell", list_suites()["scale"].cells, say))
+    return f"{lines}\n\n{pivot(leaks.read_controls('scale'), {'cell': 'cell'}, leaks.CONTROLS)}"
 
 
 def readme_block() -> str:
@@ -195,7 +198,8 @@ def ladder_block() -> str:
     names = ("none", "random", "destroy-all", "central-most", "track-outlier", "reader(weights='untrained')")
     names += ("reader(policy='map')",)
     columns = across("detector", names, mean("J"), "`{}`: J") | across("detector", names[-1:], rate("exact"), "exact")
-    return pivot(rows, {"game": "cell"}, {"n": lambda part: str(part.episode.nunique()), **columns})
+    columns = {"n": lambda part: str(part.episode.nunique()), **columns, **leaks.say_controls("ladder")}
+    return pivot(rows, {"game": "cell"}, columns)
 
 
 def leaderboard_block() -> str:
@@ -302,7 +306,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
         for one in (probing, evasion, small_field)
     },
     "ppo": lambda: learning.report(read_rows(learning.ROWS)),
-    "leaks": paper_tables.leaks_block,
+    "leaks": lambda: leaks.report(read_rows(leaks.ROWS)),
     "leaderboard": leaderboard_block,
     "table2": paper_tables.table2_block,
     "learning": paper_tables.learning_block,

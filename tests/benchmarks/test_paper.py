@@ -8,7 +8,6 @@ from PIL import Image
 
 from usnet_env.objectives import purity as purity_of
 
-CELLS = (("paper", "f2"), ("paper-hard", "f1-one"))
 REGRESSION = "lagged-regression(clusters=1)"
 
 
@@ -61,24 +60,6 @@ def test_a_hit_is_the_head_alone(detector, named, hit):
     for episode in range(2):
         (row,) = table2.play({**game, "episode": episode}, seed=5)
         assert (row["named"], row["hit"]) == (named, hit)
-
-
-def test_single_tracks_tell_the_heads_of_f2_and_nothing_in_paper_hard(run, monkeypatch):
-    import leaks
-
-    monkeypatch.setattr(leaks, "TRACKS", 300)
-    monkeypatch.setattr(leaks, "FEWEST", 5)
-    rows = pd.concat([run(leaks, "--suite", suite, "--cell", cell) for suite, cell in CELLS])
-    found = rows.groupby("suite").auc.mean()
-    assert found["paper"] > 0.9
-    assert abs(found["paper-hard"] - 0.5) < 0.15
-
-
-def test_no_cell_of_paper_hard_is_told_by_single_tracks():
-    rows = shared.read_rows(shared.RESULTS / "paper" / "leaks.csv.gz")
-    found = rows.groupby("cell").auc.mean()
-    assert set(found.index) == set(shared.load_suite("paper-hard").cells)
-    assert found.max() < 0.6
 
 
 def test_rounds_are_those_that_evaluate_plays(run, tmp_path):
