@@ -21,7 +21,7 @@ from usnet_env.files import atomic_write, write_text
 
 def _write_arrays(path: Path, arrays: Mapping[str, ArrayLike]) -> None:
     with atomic_write(path) as aside:
-        aside.write_bytes(save({name: np.asarray(value) for name, value in arrays.items()}))
+        aside.write_bytes(save({name: np.asarray(value, order="C") for name, value in arrays.items()}))
 
 
 def write_weights(
