@@ -81,6 +81,7 @@ def test_an_observation_without_a_key_is_refused(key):
         ("position", np.full((4, 3, 3), np.nan)),
         ("position", [[1], [1, 2]]),
         ("position", None),
+        ("position", np.ma.masked_equal(np.arange(36.0).reshape(4, 3, 3), 3.0)),
         ("position", np.zeros((4, 3, 3), complex)),
         ("position", np.full((4, 3, 3), 1e39)),
         ("velocity", np.full((3, 3, 3), -1e300)),

@@ -16,7 +16,9 @@ _HOLDS = {"b": "only 0 and 1 (or booleans)", "i": "whole numbers", "f": "finite 
 
 
 def as_array(name: str, value: Any) -> NDArray[Any]:
-    """Return the argument ``name`` as an array of any shape and type; a ragged list is refused."""
+    """Return the argument ``name`` as an array of any shape and type; a ragged list or a masked value is refused."""
+    if np.ma.is_masked(value):
+        raise ArgumentError(f"{name} must be an array without masked values, got {quote(value)}.")
     try:
         return np.asarray(value)
     except (TypeError, ValueError) as error:
