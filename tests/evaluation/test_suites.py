@@ -158,6 +158,8 @@ def test_detectors_are_compared_over_cells_by_groups_of_a_swarm(path):
         (SUITE.replace("seed: 4711", "seed: 4"), "seed must be greater than or equal to 1000, got 4."),
         (SUITE.replace("purpose: A test.", ""), "purpose must be given"),
         (SUITE + "extends: feld\n", "suite must be one of .*, got 'feld'"),
+        (SUITE + "name: mine\n", "suite must be a YAML file .* keyword argument 'name'"),
+        (SUITE + "3: extra\n", "suite must be a YAML file .* keywords must be strings"),
         (SUITE + "extra: 3\n", "extra is not an argument of Suite"),
         (SUITE.replace("plain:", "plain: 3"), "suite must be a YAML file with a mapping of cells"),
     ],

@@ -66,14 +66,14 @@ def load_suite(suite: str | PathLike[str]) -> Suite:
         content = _read(path)
         shared, env = content.pop("arguments", None) or {}, content.pop("env", "USNET/MultiCluster-v0")
         cells = {str(name): {"env": env} | shared | (given or {}) for name, given in content.pop("cells").items()}
+        made = {name: Cell(env=arguments.pop("env"), arguments=arguments) for name, arguments in cells.items()}
+        return Suite(name=path.stem, cells=made, **content)
     except ArgumentError:
         raise
     except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
         reason = " ".join(str(getattr(error, "strerror", None) or error).split())
         sentence = f"suite must be a YAML file with a mapping of cells, got {path.name!r}: {reason}."
         raise ArgumentError(sentence) from None
-    made = {name: Cell(env=arguments.pop("env"), arguments=arguments) for name, arguments in cells.items()}
-    return Suite(name=path.stem, cells=made, **content)
 
 
 def _read(path: Path) -> dict[str, Any]:
