@@ -120,9 +120,12 @@ def test_results_of_two_folders_are_merged_and_compared():
         (from_values(a=[1.0]), "other must have other labels, .* got 'a' in both"),
         (from_values(cell="E", b=[1.0]), "other must have .* got another cells"),
         (from_values(config={"seed": 1}, b=[1.0]), "other must have .* got another seed"),
+        (3, "other must be an object of EvaluationResult, got 3."),
     ):
         with pytest.raises(ArgumentError, match=f"^{message}"):
             first.merge(other)
+    with pytest.raises(ArgumentError, match=r"^detector must be one of a, b, got 'x'\.$"):
+        both["x"]
 
 
 def test_cells_with_the_same_swarms_do_not_narrow_an_interval():

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from usnet_env.config import ArgumentError, format_count, printable, quote, unknown_name
+from usnet_env.config import ArgumentError, format_count, instance_of, printable, quote, unknown_name
 from usnet_env.evaluation import stats, tables
 from usnet_env.evaluation.folder import column_types, read_run
 from usnet_env.evaluation.play import KEYS, RATES
@@ -156,6 +156,7 @@ class EvaluationResult:
 
     def __getitem__(self, detector: str) -> dict[str, Any]:
         """Return the metrics of the detector with this label; empty if it failed in all episodes."""
+        self._check_label(detector)
         return {entry["detector"]: entry["metrics"] for entry in self.summary}[detector]
 
     def __iter__(self) -> Iterator[str]:
@@ -220,8 +221,7 @@ class EvaluationResult:
         self._check_metric(metric)
         others = [label for label in self if label != a] if b is None else [b] if isinstance(b, str) else b
         for label in (a, *others):
-            if label not in list(self):
-                raise unknown_name("detector", label, self)
+            self._check_label(label)
         wide = self.rows.pivot(index=["cell", "swarm_seed"], columns="detector", values=metric)
         pairs = {other: (wide[a] - wide[other]).dropna() for other in others}
         for other, pair in pairs.items():
@@ -237,6 +237,7 @@ class EvaluationResult:
 
     def merge(self, other: EvaluationResult) -> EvaluationResult:
         """Join the result of other detectors, with the same suite, cells, seed and swarms, by the columns of both."""
+        instance_of("other", other, EvaluationResult)
         shared = [label for label in self.detectors if label in other.detectors]
         differing = [name for name in ("suite", "cells", "seed") if self.config.get(name) != other.config.get(name)]
         import pandas as pd
@@ -254,6 +255,10 @@ class EvaluationResult:
     def _check_metric(self, metric: str, argument: str = "metric") -> None:
         if metric not in self.metrics:
             raise unknown_name(argument, metric, self.metrics)
+
+    def _check_label(self, label: str) -> None:
+        if label not in list(self):
+            raise unknown_name("detector", label, self)
 
 
 def _interval(rows: pd.DataFrame, metric: str, unit: str, resampled: bool = True) -> Interval | None:
