@@ -11,6 +11,7 @@ from typing import Any
 import click
 
 from usnet_env.cli.options import complete_names
+from usnet_env.config import ArgumentError, quote
 from usnet_env.files import reserve_folder
 from usnet_env.progress import progress_bar
 
@@ -89,16 +90,34 @@ def check_detector(ctx: click.Context, name: str, expected: tuple[str, ...]) -> 
 
     NAME is a detector's name, with or without arguments, or module:Class. The exit status is 1 if a check fails.
     """
-    from detectors import checks
+    from joblib.externals.loky import get_reusable_executor
+    from joblib.externals.loky.process_executor import TerminatedWorkerError
+
+    from usnet_env.evaluation.tasks import become_worker
 
     reasons = {check.strip(): reason.strip() for check, _, reason in (text.partition("=") for text in expected)}
-    failed = False
+    shows = {"PYTHONFAULTHANDLER": os.environ.get("USNET_TRACEBACK", "")}  # the line of a crash
+    executor = get_reusable_executor(max_workers=1, initializer=become_worker, env=shows)
     try:
-        results = checks.check_detector(name, expected_failed_checks=reasons)
+        table, failures, failed = executor.submit(_check, name, reasons).result()
+    except TerminatedWorkerError as error:
+        status = str(error).rpartition("{")[2].rpartition("}")[0]
+        raise ArgumentError(f"detector {quote(name)} ended the process of its checks: {status}.") from None
+    finally:
+        executor.shutdown(kill_workers=True)
+    click.echo(table)
+    if os.environ.get("USNET_TRACEBACK"):
+        click.echo(failures, err=True)
+    ctx.exit(int(failed))
+
+
+def _check(name: str, reasons: dict[str, str]) -> tuple[str, str, bool]:
+    """The results of a detector's checks as a table, the tracebacks of what failed, and whether any did."""
+    from detectors import checks
+
+    try:
+        results, failed = checks.check_detector(name, expected_failed_checks=reasons), False
     except checks.DetectorChecksError as error:
         results, failed = error.results, True
-    click.echo(checks.results_table(results))
-    if os.environ.get("USNET_TRACEBACK"):
-        for problem in filter(None, (result.error for result in results)):
-            click.echo("".join(traceback.format_exception(problem)), err=True)
-    ctx.exit(int(failed))
+    failures = [line for result in results if result.error for line in traceback.format_exception(result.error)]
+    return checks.results_table(results), "".join(failures), failed

@@ -309,16 +309,16 @@ def test_a_broken_command_is_left_out_of_the_list_and_refused_in_one_sentence(in
 def test_check_detector_has_a_status_for_scripts(run, module):
     module(
         "first",
-        "import numpy as np\nfrom usnet_env import Detection\nclass First:\n    def reset(self, seed=None): ...\n"
-        "    def detect(self, window):\n        named = np.arange(window.uavs) == 0\n"
-        "        return Detection(named, named)\n",
+        "import os\nimport numpy as np\nfrom usnet_env import Detection\nclass First:\n"
+        "    def reset(self, seed=None): ...\n    def detect(self, window):\n"
+        "        named = np.arange(window.uavs) == 0\n        return Detection(named, named)\n"
+        "class Ends(First):\n    def detect(self, window): os._exit(0)\n",
     )
-    status, out, err = run("check-detector", "none")
-    assert (status, err) == (0, "")
-    assert "passed" in out
-    status, out, _ = run("check-detector", "first:First")
-    assert status == 1
+    status, out, err = run("check-detector", "first:First")
+    assert (status, err) == (1, "")
     assert "failed" in out
+    sentence = "usnet: detector 'first:Ends' ended the process of its checks: EXIT(0).\n"
+    assert run("check-detector", "first:Ends") == (2, "", sentence)
 
 
 def test_demo_takes_options_and_opens_its_replay(run, tmp_path, monkeypatch):
