@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all test-extras test-lowest lint format types count bench animation docs clean
+.PHONY: help demo test test-all test-extras test-wheel test-lowest lint format types count bench animation docs clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*##  *\(.*\)/\1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 14
@@ -15,7 +15,7 @@ demo: $(BIN)/usnet  ## play one game; replay, page, picture and episode file go 
 	$(BIN)/usnet demo
 
 # Each of the tests' processes would compile all modules anew where Python may not keep them compiled.
-test test-all: export PYTHONDONTWRITEBYTECODE =
+test test-all test-wheel: export PYTHONDONTWRITEBYTECODE =
 
 test: $(INSTALLED)  ## run the quick tests
 	$(BIN)/pytest -n auto --dist worksteal -m "not slow"
@@ -26,8 +26,11 @@ test-all: $(INSTALLED)  ## run all tests and show the coverage
 test-extras:  ## test each extra in a separate environment; takes half an hour
 	PYTHON=$(PYTHON) tests/frameworks/extras.sh
 
+test-wheel:  ## install as the README says, with the newest versions, and test that outside of the repository
+	$(PYTHON) tests/packaging/install.py newest
+
 test-lowest:  ## run the package with the lowest versions of its dependencies that are allowed
-	$(PYTHON) tests/packaging/lowest.py
+	$(PYTHON) tests/packaging/install.py lowest
 
 lint: $(INSTALLED)  ## check style, format and the imports between the parts
 	$(BIN)/ruff check .

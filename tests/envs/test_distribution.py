@@ -8,7 +8,7 @@ from usnet_env import ArgumentError
 from usnet_env.envs import DISTRIBUTIONS, MultiClusterEnv, SingleClusterEnv
 from usnet_env.envs.distribution import list_extremes
 from usnet_env.swarm import KINEMATICS, SwarmConfig
-from usnet_env.swarm.follow import FIELD_MODELS
+from usnet_env.swarm.follow import FIELD_MODELS, FOLLOW_STRATEGIES
 
 FIELD = "USNET/Field-v1"
 PAPER = ["f1", "f2", "f3", "f4", "f5", "f6", "f7"]
@@ -35,7 +35,8 @@ def drawn(count=300, **arguments):
 @pytest.mark.parametrize("name", DISTRIBUTIONS)
 def test_all_that_a_distribution_holds_is_drawn(name):
     rules = DISTRIBUTIONS[name].rules
-    assert set(rules["follow"]) == set(FIELD_MODELS)
+    assert {model.removesuffix("-led") for model in rules["follow"]} == set(FIELD_MODELS)
+    assert set(rules["follow"]) <= set(FOLLOW_STRATEGIES)
     assert set(rules["kinematics"]) <= set(KINEMATICS)
     rngs = map(np.random.default_rng, range(300))
     swarms = [DISTRIBUTIONS[name].draw(rng) for rng in rngs]
