@@ -123,6 +123,23 @@ def test_refuses_other_versions_and_incomplete_files(tmp_path, episode):
         refusal(rewritten(episode.save(path), change))
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("position", np.zeros((2, 21, 12)), r"must have shape \(R, I, N, 3\), got \(2, 21, 12\)"),
+        ("root", np.zeros((2, 11)), r"must have shape \(2, 12\), got \(2, 11\)"),
+        ("head", np.zeros((12, 1)), r"must have shape \(12\), got \(12, 1\)"),
+        ("attention", np.zeros((2, 12, 13)), r"must have shape \(2, 12, 12\), got"),
+        ("seconds", None, r"must have shape \(2\), got \(\)"),
+        ("scores", "high", "can't be kept, got 'high'"),
+        ("config", {"detector": object()}, "can't be kept, got "),
+    ],
+)
+def test_a_wrong_field_is_named(name, value, words):
+    with pytest.raises(ArgumentError, match=f"^{name} {words}"):
+        small_episode(**{name: value})
+
+
 def test_a_file_that_was_cut_off_is_refused(tmp_path, episode):
     whole = episode.save(tmp_path / "e.npz").read_bytes()
     rng = np.random.default_rng(0)

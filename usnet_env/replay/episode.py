@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from usnet_env.arrays import Floats, Indices, Mask, Singles
 from usnet_env.config import ArgumentError, quote
@@ -21,6 +22,18 @@ FORMAT_VERSION = 6
 _FORMAT = "usnet-episode"
 _LINKS = "communication_links"  # derived from ``root`` when a file is written, for readers without this class
 _KINDS = {"Singles": np.float32, "Floats": np.float64, "Indices": np.int64, "Mask": np.bool_}
+#: The axes of the arrays that are not (R, N): I instants, T steps, O observers, K intruders.
+_SHAPES = {"position": "RIN3", "velocity": "RTN3", "seen": "RIN", "attention": "RNN", "observers": "O4"}
+_SHAPES |= {"intruders": "RIK3", "objective": "R", "over_budget": "R", "seconds": "R", "head": "N", "decoy": "N"}
+
+
+def _check_shape(name: str, array: NDArray[Any], sizes: dict[str, int]) -> None:
+    """Refuse an array whose axes are not those of ``_SHAPES``, with the known ``sizes``; add the sizes of new axes."""
+    axes = _SHAPES.get(name, "RN")
+    takes = ", ".join(str(sizes.get(axis, axis)) for axis in axes)
+    sizes |= dict(zip(axes, array.shape, strict=False)) | sizes
+    if array.shape != tuple(sizes[axis] for axis in axes if axis in sizes):
+        raise ArgumentError(f"{name} must have shape ({takes}), got {array.shape}.")
 
 
 def _list_links(root: Indices, followers: Mask, heads: Mask) -> Indices:
@@ -104,13 +117,19 @@ class EpisodeRecord:
         return f"<EpisodeRecord: {self.detector} on {self.env_id}, {size}, seed {self.seed}>"
 
     def __post_init__(self) -> None:
+        sizes: dict[str, int] = {"3": 3, "4": 4}
         for item in fields(self):
             value, kind = getattr(self, item.name), _KINDS.get(str(item.type).partition(" ")[0])
-            if kind is not None and value is not None:
-                value = np.array(value, kind)
-                value.setflags(write=False)
-            elif kind is None and not isinstance(value, str):  # so that saving and loading changes nothing
-                value = json.loads(json.dumps(value))
+            try:
+                if kind is not None and (value is not None or item.default is MISSING):
+                    value = np.array(value, kind)
+                    value.setflags(write=False)
+                elif kind is None and not isinstance(value, str):  # so that saving and loading changes nothing
+                    value = json.loads(json.dumps(value))
+            except (TypeError, ValueError, RuntimeError) as error:
+                raise ArgumentError(f"{item.name} can't be kept, got {quote(value)}: {error}.") from None
+            if isinstance(value, np.ndarray):
+                _check_shape(item.name, value, sizes)
             object.__setattr__(self, item.name, value)
 
     @property
