@@ -141,7 +141,10 @@ def test_without_ray_the_extra_is_named(monkeypatch):
 
 
 RAY = """
+import os
 from usnet_env import evaluate
+from usnet_env.evaluation import EvaluationError
+from usnet_env.evaluation.tasks import map_tasks
 from pandas.testing import assert_frame_equal
 from sample_detectors import RandomThird, untimed
 
@@ -151,6 +154,10 @@ here, there = (
     for how in ({}, {"workers": 2, "backend": "ray"})
 )
 assert_frame_equal(untimed(here), untimed(there))
+try:
+    print(list(map_tasks(lambda number: os._exit(1), range(2), workers=2, backend="ray")))
+except EvaluationError as error:
+    print(error)
 """
 
 
@@ -159,4 +166,4 @@ def test_on_a_ray_cluster_the_rows_are_the_same(fresh_process, monkeypatch):
     pytest.importorskip("ray")
     monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([os.path.dirname(__file__), os.environ.get("PYTHONPATH", "")]))
-    fresh_process.run(RAY)
+    assert "a worker process was ended" in fresh_process.run(RAY)
