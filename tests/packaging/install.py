@@ -1,7 +1,7 @@
 """Install the package as a user does, in an empty environment, and check it outside of the repository.
 
-    python tests/packaging/install.py newest    the README, and the tests of the doors, of tracks and of evaluations
-    python tests/packaging/install.py lowest    an evaluation and the demo, with the lowest versions that are allowed
+python tests/packaging/install.py newest    the README, and the tests of the doors, of tracks and of evaluations
+python tests/packaging/install.py lowest    an evaluation and the demo, with the lowest versions that are allowed
 """
 
 import re
