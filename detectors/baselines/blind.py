@@ -14,6 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from detectors.base import Detector
+from detectors.series.designs import check_steps
 from detectors.series.gaps import fill_gaps
 from usnet_env.arrays import Floats, Indices
 from usnet_env.detection import Detection, Tags
@@ -78,6 +79,7 @@ class TrackOutlier(Detector):
     def detect(self, window: Window) -> Detection:
         """Name the outliers among the living UAVs."""
         threshold = self.check_arguments().threshold
+        check_steps(window, 1)
         scores, alive = np.zeros(window.uavs), window.alive
         if alive.any():
             features = describe_tracks(fill_gaps(window).velocity[:, alive].astype(np.float64))

@@ -100,7 +100,7 @@ class Gassl(Detector):
         ``gamma`` is the Γ to begin with, such as the one that another cluster left; it is drawn for ``None``.
         """
         agat, plain = self.check_arguments()
-        inputs, phi = build_batch(window, members, self.memory), draw_agat(agat, len(members), rng)
+        inputs, phi = build_batch(window, members, plain.memory), draw_agat(agat, len(members), rng)
         gamma = self.draw_gamma(rng) if gamma is None else gamma
         training = plain.steps, plain.learning_rate
         if self.implementation == "compiled":

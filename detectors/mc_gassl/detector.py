@@ -63,7 +63,7 @@ class McGassl(Detector):
     def check_arguments(self) -> tuple[Gassl, OnlineTraining]:
         """Check every argument; return the settings of GASSL and of on-line training."""
         plain = super().check_arguments()
-        if isinstance(plain.clusterer, str):
+        if not hasattr(plain.clusterer, "cluster"):
             CLUSTERERS.find(plain.clusterer)
         gassl = Gassl(memory=plain.memory, **(plain.gassl or {}))
         gassl.check_arguments()

@@ -63,7 +63,7 @@ class NeuralGranger(Detector):
     input_noise: NonNegative = 0.2
     blocks: Annotated[int, Field(ge=1, le=100)] = 4
     ridge: Positive = 1.0
-    floor: Positive = 1e-3
+    floor: Annotated[float, Field(ge=1e-12)] = 1e-3
 
     def detect(self, window: Window) -> Detection:
         """Train on one window and name the candidates.

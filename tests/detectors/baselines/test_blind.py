@@ -9,7 +9,7 @@ from synthetic_windows import window_of
 
 from detectors.baselines import CentralMost, TrackOutlier
 from detectors.baselines.blind import describe_tracks, group_by_distance
-from usnet_env import Window
+from usnet_env import ArgumentError, Window
 from usnet_env.evaluation import load_suite
 from usnet_env.evaluation.environments import make_environment
 
@@ -49,6 +49,8 @@ def test_track_outlier_names_the_track_unlike_the_others():
     assert detection.candidates[7]
     assert detection.scores.argmax() == 7
     assert TrackOutlier(threshold=1000).detect(window_of(velocity)).candidates.sum() == 1
+    with pytest.raises(ArgumentError, match=r"^window must hold more than 1 "):
+        TrackOutlier().detect(window_of(velocity[:1]))
     turned = velocity @ np.linalg.qr(rng.normal(size=(3, 3)))[0]
     np.testing.assert_allclose(describe_tracks(turned), describe_tracks(velocity), atol=1e-9)
 
