@@ -14,7 +14,12 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 COPIED = ("tests", "docs", "examples", "README.md", "CONTRIBUTING.md", "pyproject.toml")  # no package is among them
-HERE = "import sys, usnet_env, detectors; assert all(m.__file__.startswith(sys.prefix) for m in (usnet_env, detectors))"
+HERE = """
+import sys, numpy, pandas, usnet_env, detectors
+
+assert all(module.__file__.startswith(sys.prefix) for module in (usnet_env, detectors))
+print("NumPy", numpy.__version__, "pandas", pandas.__version__)
+"""
 REPOSITORY = {"test_packaging.py", "test_documentation.py"}  # tests of files that the wheel has not
 EVALUATION = """
 import usnet_env
@@ -29,15 +34,15 @@ if __name__ == "__main__":
 
 
 def call(*command: str | Path, folder: Path = ROOT) -> None:
-    """Run a command; where it fails, end with its output."""
-    done = subprocess.run([str(part) for part in command], cwd=folder, capture_output=True, text=True, check=False)
-    if done.returncode:
-        sys.exit(f"{' '.join(map(str, command))} ended with {done.returncode}:\n{done.stdout}{done.stderr}")
+    """Run a command whose output is shown; end where it fails."""
+    print("+", *(str(part).removeprefix(f"{folder}/") for part in command), flush=True)
+    if status := subprocess.run(command, cwd=folder, check=False).returncode:
+        sys.exit(f"{command[0]} ended with {status}")
 
 
 def check_newest(folder: Path, python: Path) -> None:
     """Run the README with what its first command installs; then the tests that need no PyTorch."""
-    install, test = (python, "-m", "pip", "install", "-q"), (python, "-m", "pytest", "-n", "2", "-m", "not slow")
+    install, test = (python, "-m", "pip", "install", "-qq"), (python, "-m", "pytest", "-n", "2", "-m", "not slow")
     call(*install, ".[replay]", "pytest", "pytest-xdist", "hypothesis")
     for name in COPIED:
         (shutil.copytree if (ROOT / name).is_dir() else shutil.copy)(ROOT / name, folder / name)
@@ -56,7 +61,7 @@ def check_lowest(folder: Path, python: Path) -> None:
     print(*pins, flush=True)
     (folder / "pins.txt").write_text("\n".join(pins), encoding="utf-8")
     (folder / "check.py").write_text(EVALUATION, encoding="utf-8")
-    call(python, "-m", "pip", "install", "-q", "--prefer-binary", "-c", folder / "pins.txt", ".[replay]")
+    call(python, "-m", "pip", "install", "-qq", "--prefer-binary", "-c", folder / "pins.txt", ".[replay]")
     usnet = python.with_name("usnet")
     for command in ((python, "check.py"), (usnet, "demo", "--out", "demo"), (usnet, "list", "detectors")):
         call(*command, folder=folder)
