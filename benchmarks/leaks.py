@@ -1,4 +1,4 @@
-"""Controls of every suite: what tells its heads although nothing is seen of who follows whom, cell by cell.
+"""Controls of every suite: what tells the heads of each cell to a rule that sees no pair of UAVs.
 
     OMP_NUM_THREADS=1 python benchmarks/leaks.py                     # all cells of all suites, to benchmarks/results/
     python benchmarks/leaks.py --suite field-v2 --cell couzin --swarms 20 --rows out/leaks.csv

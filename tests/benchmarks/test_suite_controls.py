@@ -1,4 +1,4 @@
-"""Controls of suites: what tells heads although nothing is seen of who follows whom, in cells of a file."""
+"""Controls of suites, in cells of a file: what tells heads to a rule that sees no pair of UAVs."""
 
 import leaks
 import pytest
