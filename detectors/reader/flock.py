@@ -56,8 +56,7 @@ def fit_flock(v: Singles, complete: Singles, bank: Singles) -> dict[str, Singles
         """Coefficients (k, rules, n) and mean squared residuals (rules, n)."""
         k = rules.shape[1]
         g, r = gram[rules.T[:, None], rules.T].reshape(k, k, -1), right[rules.T, 0].reshape(k, 1, -1)
-        b = r.copy()
-        solve_ridges(g.copy(), b, np.float32(1e-3), np.float32(1e-3))
+        b = solve_ridges(g, r, 1e-3, 1e-3)
         rest = (b * ((b[None, :, 0] * g).sum(1, keepdims=True) - 2 * r)).sum((0, 1)).reshape(len(rules), n) + power
         return b.reshape(k, len(rules), n), np.maximum(rest, 0) / rows
 

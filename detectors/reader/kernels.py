@@ -1,18 +1,20 @@
 """Compiled loops. A series is ``(T, p, n)`` float32, the UAVs side by side; entry (i, j) of a pair: how i sees j.
 
 The innermost loops run over UAVs. Where they do much, their number is rounded up, so that no UAV is left to slow code.
+Loops fill arrays that NumPy has made, as code that makes arrays takes seconds to compile.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from usnet_env.arrays import Indices, Singles
 from usnet_env.compiling import compiled
 
 RADII = np.array([6.0, 12.0, 25.0, 50.0, 100.0], np.float32)  # steps of flight at the typical speed of the window
 BANK = len(RADII)
 
-_FAST = {"error_model": "numpy", "fastmath": {"contract"}}
+_FAST = {"error_model": "numpy", "fastmath": {"contract"}, "_nrt": False}
 _ZERO, _ONE, _TINY, _FAR = np.float32(0.0), np.float32(1.0), np.float32(1e-12), np.float32(1e6)
 _OUTER, _STEEP = np.float32(1.1), np.float32(5.0)  # a neighbour's weight falls from 1 to 0 between .9 and 1.1 radii
 _SLACK, _CLOSE, _SIMILAR = np.float32(3e-3), np.float32(1 / 0.03), np.float32(1 / 0.2)  # of squared differences
@@ -22,21 +24,30 @@ _W, _HALF = 128, 64  # rows of sums are a constant apart, known not to overlap, 
 _ROWS = 7  # sums of a radius: weight, velocity, direction; one more radius holds the nearest distance and the repulsion
 
 
-@compiled(**_FAST)
-def multiply_series(x, y, lag=0):
+def multiply_series(x: Singles, y: Singles, lag: int = 0) -> Singles:
     """The sums over steps and axes of x(t + lag) y(t): (n,)."""
     total = np.zeros(x.shape[2], np.float32)
-    for t in range(lag, len(x)):
-        for a in range(x.shape[1]):
-            for i in range(x.shape[2]):
-                total[i] += x[t, a, i] * y[t - lag, a, i]
+    _multiply_series(np.ascontiguousarray(x), np.ascontiguousarray(y), lag, total)
     return total
 
 
 @compiled(**_FAST)
-def compare_series(later, earlier, share, known, lag):
+def _multiply_series(x, y, lag, total):
+    for t in range(lag, len(x)):
+        for a in range(x.shape[1]):
+            for i in range(x.shape[2]):
+                total[i] += x[t, a, i] * y[t - lag, a, i]
+
+
+def compare_series(later: Singles, earlier: Singles, share: Singles, known: Singles, lag: int) -> Singles:
     """The mean square (n,) of later(t + lag) - earlier(t) where ``share`` (T, n) > .1 and ``known`` (T, n) is 1."""
     total, count, weight = np.zeros((3, later.shape[2]), np.float32)
+    _compare_series(later, earlier, share, known, lag, total, count, weight)
+    return np.asarray(total / np.maximum(count, _ONE))
+
+
+@compiled(**_FAST)
+def _compare_series(later, earlier, share, known, lag, total, count, weight):
     for t in range(len(later) - lag):
         for i in range(later.shape[2]):
             weight[i] = known[t, i] if share[t + lag, i] > np.float32(0.1) else _ZERO
@@ -45,33 +56,44 @@ def compare_series(later, earlier, share, known, lag):
             for i in range(later.shape[2]):
                 difference = later[t + lag, a, i] - earlier[t, a, i]
                 total[i] += weight[i] * difference * difference
-    return total / np.maximum(count, _ONE)
+
+
+def multiply_columns(x: Singles, y: Singles) -> Singles:
+    """The sums over rows of x (S, k, n) times y (S, q, n): (k, q, n)."""
+    out = np.zeros((x.shape[1], y.shape[1], x.shape[2]), np.float32)
+    _multiply_columns(np.ascontiguousarray(x), np.ascontiguousarray(y), out)
+    return out
 
 
 @compiled(**_FAST)
-def multiply_columns(x, y):
-    """The sums over rows of x (S, k, n) times y (S, q, n): (k, q, n)."""
-    out = np.zeros((x.shape[1], y.shape[1], x.shape[2]), np.float32)
+def _multiply_columns(x, y, out):
     for s in range(len(x)):
         for a in range(x.shape[1]):
             for b in range(y.shape[1]):
                 for i in range(x.shape[2]):
                     out[a, b, i] += x[s, a, i] * y[s, b, i]
-    return out
 
 
-@compiled(**_FAST)
-def solve_ridges(gram, right, relative, absolute, whiten=False):
-    """Solve (gram + ridge) x = right for each UAV: ``gram`` (k, k, n) and ``right`` (k, r, n) are overwritten.
+def solve_ridges(gram: Singles, right: Singles, relative: float, absolute: float, whiten: bool = False) -> Singles:
+    """Solve (gram + ridge) x = right (k, r, n) for each UAV; ``gram`` (k, k, n).
 
     If ``whiten``, stop halfway: rows with the covariance ``gram`` become orthonormal.
     """
+    made, trace = np.array(right, np.float32, order="C"), np.zeros(right.shape[2], np.float32)
+    ridge = np.float32(relative), np.float32(absolute)
+    _solve_ridges(np.array(gram, np.float32, order="C"), made, *ridge, whiten, trace)
+    return made
+
+
+@compiled(**_FAST)
+def _solve_ridges(gram, right, relative, absolute, whiten, trace):
     k, r, n = right.shape
-    trace = np.zeros(n, np.float32)
     for a in range(k):
-        trace += gram[a, a]
+        for i in range(n):
+            trace[i] += gram[a, a, i]
     for a in range(k):
-        gram[a, a] += relative * trace / np.float32(k) + absolute
+        for i in range(n):
+            gram[a, a, i] += relative * trace[i] / np.float32(k) + absolute
         for b in range(a + 1):
             for c in range(b):
                 for i in range(n):
@@ -83,41 +105,43 @@ def solve_ridges(gram, right, relative, absolute, whiten=False):
             for c in range(a):
                 for i in range(n):
                     right[a, q, i] -= gram[a, c, i] * right[c, q, i]
-            right[a, q] /= gram[a, a]
+            for i in range(n):
+                right[a, q, i] /= gram[a, a, i]
         for a in range(k - 1, -1 if not whiten else k - 1, -1):
             for c in range(a + 1, k):
                 for i in range(n):
                     right[a, q, i] -= gram[c, a, i] * right[c, q, i]
-            right[a, q] /= gram[a, a]
+            for i in range(n):
+                right[a, q, i] /= gram[a, a, i]
 
 
-@compiled(**_FAST)
-def _pad(x):
+def _pad(x: Singles) -> Singles:
     """A series with UAVs added, all zeros, up to a multiple of what a processor handles at once."""
     out = np.zeros((*x.shape[:-1], -(-x.shape[-1] // _LANES) * _LANES), np.float32)
     out[..., : x.shape[-1]] = x
     return out
 
 
-@compiled(**_FAST)
-def sum_neighbours(p, seen, v, m):
+def sum_neighbours(p: Singles, seen: Singles, v: Singles, m: Singles) -> Singles:
     """Weighted sums over the neighbours in each radius at the beginning of each step: (T, R + 1, 7, n)."""
+    padded, sums = _pad(p), np.empty(((BANK + 1) * _ROWS, _HALF), np.float32)
+    out = np.zeros((len(v), len(sums), padded.shape[2]), np.float32)
+    _sum_neighbours(p, padded, seen, v, m, sums.reshape(-1), *np.empty((2, 4 * _HALF), np.float32), out)
+    return np.ascontiguousarray(out.reshape(len(v), BANK + 1, _ROWS, -1)[..., : v.shape[2]])
+
+
+@compiled(**_FAST)
+def _sum_neighbours(p, padded, seen, v, m, sums, one, here, out):
     steps, _, n = v.shape
-    out = np.zeros((steps, (BANK + 1) * _ROWS, n), np.float32)
-    sums, one, here = (
-        np.empty((BANK + 1) * _ROWS * _HALF, np.float32),
-        np.empty(4 * _HALF, np.float32),
-        np.empty(3 * _HALF, np.float32),
-    )
     last = BANK * _ROWS * _HALF
-    padded = _pad(p)
     for start in range(0, n, _HALF):
         width = min(_HALF, padded.shape[2] - start)
         for t in range(1, steps):
-            sums[:] = _ZERO
-            sums[last : last + _HALF] = _FAR
+            for k in range(len(sums)):
+                sums[k] = _FAR if last <= k < last + _HALF else _ZERO
             for a in range(3):
-                here[a * _HALF : a * _HALF + width] = padded[t, a, start : start + width]
+                for i in range(width):
+                    here[a * _HALF + i] = padded[t, a, start + i]
             for j in range(n):
                 if seen[t, j] * m[t - 1, j] == _ZERO:
                     continue
@@ -146,12 +170,12 @@ def sum_neighbours(p, seen, v, m):
                         sums[k + 4 * _HALF + i] += w * one[_HALF + i]
                         sums[k + 5 * _HALF + i] += w * one[2 * _HALF + i]
                         sums[k + 6 * _HALF + i] += w * one[3 * _HALF + i]
-            out[t, :, start : start + width] = sums.reshape(-1, _HALF)[:, : min(width, n - start)]
-    return out.reshape(steps, BANK + 1, _ROWS, n)
+            for row in range(out.shape[1]):
+                for i in range(width):
+                    out[t, row, start + i] = sums[row * _HALF + i]
 
 
-@compiled(**_FAST)
-def measure_bearings(p, v, a, moving, turns):
+def measure_bearings(p: Singles, v: Singles, a: Singles, moving: Singles, turns: Singles) -> tuple[Singles, Singles]:
     """Sum up over K instants where the others are, and whether i flies or accelerates there.
 
     ``p``, ``v`` and ``a`` are places, velocities and accelerations, ``(K, 3, n)``; ``moving`` and ``turns`` ``(K, n)``
@@ -159,15 +183,22 @@ def measure_bearings(p, v, a, moving, turns):
     distance from the nearest UAV, and the cosine between i's velocity and the direction to it.
     """
     instants, _, n = p.shape
-    sums, nearest = np.empty((19 + BANK, n, n), np.float32), np.full((2, instants, n), _FAR)
-    total, now = np.empty((19 + BANK) * _W, np.float32), np.empty(2 * _W, np.float32)
     p, v, moving, turns = _pad(p), _pad(v), _pad(moving), _pad(turns)
+    sums, nearest = np.empty((19 + BANK, n, p.shape[2]), np.float32), np.full((2, instants, n), _FAR)
+    total, now = np.empty((19 + BANK) * _W, np.float32), np.empty(2 * _W, np.float32)
+    _measure_bearings(p, v, a, moving, turns, total, now, sums, nearest)
+    return np.ascontiguousarray(sums[..., :n]), nearest
+
+
+@compiled(**_FAST)
+def _measure_bearings(p, v, a, moving, turns, total, now, sums, nearest):
+    instants, n = len(p), a.shape[2]
     for i in range(n):
         for start in range(0, n, _W):
             end = min(start + _W, p.shape[2])
             width = end - start
-            total[:] = _ZERO
-            total[7 * _W : 8 * _W] = _FAR
+            for k in range(len(total)):
+                total[k] = _FAR if 7 * _W <= k < 8 * _W else _ZERO
             for k in range(instants):
                 if moving[k, i] == _ZERO:
                     continue
@@ -215,31 +246,37 @@ def measure_bearings(p, v, a, moving, turns):
                 for j in range(min(width, n - start)):
                     if now[_W + j] < nearest[0, k, i] and j + start != i:
                         nearest[0, k, i], nearest[1, k, i] = now[_W + j], now[j]
-            sums[:, i, start:end] = total.reshape(-1, _W)[:, : min(width, n - start)]
-    return sums, nearest
+            for row in range(len(sums)):
+                for j in range(width):
+                    sums[row, i, start + j] = total[row * _W + j]
 
 
-@compiled(**_FAST)
-def measure_places(p, seen, lags, stride, out):
+def measure_places(p: Singles, seen: Singles, lags: Indices, stride: int, out: Singles) -> None:
     """How close i comes to where j was ``lags`` (L,) instants before, the first of them 0: into ``out`` (L + 3, n, n).
 
     ``p`` is ``(T + 1, 3, n)``, ``seen`` ``(T + 1, n)``; one of ``stride`` instants is looked at. Rows: mean distance
     for each lag; of the nearest of these places the mean distance, how often it is behind j, and its mean place in
     ``lags``, 0 to 1.
     """
-    (instants, _, n), last = p.shape, len(lags) - 1
     p, seen = _pad(p), _pad(seen)
-    width = p.shape[2]
-    nearest, best = np.empty(width, np.float32), np.empty(width, np.float32)
+    rows = np.empty((3, p.shape[2]), np.float32), np.empty((2, len(lags) + 3, p.shape[2]), np.float32)
+    _measure_places(p, seen, lags, stride, *rows[0], *rows[1], out)
+
+
+@compiled(**_FAST)
+def _measure_places(p, seen, lags, stride, nearest, best, times, total, count, out):
+    instants, width, last, n = len(p), p.shape[2], len(lags) - 1, out.shape[2]
     for i in range(n):
-        total, count = np.zeros((last + 4, width), np.float32), np.zeros((last + 1, width), np.float32)
-        times = np.zeros(width, np.float32)
+        for j in range(width):
+            times[j] = _ZERO
+            for k in range(len(total)):
+                total[k, j] = count[k, j] = _ZERO
         for t in range(0, instants, stride):
             if seen[t, i] == _ZERO:
                 continue
             x, y, z = p[t, 0, i], p[t, 1, i], p[t, 2, i]
-            nearest[:] = _FAR
-            best[:] = _ZERO
+            for j in range(width):
+                nearest[j], best[j] = _FAR, _ZERO
             for k in range(last + 1):
                 if lags[k] > t:
                     break
@@ -260,11 +297,11 @@ def measure_places(p, seen, lags, stride, out):
                 total[last + 3, j] += best[j] * w
                 times[j] += w
         for k in range(last + 4):
-            out[k, i] = (total[k] / np.maximum(count[k] if k <= last else times, _ONE))[:n]
+            for j in range(n):
+                out[k, i, j] = total[k, j] / max(count[k, j] if k <= last else times[j], _ONE)
 
 
-@compiled(**_FAST)
-def judge_blocks(square, overlap, product, persistence, out):
+def judge_blocks(square: Singles, overlap: Singles, product: Singles, persistence: Singles, out: Singles) -> None:
     """How i's motion in some of B blocks is j's: into ``out`` (6, n, n), or (4, n, n) where j's isn't delayed.
 
     Of each block and pair, ``(B, n, n)``: the sum of squared differences of velocity, the steps in which both are seen,
@@ -272,10 +309,17 @@ def judge_blocks(square, overlap, product, persistence, out):
     of the blocks with small differences, by two measures; the greatest product, and the root of the sum of squares of
     all above 0; share of the blocks in which j predicts i better than i's own last step does, by two measures.
     """
+    total = np.empty((7, square.shape[1]), np.float32)
+    _judge_blocks(square, overlap, product, persistence, total[6], total, out)
+
+
+@compiled(**_FAST)
+def _judge_blocks(square, overlap, product, persistence, count, total, out):
     blocks, n, _ = square.shape
     for i in range(n):
-        count, total = np.zeros(n, np.float32), np.zeros((6, n), np.float32)
-        total[2] = -_FAR
+        for j in range(n):
+            for k in range(len(total)):
+                total[k, j] = -_FAR if k == 2 else _ZERO
         for b in range(blocks):
             calm = _ONE / (persistence[b, i] + _SLACK)
             apart, steps, alike = square[b, i], overlap[b, i], product[b, i]
@@ -292,14 +336,15 @@ def judge_blocks(square, overlap, product, persistence, out):
                 total[4, j] += valid / (_ONE + d * d * d)
                 total[5, j] += valid * max(_ZERO, _ONE - d)
         for k in range(len(out)):
-            out[k, i] = total[k] / np.maximum(count, _ONE)
-        out[2, i], out[3, i] = total[2], np.sqrt(total[3])
+            for j in range(n):
+                out[k, i, j] = (
+                    np.sqrt(total[3, j]) if k == 3 else total[k, j] / (_ONE if k == 2 else max(count[j], _ONE))
+                )
 
 
 @compiled(**_FAST)
 def sum_squares(x, out):
-    """The sums of squares of x (a, n, b, n) over both axes: into ``out`` (n, n)."""
-    out[:] = _ZERO
+    """The sums of squares of x (a, n, b, n) over both axes: added to ``out`` (n, n)."""
     for a in range(x.shape[0]):
         for i in range(x.shape[1]):
             for b in range(x.shape[2]):

@@ -40,8 +40,7 @@ def scale_series(x: Singles, slack: float = 1e-5) -> Singles:
 
 def whiten_series(x: Singles) -> Singles:
     """``x`` in coordinates in which each UAV's p components are orthonormal over time."""
-    out = x.transpose(1, 0, 2).copy()
-    solve_ridges(multiply_columns(x, x), out, np.float32(3e-3), np.float32(1e-6), True)
+    out = solve_ridges(multiply_columns(x, x), x.transpose(1, 0, 2), 3e-3, 1e-6, whiten=True)
     return np.ascontiguousarray(out.transpose(1, 0, 2))
 
 
@@ -51,8 +50,7 @@ def find_innovations(c: Singles, complete: Singles) -> Singles:
     ``complete`` (T, n) is 1 where a step and the two before it are seen.
     """
     past, mask = np.concatenate([delay_series(c, 1), delay_series(c, 2)], 1), complete[:, None]
-    gram, b = multiply_columns(past * mask, past), multiply_columns(past * mask, c)
-    solve_ridges(gram, b, np.float32(1e-2), np.float32(1e-4))
+    b = solve_ridges(multiply_columns(past * mask, past), multiply_columns(past * mask, c), 1e-2, 1e-4)
     e = c.copy()
     for a in range(6):
         e -= past[:, a, None] * b[a]
