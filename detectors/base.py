@@ -2,15 +2,34 @@
 
 from __future__ import annotations
 
-from functools import cached_property
-from typing import ClassVar
+from collections.abc import Callable, Hashable
+from functools import cache, cached_property, wraps
+from typing import Any, ClassVar
 
 import numpy as np
+from threadpoolctl import ThreadpoolController
 
 from detectors.parameters import Parameters
 from usnet_env.config import optional_seed
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
+
+
+@cache
+def _find_libraries(detector: Hashable) -> ThreadpoolController:
+    """The libraries with threads of their own that are loaded when a detector of this class first answers."""
+    return ThreadpoolController()
+
+
+def _use_one_blas_thread(detect: Callable[..., Detection]) -> Callable[..., Detection]:
+    """Let ``detect`` multiply matrices in one thread: several wait longer for each other than a small product takes."""
+
+    @wraps(detect)
+    def detect_in_one_thread(self: Any, *arguments: Any, **named: Any) -> Detection:
+        with _find_libraries(type(self)).limit(limits=1, user_api="blas"):
+            return detect(self, *arguments, **named)
+
+    return detect_in_one_thread
 
 
 class Detector(Parameters):
@@ -20,7 +39,7 @@ class Detector(Parameters):
     :class:`detectors.parameters.Parameters`. A class without this base works as well if it has the methods ``reset``
     and ``detect``. The constructor stores its keyword arguments and does nothing else (scikit-learn's rule). State that
     is kept between the rounds of an episode is a ``cached_property``: :meth:`reset` clears it, and its first use makes
-    it, also without a :meth:`reset`.
+    it, also without a :meth:`reset`. While :meth:`detect` runs, BLAS has one thread.
 
     Attributes:
         tags: what the detector needs and uses; ``usnet list detectors`` shows it and
@@ -29,6 +48,11 @@ class Detector(Parameters):
 
     tags: ClassVar[Tags] = Tags()
     _made_by_reset: ClassVar[str | None] = None  # the name of a cached property whose draws are the first of an episode
+
+    def __init_subclass__(cls, **named: Any) -> None:
+        super().__init_subclass__(**named)
+        if "detect" in vars(cls):
+            cls.detect = _use_one_blas_thread(cls.detect)  # type: ignore[method-assign]
 
     @cached_property
     def rng(self) -> np.random.Generator:

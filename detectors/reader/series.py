@@ -35,7 +35,7 @@ def delay_series(x: Singles, lag: int) -> Singles:
 
 def scale_series(x: Singles, slack: float = 1e-5) -> Singles:
     """``x`` with each UAV's sum of squares 1; one far below ``slack`` squared stays near 0."""
-    return x / (np.sqrt(multiply_series(x, x)) + np.float32(slack))
+    return np.asarray(x / (np.sqrt(multiply_series(x, x)) + np.float32(slack)))
 
 
 def whiten_series(x: Singles) -> Singles:
