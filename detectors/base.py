@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from functools import cache, cached_property, wraps
 from typing import Any, ClassVar
 
@@ -16,8 +16,8 @@ from usnet_env.window import Window
 
 
 @cache
-def _find_libraries(detector: Hashable) -> ThreadpoolController:
-    """The libraries with threads of their own that are loaded when a detector of this class first answers."""
+def _find_libraries(detector: str) -> ThreadpoolController:
+    """The libraries with threads of their own that are loaded when a detector of this name first answers."""
     return ThreadpoolController()
 
 
@@ -26,7 +26,7 @@ def _use_one_blas_thread(detect: Callable[..., Detection]) -> Callable[..., Dete
 
     @wraps(detect)
     def detect_in_one_thread(self: Any, *arguments: Any, **named: Any) -> Detection:
-        with _find_libraries(type(self)).limit(limits=1, user_api="blas"):
+        with _find_libraries(type(self).__qualname__).limit(limits=1, user_api="blas"):
             return detect(self, *arguments, **named)
 
     return detect_in_one_thread
