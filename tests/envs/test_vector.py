@@ -12,7 +12,7 @@ from usnet_env.envs import ENVIRONMENTS
 MULTI = "USNET/MultiCluster-v0"
 # Swarms with and without references and compiled loops, in one batch.
 KINDS = {
-    "follow": ["f1", "f7", "none", "open-1", "random", "pigeons", "informed", "reference", "independent", "shifted"],
+    "follow": ["f1", "f7", "none", "second-1", "random", "pigeons", "informed", "reference", "independent", "shifted"],
     "kinematics": ["unit", "varied_speed", "lagged", "limited", "layered"],
     "mobility": ["iid", "alike", "smooth_turn"],
     "head_jitter": [False, True],

@@ -64,6 +64,10 @@ def make_entries() -> dict[str, Callable[[], Any]]:
             f"open-{number} 1": lambda number=number: fly(follow=f"open-{number}", follow_seed=1)
             for number in (1, 34, 67, 12, 45, 78, 27)  # all parts of all kinds
         },
+        **{
+            f"second-{number} 1": lambda number=number: fly(follow=f"second-{number}", follow_seed=1)
+            for number in (1, 23, 45, 12, 31, 53)  # all parts of all kinds
+        },
         "bystanders 1": lambda: fly(follow="f2", bystanders=6, traffic=7),
         "gathered 1": lambda: fly(follow="f2", formation="gathered", decoys=2, bystanders=4, traffic=3, clutter=3),
         "clutter 1": lambda: fly(follow="f2", traffic=3, clutter=8),

@@ -8,6 +8,7 @@ import pytest
 from flights import fly, generators
 
 from usnet_env.swarm import SwarmConfig, start
+from usnet_env.swarm import second_follow as second
 from usnet_env.swarm.open_follow import ANSWERS, BENT, HEARD, MEMORY, OPEN_LAWS, Constants, OpenLaw
 from usnet_env.swarm.strategy import FollowInputs
 
@@ -28,6 +29,9 @@ def test_the_laws_are_all_combinations_but_a_bare_late_copy():
     parts = [(law.hears, law.answers, law.bends) for law in OPEN_LAWS.values()]
     assert parts == [each for each in product(HEARD, ANSWERS, BENT) if each != ("late", "copies", "nothing")]
     assert list(OPEN_LAWS) == [f"open-{number}" for number in range(1, 84)]
+    parts = [(law.hears, law.answers, law.bends) for law in second.SECOND_LAWS.values()]
+    assert parts == list(product(second.SEEN, second.ANSWERS, second.STRENGTH))
+    assert list(second.SECOND_LAWS) == [f"second-{number}" for number in range(1, 55)]
 
 
 def test_follow_seed_fixes_the_constants_which_differ_from_law_to_law():
@@ -87,15 +91,18 @@ def make_inputs(uavs=30):
     return FollowInputs(own, head, place, np.array([*constants, *rng.random(uavs)], np.float32))
 
 
-@pytest.mark.parametrize("parts", [*product(HEARD, ANSWERS, BENT)], ids=" ".join)
-def test_a_follower_depends_on_its_own_row_and_on_the_head(parts):
-    inputs, law = make_inputs(), OpenLaw(0, *parts)
+@pytest.mark.parametrize(
+    "law", [*OPEN_LAWS.values(), *second.SECOND_LAWS.values()], ids=[*OPEN_LAWS, *second.SECOND_LAWS]
+)
+def test_a_follower_depends_on_its_own_row_and_on_the_head(law):
+    inputs = make_inputs()
     direction, rows = law.direction(inputs), np.arange(30)
     assert np.isfinite(direction).all()
-    for name in ("own_position", "head_velocity"):
-        changed = getattr(inputs, name).copy()
-        changed[7:12] = changed[7:12, ::-1]
-        after = (law.direction(replace(inputs, **{name: changed})) != direction).any(axis=1)
+    for names in (["own_position"], ["head_velocity", "head_position"]):
+        changed = {name: getattr(inputs, name).copy() for name in names}
+        for array in changed.values():
+            array[7:12] = array[7:12, ::-1]
+        after = (law.direction(replace(inputs, **changed)) != direction).any(axis=1)
         assert after[7:12].any()
         assert not after[(rows < 7) | (rows >= 12)].any()
 

@@ -21,6 +21,7 @@ from usnet_env.swarm.field_follow import FieldStrategy
 from usnet_env.swarm.field_kernels import EACH_CLUSTER, EACH_FOLLOWER
 from usnet_env.swarm.open_follow import OPEN_LAWS
 from usnet_env.swarm.random_follow import RandomLaw
+from usnet_env.swarm.second_follow import SECOND_LAWS
 from usnet_env.swarm.strategy import KAPPA, KAPPA_NOISE, KAPPA_RANGE, FollowInputs, FollowStrategy, TrajectoryBatch
 
 
@@ -285,7 +286,8 @@ LED_MODELS: dict[str, FieldStrategy] = {
 
 _TABLE_2 = {"f1": Lags(1), "f2": Lags(2), "f3": Lags(3), "f4": Lags(2, square=True), "f5": Lags(3, square=True)}
 _PAPER = {**_TABLE_2, "f6": StayInRange(), "f7": Network()}
-_OWN = {**_PAPER, "random": RandomLaw(), **FIELD_MODELS, **CONTROLS, **LIMIT_MODELS, **LED_MODELS, **OPEN_LAWS}
+_OWN = {**_PAPER, "random": RandomLaw(), **FIELD_MODELS, **CONTROLS, **LIMIT_MODELS, **LED_MODELS}
+_OWN |= {**OPEN_LAWS, **SECOND_LAWS}
 
 #: All follow strategies by name; ``"none"`` selects the control without followers.
 FOLLOW_STRATEGIES = Registry(

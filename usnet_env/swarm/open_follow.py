@@ -87,16 +87,22 @@ class OpenLaw(FollowStrategy):
             np.einsum("nl,nlc->nc", weights, inputs.head_velocity[:, :MEMORY])
             for weights in (late, np.roll(late, 3, 1))
         )
-        answer = ANSWERS[self.answers](law, Moment(own, _unit(heard), _unit(before), gap, distance))
-        bent, share_of_gain = BENT[self.bends](law, _unit(answer))
-        gain = law.gain * share_of_gain
-        # A smoother follower would stand out the more by its track alone, so kappa_g is 0.1 (1 - g)^0.5.
-        scale = KAPPA_NOISE / (0.1 * (1.0 - law.gain) ** 0.5)
-        return (scale * ((1.0 - gain) * own + gain * bent)).astype(np.float32)
+        answer = ANSWERS[self.answers](law, Moment(own, to_unit(heard), to_unit(before), gap, distance))
+        bent, share_of_gain = BENT[self.bends](law, to_unit(answer))
+        return blend(law, own, bent, share_of_gain)
 
 
-def _unit(vectors: Floats) -> Floats:
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9))
+def blend(law: Constants, own: Floats, wanted: Floats, share_of_gain: Floats) -> Singles:
+    """The direction between the own velocity and what is wanted, all ``(n, 3)``; ``share_of_gain`` is ``(n, 1)``."""
+    gain = law.gain * share_of_gain
+    # A smoother follower would stand out the more by its track alone, so kappa_g is 0.1 (1 - g)^0.5.
+    scale = KAPPA_NOISE / (0.1 * (1.0 - law.gain) ** 0.5)
+    return (scale * ((1.0 - gain) * own + gain * wanted)).astype(np.float32)
+
+
+def to_unit(vectors: Floats) -> Floats:
+    """Vectors ``(..., 3)`` scaled to length 1."""
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9))
 
 
 def _at(late: Floats | Singles) -> Floats:
@@ -150,7 +156,7 @@ def _pursue_ahead(law: Constants, now: Moment) -> Floats:
 def _keep_zone(law: Constants, now: Moment) -> Floats:
     """Away from a head that is near, towards one that is far, its course between."""
     pull = np.clip((now.distance - law.reach) / law.reach, -1.0, 1.0)
-    return now.heard + 1.5 * pull * _unit(now.gap)
+    return now.heard + 1.5 * pull * to_unit(now.gap)
 
 
 def _answer_changes(law: Constants, now: Moment) -> Floats:

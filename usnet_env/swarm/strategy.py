@@ -28,6 +28,7 @@ class FollowInputs:
         parameters: ``(P,)``, the parameters of this episode from :meth:`FollowStrategy.draw`.
         follower: ``(n,)`` int64, which follower a row is: its number among all followers of the swarm, in the order of
             their indices. It stays the same when other UAVs are destroyed. By default 0, ..., n - 1.
+        clock: t, the number of steps since the start of the episode.
     """
 
     own_position: Singles
@@ -35,6 +36,7 @@ class FollowInputs:
     head_position: Singles
     parameters: Singles
     follower: Indices = field(default_factory=lambda: np.empty(0, np.int64))
+    clock: int = 0
 
     def __post_init__(self) -> None:
         if not len(self.follower):
@@ -142,6 +144,7 @@ class FollowStrategy:
                     head_position=position[past_and_now, heads].swapaxes(0, 1),
                     parameters=trajectories.parameters[b],
                     follower=numbers,
+                    clock=int(trajectories.clock[b]) + s,
                 )
                 noise = np.float32(self.noise) * trajectories.noise[b, s, followers]
                 total = np.asarray(self.direction(inputs), np.float32) + noise
