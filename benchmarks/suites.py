@@ -36,7 +36,7 @@ DETECTORS = (
 FEWER = {"paper": {"gassl": 1, "gassl(steps=0)": 10, "mc-gassl": 3, "neural-granger": 30}}
 FEWER["paper"]["mc-gassl(gassl={'steps': 0})"] = 10
 FEWER["paper-hard"] = {"gassl": 10, "mc-gassl": 10, "neural-granger": 10}
-FEWER["open"] = dict.fromkeys(("gassl", "mc-gassl", "neural-granger"), 1)
+FEWER["open"] = FEWER["open-second"] = dict.fromkeys(("gassl", "mc-gassl", "neural-granger"), 1)
 TIME_LIMITS = {"scale": 60.0}  # seconds for an answer
 WEIGHTS = ROOT / "detectors/reader/data/reader.safetensors"
 

@@ -34,6 +34,7 @@ from pivot import Say, across, markdown, mean, median, name_detector, pivot, rat
 from usnet_env.evaluation import list_suites
 from usnet_env.files import write_text
 from usnet_env.swarm.open_follow import OPEN_LAWS
+from usnet_env.swarm.second_follow import SECOND_LAWS
 
 DETECTOR = {"detector": "detector"}  # lines of a table
 BLOCK = re.compile(r"(<!-- results:begin ?([\w-]*) -->)\n.*?<!-- results:end -->", re.DOTALL)
@@ -52,6 +53,7 @@ SUITES = {  # those of README.md
     "field-v3": "field models, kinematics, disturbances; heads follow unseen UAVs",
     "limit-v2": "near the limit of what a window tells; heads follow unseen UAVs",
     "open": "laws drawn after the training; heads follow unseen UAVs",
+    "open-second": "laws of a second grammar, drawn likewise; heads follow unseen UAVs",
     "paper-hard": "the paper's problems, where the odd one out isn't the answer",
     "paper": "the game of the paper; in 11 of 12 cells one track alone shows a head",
 }
@@ -137,7 +139,7 @@ def _compare_laws(rows: pd.DataFrame) -> list[str]:
         name_detector(name): say for name, say in across("detector", OF_LAWS, rate("exact", group="cell")).items()
     }
     kinds = {"the answer": "answers", "the head is heard": "hears", "the answer is bent": "bends"}
-    laws = rows["cell"].map(OPEN_LAWS)
+    laws = rows["cell"].map({**OPEN_LAWS, **SECOND_LAWS})
     rows = rows.assign(**{kind: laws.map(attrgetter(kind)) for kind in kinds.values()})
     return [pivot(rows, {title: kind}, columns) for title, kind in kinds.items()]
 

@@ -17,6 +17,7 @@ from usnet_env import ArgumentError, Detection, evaluate
 from usnet_env.evaluation import EvaluationResult, evaluate_suite, list_suites, load_suite
 from usnet_env.evaluation.environments import make_environment
 from usnet_env.swarm.open_follow import OPEN_LAWS
+from usnet_env.swarm.second_follow import SECOND_LAWS
 
 HASHES = json.loads((Path(__file__).parent / "data" / "suite_hashes.json").read_text())
 
@@ -45,15 +46,12 @@ def test_every_cell_can_be_made_and_seeds_of_suites_differ():
     assert len(set(seeds)) == len(seeds)
 
 
-def test_the_shipped_weights_are_those_before_the_draw_of_the_suite_open():
+@pytest.mark.parametrize(("suite", "laws"), [("open", OPEN_LAWS), ("open-second", SECOND_LAWS)])
+def test_a_suite_of_laws_has_all_of_them_with_the_constants_of_its_seed_and_names_the_weights(suite, laws):
     """New weights need a new draw: docs/suites.md, "The suite open", says how."""
-    shipped = files("detectors.reader").joinpath("data/reader.safetensors").read_bytes()
-    assert sha256(shipped).hexdigest() == load_suite("open").weights, "new weights of the reader need a new draw"
-
-
-def test_the_suite_open_has_every_law_with_the_constants_of_its_seed():
-    suite = load_suite("open")
-    assert {name: cell.arguments["follow"] for name, cell in suite.cells.items()} == {name: name for name in OPEN_LAWS}
+    suite, shipped = load_suite(suite), files("detectors.reader").joinpath("data/reader.safetensors").read_bytes()
+    assert sha256(shipped).hexdigest() == suite.weights, "new weights of the reader need a new draw"
+    assert {name: cell.arguments["follow"] for name, cell in suite.cells.items()} == {name: name for name in laws}
     assert {cell.arguments["follow_seed"] for cell in suite.cells.values()} == {suite.seed}
 
 
