@@ -14,7 +14,7 @@ from itertools import product
 import numpy as np
 
 from usnet_env.arrays import Floats, Indices, Singles
-from usnet_env.swarm.open_follow import MEMORY, NUMBERS, Constants, OpenLaw, blend, to_unit
+from usnet_env.swarm.open_follow import NUMBERS, Constants, OpenLaw, blend, to_unit
 from usnet_env.swarm.strategy import FollowInputs
 
 STEPS = 7  # of the head that a follower sees, newest first
@@ -67,7 +67,7 @@ def _see_glimpses(law: Constants, phase: Floats, clock: int) -> tuple[Indices, F
     """One look in 2 to 5 steps, kept until the next one, as by birds that scan or by a radar that turns."""
     period, then = 2 + round(law.spread), np.arange(STEPS)
     age = (clock - then + np.floor(phase * period).astype(np.int64)) % period
-    return np.minimum(then + age, MEMORY - 1), np.eye(3)
+    return then + age, np.eye(3)
 
 
 def _see_drifting(law: Constants, phase: Floats, clock: int) -> tuple[Indices, Floats]:
