@@ -39,7 +39,7 @@ def test_a_head_is_seen_at_looks_late_or_in_a_mirror():
     ("answer", "seen", "azimuth"),
     [
         ("answers its jerk", see(0.1 * np.arange(STEPS)), 0.0),  # it turns evenly, so the push is along its course
-        ("answers the sum of its turns", see(3.0 - np.arange(STEPS)), 0.6 * 6),  # beyond half a turn
+        ("answers the sum of its turns", see(4.0 - np.arange(STEPS)), 0.6 * 6),  # almost a whole turn
         ("copies like a relay", see(np.full(STEPS, 0.7)), 0.0),
         ("copies like a relay", see(np.array([0.7, 0.64, 0.58, 0.52, 0.3, 0.0, 0.0])), 0.7),  # sharp, then less
         ("copies like a relay", see(np.array([0.7, 0.64, 0.58, 0.52, 0.46, 0.4, 0.34])), 0.0),  # never sharp
