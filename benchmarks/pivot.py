@@ -9,12 +9,6 @@ import pandas as pd
 from paper.shared import interval
 
 Say = Callable[[pd.DataFrame], str]  # what stands in a cell of a table, from the rows of the cell
-REMOVED = ("learned", "follow-mixture")  # detectors with rows, whose code commit a199fba had last
-
-
-def name_detector(label: str) -> str:
-    """A detector's label as code, with a dagger if the detector was removed."""
-    return f"`{label}`" + " †" * (label.partition("(")[0] in REMOVED)
 
 
 def pivot(rows: pd.DataFrame, lines: Mapping[str, str], columns: Mapping[str, Say]) -> str:
@@ -27,10 +21,7 @@ def pivot(rows: pd.DataFrame, lines: Mapping[str, str], columns: Mapping[str, Sa
     """
     body = []
     for key, part in rows.groupby(list(lines.values()), sort=False, dropna=False):
-        names = [
-            name_detector(name) if heading == "detector" else str(name)
-            for heading, name in zip(lines, key, strict=True)
-        ]
+        names = [f"`{name}`" if heading == "detector" else str(name) for heading, name in zip(lines, key, strict=True)]
         body.append([*names, *(say(part) for say in columns.values())])
     return markdown([*lines, *columns], body)
 

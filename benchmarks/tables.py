@@ -29,7 +29,7 @@ import reader
 import scenarios
 import small_field
 from paper.shared import RESULTS, ROOT, parse, read_rows
-from pivot import Say, across, markdown, mean, median, name_detector, pivot, rate, size
+from pivot import Say, across, markdown, mean, median, pivot, rate, size
 
 from usnet_env.evaluation import list_suites
 from usnet_env.files import write_text
@@ -58,7 +58,6 @@ SUITES = {  # those of README.md
     "paper": "the game of the paper; in 11 of 12 cells one track alone shows a head",
 }
 SOLVED = ("field-v2", "limit", "controls-v2", "sensing-v2")
-OLDER = ("controls", "sensing", "field")  # only in the leaderboard
 BEST = 8  # detectors of a table of cells
 #: The detectors of a table of kinds of laws: the best ones, then controls that can't know who follows.
 OF_LAWS = ("reader(policy='map')", "reader", "lagged-network", "track-outlier", "reader(weights='untrained')")
@@ -68,13 +67,7 @@ SHORT_LIST += ["reader(weights='untrained')", "track-outlier", "destroy-all", "r
 
 
 #: What a detector is, for the leaderboard; the others are baselines.
-ABOUT = {
-    "reader": "learned",
-    "learned": "learned",
-    "follow-mixture": "rules",
-    "gassl": "the paper",
-    "mc-gassl": "the paper",
-}
+ABOUT = {"reader": "learned", "gassl": "the paper", "mc-gassl": "the paper"}
 ABOUT |= dict.fromkeys(("central-most", "track-outlier"), "blind")
 ABOUT |= dict.fromkeys(("none", "random", "destroy-all"), "trivial")
 
@@ -111,15 +104,14 @@ def suite_block(name: str) -> str:
     columns |= {"F1 in round 1": mean("f1_first", group=group), "J": mean("J", group=group)}
     parts = [pivot(rows, DETECTOR, {**columns, "seconds": median("seconds_per_round")})]
     counts = rows.groupby("detector", sort=False).episode.max() + 1
-    few = [f"{name_detector(label)} {count}" for label, count in counts.items() if count < suite.episodes]
+    few = [f"`{label}` {count}" for label, count in counts.items() if count < suite.episodes]
     if few:
         parts.append(f"Slow detectors played only the first of the {suite.episodes} episodes: {', '.join(few)}.")
     order = list(suite.cells)
     rows = rows.sort_values("cell", key=lambda cells: cells.map(order.index), kind="stable")
     if group == "cell":
         return "\n\n".join([*parts, *_compare_laws(rows)])
-    percent = across("detector", counts.index[:BEST], lambda part: f"{100 * part.exact.mean():.0f}")
-    percent = {name_detector(label): say for label, say in percent.items()}
+    percent = across("detector", counts.index[:BEST], lambda part: f"{100 * part.exact.mean():.0f}", "`{}`")
     title = f"Exact in percent, cell by cell, of the first {BEST} lines"
     oracle = read_rows(RESULTS / "suites/ceilings.csv.gz")
     oracle = oracle[oracle.suite == name].groupby("cell").exact.agg(["mean", "size"])
@@ -135,9 +127,7 @@ def suite_block(name: str) -> str:
 def _compare_laws(rows: pd.DataFrame) -> list[str]:
     """A table of how followers answer, one of how they hear their head, and one of how the answer is bent."""
     columns: dict[str, Say] = {"laws": lambda part: str(part["cell"].nunique())}
-    columns |= {
-        name_detector(name): say for name, say in across("detector", OF_LAWS, rate("exact", group="cell")).items()
-    }
+    columns |= across("detector", OF_LAWS, rate("exact", group="cell"), "`{}`")
     kinds = {"the answer": "answers", "the head is heard": "hears", "the answer is bent": "bends"}
     laws = rows["cell"].map({**OPEN_LAWS, **SECOND_LAWS})
     rows = rows.assign(**{kind: laws.map(attrgetter(kind)) for kind in kinds.values()})
@@ -167,7 +157,7 @@ def readme_block() -> str:
         about, suite = SUITES[name], list_suites()[name]
         chosen = rows[rows.detector == rows.detector.iloc[0]]
         played, settings = f"{len(suite.cells)} × {suite.episodes}", f"{rows.detector.nunique()}"
-        label = name_detector(chosen.detector.iloc[0])
+        label = f"`{chosen.detector.iloc[0]}`"
         best.append([f"`{name}`", about, played, settings, label, rate("exact", group=_group(name))(chosen)])
     rows = pd.concat([part.assign(suite=name) for name, part in suites.items()])
     rows = rows[rows.detector.isin(SHORT_LIST)]
@@ -206,8 +196,7 @@ def ladder_block() -> str:
 
 def leaderboard_block() -> str:
     """A line for each detector: what it is, and its share of exact episodes in every suite that has rows."""
-    names = (*SUITES, *SOLVED, *OLDER)
-    suites = {name: read_suite(name) for name in names if suite_file(name).exists()}
+    suites = {name: read_suite(name) for name in (*SUITES, *SOLVED) if suite_file(name).exists()}
     rows = pd.concat([part.assign(suite=name) for name, part in suites.items()])
     shares = rows.groupby(["suite", "detector"], sort=False).exact.mean().groupby("detector").mean()
     order = list(shares.sort_values(ascending=False, kind="stable").index)
@@ -278,7 +267,7 @@ def speed_block() -> str:
         [name, *(f"{1e9 * each:.0f}" for each in row["seconds_per_uav_step"])] for name, row in found["scaling"].items()
     ]
     parts.append(markdown(("ns of a UAV step", *(f"N = {uavs:,}" for uavs in sizes)), grown))
-    lines = [[name_detector(name), row["what"], _spread(row["ratios"])] for name, row in found["detectors"].items()]
+    lines = [[f"`{name}`", row["what"], _spread(row["ratios"])] for name, row in found["detectors"].items()]
     parts.append(markdown(("detector", "ratio", "median (range of the turns)"), lines))
     return "\n\n".join([*parts, f"1,000 swarms of 82 UAVs take {found['memory']['bytes'] / 2**30:.2f} GiB."])
 
@@ -320,15 +309,9 @@ BLOCKS: dict[str, Callable[[], str]] = {
 }
 
 
-def make_block(name: str) -> str:
-    """The tables of a block, with a note if they name a detector that was removed."""
-    tables = BLOCKS[name]()
-    return tables + "\n\n† Removed; commit a199fba has its code." * ("†" in tables)
-
-
 def fill(text: str) -> str:
     """A page with its blocks replaced; a KeyError names a block that is unknown."""
-    return BLOCK.sub(lambda block: f"{block[1]}\n\n{make_block(block[2])}\n\n<!-- results:end -->", text)
+    return BLOCK.sub(lambda block: f"{block[1]}\n\n{BLOCKS[block[2]]()}\n\n<!-- results:end -->", text)
 
 
 def main(argv: list[str] | None = None, root: Path = ROOT) -> int:

@@ -79,7 +79,7 @@ def test_values_of_set_are_json_or_yaml():
         ("kinematics", ["unit", "limited"]),
         ("formation", ["uniform", "around", "gathered"]),
         ("clusterer", ["kmeans", "spectral"]),
-        ("suites", ["paper", "controls", "field"]),
+        ("suites", ["paper", "controls-v2", "field-v3"]),
     ],
 )
 def test_list_names_all(run, what, names):

@@ -37,7 +37,8 @@ LADDER: dict[str, tuple[str, dict[str, Any]]] = {
     "USNET/SingleCluster-Led-v0": ("SingleCluster", {"followers": [5, 20], **_HARD, "led_by": (1, 4)}),
     "USNET/MultiCluster-Led-v0": ("MultiCluster", {"clusters": [3, 6], "uavs": [40, 60], **_HARD, "led_by": (1, 4)}),
 }
-_FIELD: dict[str, Any] = {"distribution": "field-v0", "memory": 12}
+_FIELD: dict[str, Any] = {"distribution": "field-v1", "memory": 12}
+_AROUND: dict[str, Any] = _FIELD | {"formation": {"around": 3.0, "uniform": 1.0}}  # heads in the middle
 TRACKS = "USNET/Tracks-v0"  # replays a file, which is a required argument; so it has no presets
 PROBING = "USNET/Probing-v0"  # its agent also steers intruders
 OTHERS = {TRACKS: "usnet_env.tracks.env:TracksEnv", PROBING: "usnet_env.envs.probing:ProbingEnv"}
@@ -51,14 +52,13 @@ ENVIRONMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "USNET/MultiCluster-Smooth-v0": ("MultiCluster", {"mobility": "gauss_markov", "head_jitter": True}),
     "USNET/MultiCluster-NoFollowers-v0": ("MultiCluster", {"follow": "none"}),
     **LADDER,
-    "USNET/Field-v0": ("MultiCluster", _FIELD),
-    "USNET/Field-v1": ("MultiCluster", _FIELD | {"distribution": "field-v1"}),
+    "USNET/Field-v1": ("MultiCluster", _FIELD),
     "USNET/Field-Led-v0": ("MultiCluster", _FIELD | {"distribution": "field-led-v1", "led_by": (1, 4)}),
-    "USNET/Field-Delays-v0": ("MultiCluster", _FIELD | {"follow": "unequal_delays"}),
-    "USNET/Field-Chain-v0": ("MultiCluster", _FIELD | {"follow": "chain"}),
-    "USNET/Field-Pigeons-v0": ("MultiCluster", _FIELD | {"follow": "pigeons"}),
-    "USNET/Field-Flock-v0": ("MultiCluster", _FIELD | {"follow": "couzin"}),
-    "USNET/Field-Shepherd-v0": ("MultiCluster", _FIELD | {"follow": "shepherd"}),
+    "USNET/Field-Delays-v0": ("MultiCluster", _AROUND | {"follow": "unequal_delays"}),
+    "USNET/Field-Chain-v0": ("MultiCluster", _AROUND | {"follow": "chain"}),
+    "USNET/Field-Pigeons-v0": ("MultiCluster", _AROUND | {"follow": "pigeons"}),
+    "USNET/Field-Flock-v0": ("MultiCluster", _AROUND | {"follow": "couzin"}),
+    "USNET/Field-Shepherd-v0": ("MultiCluster", _AROUND | {"follow": "shepherd"}),
 }
 
 

@@ -37,15 +37,6 @@ def test_a_cell_without_rows_or_values_is_a_dash():
     assert pivot.mean("J")(rows[2:]) == pivot.median("J")(rows[2:]) == "–"
 
 
-def test_rows_of_a_removed_detector_are_marked_and_explained():
-    assert [pivot.name_detector(label) for label in ("learned(policy='map')", "granger")] == [
-        "`learned(policy='map')` †",
-        "`granger`",
-    ]
-    note = "† Removed; commit a199fba has its code."
-    assert [tables.make_block(name).count(note) for name in ("suite-paper", "losses")] == [1, 0]
-
-
 def test_rows_of_an_episode_are_one_group():
     rows = pd.DataFrame({"episode": np.repeat(np.arange(10), 30), "exact": np.repeat([1, 0] * 5, 30)})
     alone = rows.assign(episode=np.arange(300))
@@ -103,7 +94,7 @@ def test_a_failed_episode_is_not_exact_and_has_no_other_metric():
     assert line.endswith("| – | – | – | – |")
 
 
-@pytest.mark.parametrize("name", ["paper-hard", "paper", "controls", "sensing", "field", "scale"])
+@pytest.mark.parametrize("name", ["paper-hard", "paper", "field-v3", "scale"])
 def test_committed_rows_of_a_suite_have_the_same_swarms_for_all(name):
     suite = list_suites()[name]
     rows = read_rows(RESULTS / "suites" / f"{name}-v{suite.version}.csv.gz")

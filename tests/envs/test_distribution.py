@@ -50,12 +50,6 @@ def test_all_that_a_distribution_holds_is_drawn(name):
     assert np.mean(np.array(noise) == 0) == pytest.approx(0.5, abs=0.1)
 
 
-def test_the_versions_differ_in_the_formation_alone():
-    for before, after in zip(drawn(10, distribution="field-v0"), drawn(10), strict=True):
-        assert after.formation == {"around": "gathered", "uniform": "uniform"}[before.formation]
-        assert SwarmConfig(**{**after.model_dump(), "formation": before.formation}) == before
-
-
 def test_an_argument_fixes_its_part_and_no_other():
     for config, fixed in zip(drawn(10), drawn(10, follow="f3", kinematics="unit"), strict=True):
         assert (fixed.follow, fixed.kinematics) == ("f3", "unit")

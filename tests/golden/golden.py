@@ -3,8 +3,7 @@
     python tests/golden/golden.py rows FILE.csv              # plays all rows; goes on where it stopped
     python tests/golden/golden.py detect FILE.json [CASES]   # the files of examples/make_tracks.py, and of a folder
 
-``rows.csv.gz`` is of commit 702a7b1, but F1 is 1 where no head is there and none was named; ``detect.json`` is of
-the commit that changed it last. The seed is that of no published table.
+Both files are of the commits that changed them last. The seed is that of no published table.
 """
 
 from __future__ import annotations
@@ -26,14 +25,14 @@ from usnet_env.evaluation import evaluate, load_suite
 
 FOLDER = Path(__file__).parent
 SEED = 770_077
-SUITES = ("paper", "controls", "sensing", "field")
+SUITES = ("paper", "controls-v2", "sensing-v2", "field-v2")
 QUICK = (
     "random", "destroy-all", "none", "one-per-round", "lagged-correlation", "lagged-regression", "granger", "factions",
     "front-most", "directional-delays", "lagged-network", "net-lag-regression", "flica", "mflica", "transfer-entropy",
 )  # fmt: skip
 DETECTOR = "lagged-network"  # of ``usnet detect``; the default's weights may change
 SLOW = ("gassl(times='mean')", "mc-gassl(gassl={'times': 'mean'})", "neural-granger")
-SLOW_CELLS = ("paper/f1", "controls/shepherd", "sensing/missed")
+SLOW_CELLS = ("paper/f1", "controls-v2/shepherd", "sensing-v2/missed")
 KEYS = ["cell", "detector", "episode"]
 KEPT = [
     *KEYS, "swarm_seed", "detector_seed", "uavs", "heads", "J", "rounds", "redundancy", "success", "exact",

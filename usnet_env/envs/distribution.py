@@ -164,19 +164,17 @@ _FIELD: dict[str, Any] = {
     "traffic": [0, 6],
     "head_jitter": [True, False],
     **_FAULTS,
+    "formation": {"gathered": 3.0, "uniform": 1.0},
 }
-
-_GATHERED: dict[str, Any] = {"formation": {"gathered": 3.0, "uniform": 1.0}}
 _UNSEEN = {name: f"{name}-led" for name in ("chain", "vicsek", "couzin", "predator", "informed")}
 
 #: The distributions that have a name; `field-led-v1` is for `led_by`, and the last one for P1.
 DISTRIBUTIONS = {
-    "field-v0": Distribution(**_FIELD, formation={"around": 3.0, "uniform": 1.0}),
-    "field-v1": Distribution(**_FIELD, **_GATHERED),
+    "field-v1": Distribution(**_FIELD),
     "field-led-v1": Distribution(
-        **_FIELD | _GATHERED | {"follow": {_UNSEEN.get(name, name): share for name, share in _FIELD["follow"].items()}}
+        **_FIELD | {"follow": {_UNSEEN.get(name, name): share for name, share in _FIELD["follow"].items()}}
     ),
-    "cluster-field-v1": Distribution(**_FIELD | _GATHERED | {"clusters": None}),
+    "cluster-field-v1": Distribution(**_FIELD | {"clusters": None}),
 }
 
 

@@ -56,12 +56,12 @@ def test_track_outlier_names_the_track_unlike_the_others():
 
 
 @cache
-def play(suite, episodes=2):
+def play(suite, episodes=2, **changes):
     """Heads named, heads, and the share that chance names: of both detectors, pooled over cells with own swarms."""
     named, heads, chance = np.zeros(2), 0, np.zeros(2)
     loaded = load_suite(suite)
     for number, cell in enumerate(loaded.cells.values()):
-        env = make_environment(cell.env, cell.arguments)
+        env = make_environment(cell.env, cell.arguments | changes)
         for episode in range(episodes):
             observation, _ = env.reset(seed=loaded.tuning_seed * 10_000 + 100 * number + episode)
             window, head = Window.from_observation(observation), env.unwrapped.swarm.head
@@ -81,6 +81,6 @@ def test_neither_place_nor_track_tells_who_leads(suite, detector):
     assert low <= named[detector] <= high
 
 
-def test_in_the_older_suite_the_place_tells_who_leads():
-    named, heads, chance = play("field")
+def test_where_heads_stand_in_the_middle_the_place_tells_who_leads():
+    named, heads, chance = play("field-v2", formation="around")
     assert named[0] / heads > 0.5 > 4 * chance[0]
