@@ -11,7 +11,7 @@ def recorded(name, detectors):
     return ROWS[(ROWS.cell == name) & ROWS.detector.isin(detectors)]
 
 
-@pytest.mark.parametrize("name", ["controls-v2/bystanders", "sensing-v2/tracker", "field-v2/chain-limited"])
+@pytest.mark.parametrize("name", ["controls-v2/bystanders", "sensing-v2/tracker", "field-v2/couzin"])
 def test_rows_are_those_of_the_recorded_build(name):
     rows = recorded(name, QUICK)
     assert differing_rows(rows[rows.episode == 0], play_cell(name, QUICK, 1)) == []
