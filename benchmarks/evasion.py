@@ -240,16 +240,13 @@ def find_gains(rows: pd.DataFrame) -> pd.DataFrame:
     return pd.concat(parts)
 
 
-def tell_mean(rows: pd.DataFrame) -> str:
-    """The mean pay-off, without an interval."""
-    return f"{rows.payoff.mean():.2f}"
-
-
 def report(rows: pd.DataFrame) -> str:
     """The pay-offs of the first training, and of all trainings what each best response gained when it was new."""
     rows = rows.assign(payoff=rows.J - rows.price)
     seeds, first = sorted(rows.training.unique()), rows[rows.training == rows.training.min()]
-    table = pivot(first, {"swarm": "head"}, across("observer", first.observer.unique(), tell_mean))
+    table = pivot(
+        first, {"swarm": "head"}, across("observer", first.observer.unique(), lambda part: f"{part.payoff.mean():.2f}")
+    )
     gains = pd.concat([find_gains(part).assign(training=seed) for seed, part in rows.groupby("training")])
     columns = across("training", seeds, mean("value"), "value before, seed {}")
     columns |= across("training", seeds, mean("gain"), "gain, seed {}")
@@ -257,15 +254,15 @@ def report(rows: pd.DataFrame) -> str:
 
 
 def main(argv: list[str] | None = None) -> None:
-    parser = shared.parse(__doc__, ROWS)
+    parser = shared.make_parser(__doc__, ROWS)
     parser.add_argument("--trainings", type=int, default=1, help="number of seeds")
     parser.add_argument("--rounds", type=int, default=8, help="swarms, and observers, that a training learns")
     parser.add_argument("--length", type=float, default=1.0, help="of each best response, as a share of the default")
     parser.add_argument("--episodes", type=int, default=200)
-    given = parser.parse_args(argv)
-    play_all = partial(learn, rounds=given.rounds, length=given.length, episodes=given.episodes)
-    games = [{"training": seed} for seed in range(given.trainings)]
-    print(report(shared.measure(given, games, play_all)))
+    options = parser.parse_args(argv)
+    play_all = partial(learn, rounds=options.rounds, length=options.length, episodes=options.episodes)
+    games = [{"training": seed} for seed in range(options.trainings)]
+    print(report(shared.run_missing(options, games, play_all)))
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ import numpy as np
 import pandas as pd
 from paper import shared
 from paper.shared import Game
-from pivot import Say, pivot, size
+from pivot import CellFormatter, pivot, size
 from scipy.spatial import KDTree
 from sklearn.ensemble import HistGradientBoostingClassifier
 from sklearn.metrics import roc_auc_score
@@ -176,7 +176,7 @@ def play(game: Game, swarms: int | None = None) -> list[dict[str, Any]]:
     ]
 
 
-def show(*metrics: str, scale: int = 1, digits: int = 2) -> Say:
+def show(*metrics: str, scale: int = 1, digits: int = 2) -> CellFormatter:
     """Means of the metrics, – of those without values."""
     return lambda rows: "; ".join(f"{scale * rows[metric].mean():.{digits}f}" for metric in metrics).replace("nan", "–")
 
@@ -187,7 +187,7 @@ def find_leaks(rows: pd.DataFrame, views: Sequence[str] = VIEWS) -> list[str]:
 
 
 #: What a table says of the rows of a cell.
-CONTROLS: dict[str, Say] = {
+CONTROLS: dict[str, CellFormatter] = {
     "swarms": size,
     "one track: AUC; without decoys": show("auc_track", "auc_without_decoys"),
     "positions, first; last: AUC": show("auc_first", "auc_last"),
@@ -204,46 +204,46 @@ def read_controls(suite: str) -> pd.DataFrame:
     return rows.sort_values("cell", key=lambda names: names.map(cells.index), kind="stable")
 
 
-def say_controls(suite: str) -> dict[str, Say]:
+def format_controls(suite: str) -> dict[str, CellFormatter]:
     """The columns of :data:`CONTROLS` for a table of other rows of a suite, a line for each cell."""
     cells = dict(iter(read_controls(suite).groupby("cell")))
 
-    def look_up(say: Say) -> Say:
-        return lambda part: say(cells[part["cell"].iloc[0]]) if part["cell"].iloc[0] in cells else "–"
+    def look_up(format_cell: CellFormatter) -> CellFormatter:
+        return lambda part: format_cell(cells[part["cell"].iloc[0]]) if part["cell"].iloc[0] in cells else "–"
 
-    return {heading: look_up(say) for heading, say in CONTROLS.items()}
+    return {heading: look_up(format_cell) for heading, format_cell in CONTROLS.items()}
 
 
 def report(rows: pd.DataFrame) -> str:
     """A line for each suite: how many of its cells are given away, and by what."""
 
-    def count(*views: str) -> Say:
+    def count(*views: str) -> CellFormatter:
         return lambda part: str(sum(bool(find_leaks(cell, views)) for _, cell in part.groupby("cell")))
 
-    def highest(*metrics: str) -> Say:
+    def highest(*metrics: str) -> CellFormatter:
         return lambda part: f"{part.groupby('cell')[list(metrics)].mean().max().max():.2f}"
 
     led = rows[rows.heads > 0]
-    says = {"led cells": lambda part: str(part["cell"].nunique()), "given away": count(*VIEWS)}
-    says |= {"by one track": count("track"), "highest AUC of one track": highest("auc_track")}
-    says |= {"by positions": count("first", "last"), "highest AUC of positions": highest("auc_first", "auc_last")}
-    says["highest share of strange heads named"] = highest("strange_heads")
+    columns = {"led cells": lambda part: str(part["cell"].nunique()), "given away": count(*VIEWS)}
+    columns |= {"by one track": count("track"), "highest AUC of one track": highest("auc_track")}
+    columns |= {"by positions": count("first", "last"), "highest AUC of positions": highest("auc_first", "auc_last")}
+    columns["highest share of strange heads named"] = highest("strange_heads")
     widest = 1.96 * led.groupby(["suite", "cell"])[AUCS].sem().max().max()
-    return f"{pivot(led, {'suite': 'suite'}, says)}\n\nThe 95 % interval of a cell's AUC is ±{widest:.2f} at most."
+    return f"{pivot(led, {'suite': 'suite'}, columns)}\n\nThe 95 % interval of a cell's AUC is ±{widest:.2f} at most."
 
 
 def main(argv: list[str] | None = None) -> None:
-    parser = shared.parse(__doc__, ROWS)
+    parser = shared.make_parser(__doc__, ROWS)
     parser.add_argument("--suite", nargs="+", default=list(list_suites()), help="names or files; by default all")
     parser.add_argument("--cell", action="append", help="may repeat; by default all")
     parser.add_argument("--swarms", type=int, help="of each cell; by default 48 or more")
-    given = parser.parse_args(argv)
+    options = parser.parse_args(argv)
     games: list[Game] = [
         {"suite": name, "version": suite.version, "cell": cell}
-        for name, suite in ((name, load_suite(name)) for name in given.suite)
-        for cell in given.cell or suite.cells
+        for name, suite in ((name, load_suite(name)) for name in options.suite)
+        for cell in options.cell or suite.cells
     ]
-    print(report(shared.measure(given, games, partial(play, swarms=given.swarms))))
+    print(report(shared.run_missing(options, games, partial(play, swarms=options.swarms))))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The tables of the paper's algorithms, beside what the paper says: P1, P2, purity, metric learning."""
+"""The tables of the paper's algorithms, beside what the paper says: P1, P2, purity."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from paper.shared import RESULTS, STUDIES, TITLES, read_rows
-from pivot import Say, across, markdown, mean, median, pivot, rate, size
+from pivot import CellFormatter, across, markdown, mean, median, pivot, rate, size
 
 from usnet_env.evaluation import TRIVIAL
 
@@ -78,11 +78,11 @@ def learning_block() -> str:
     settings["one decoy, heads fly to waypoints, m = 2"] = ("waypoint with jitter", 1, (2,))
     names = rows.detector.map(list(LEARNING).index)
     rows = rows.assign(learns=rows.detector.map(LEARNING)).iloc[names.argsort(kind="stable")]
-    columns = {f"{name}; n": partial(_say_hits, setting=setting) for name, setting in settings.items()}
+    columns = {f"{name}; n": partial(_format_hits, setting=setting) for name, setting in settings.items()}
     return pivot(rows, {"detector": "detector", "what it learns": "learns"}, columns)
 
 
-def _say_hits(rows: pd.DataFrame, setting: tuple[str, int, tuple[int, ...]]) -> str:
+def _format_hits(rows: pd.DataFrame, setting: tuple[str, int, tuple[int, ...]]) -> str:
     heads, decoys, followers = setting
     part = rows[(rows.heads == heads) & (rows.decoys == decoys) & rows.followers.isin(followers)]
     return rate("hit", count=True)(part)
@@ -107,7 +107,7 @@ def read_rounds() -> pd.DataFrame:
 def rounds_block() -> str:
     """A table for each study of P2, below what the paper says."""
     rows, parts = read_rounds(), []
-    columns: dict[str, Say] = {
+    columns: dict[str, CellFormatter] = {
         "n": size,
         "rounds": mean("rounds"),
         "redundant, % of N": mean("redundancy", 2, 100),
@@ -132,17 +132,19 @@ def _found_by_round(rows: pd.DataFrame) -> str:
     )
     found = 100 * hits.cumsum(axis=1) / 8
 
-    def say(part: pd.DataFrame, number: int) -> str:
+    def format_cell(part: pd.DataFrame, number: int) -> str:
         return f"{named.loc[part.index, number].mean():.1f} / {found.loc[part.index, number].mean():.0f}"
 
-    columns: dict[str, Say] = {f"round {number + 1}": partial(say, number=number) for number in range(4)}
+    columns: dict[str, CellFormatter] = {
+        f"round {number + 1}": partial(format_cell, number=number) for number in range(4)
+    }
     about = "Candidates of a round / share of the 8 heads found until then, %; the paper has 8 / 75 and 2 / 100:"
     return f"{about}\n\n{pivot(rows, {'detector': 'detector'}, {'n': size, **columns})}"
 
 
 def purity_block() -> str:
     """Purity of every clusterer over f1 to f7."""
-    columns: dict[str, Say] = {
+    columns: dict[str, CellFormatter] = {
         "n": size,
         "clusters found": mean("found", 1),
         "purity": mean("purity"),
@@ -152,26 +154,6 @@ def purity_block() -> str:
     rows = read_rows(RESULTS / "paper" / "purity.csv.gz")
     rows = rows.sort_values("count", key=lambda counts: counts != "given", kind="stable")
     return pivot(rows, {"clusterer": "clusterer", "M": "count", "features": "features"}, columns)
-
-
-def losses_block() -> str:
-    """First and last losses of metric learning by start; the mean of each training is one value."""
-    rows = read_rows(RESULTS / "paper" / "metric_learning.csv.gz").sort_values("start", kind="stable")
-    online = rows.follow != "off-line"
-    last = rows.groupby(online).step.transform("max") - rows.step
-
-    def say(chosen: pd.Series) -> Say:
-        return lambda part: mean("loss", 3, group="training")(
-            part[chosen.loc[part.index]].groupby("training", as_index=False).loss.mean()
-        )
-
-    columns = {
-        "trainings": lambda part: str(part.training.nunique()),
-        "off line, last 50 episodes": say(~online & (last < 50)),
-        "on line, step 0": say(online & (rows.step == 0)),
-        "on line, last 10 steps": say(online & (last < 10)),
-    }
-    return pivot(rows, {"start": "start"}, columns)
 
 
 def paper_algorithms() -> str:

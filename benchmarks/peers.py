@@ -8,7 +8,7 @@
 A run is one draw of a system, observed once. Rows have AUROC and AUPRC of its directed edges, without the diagonal and
 from ``Detection.attention``, and whether the highest score is that of an influencer. The rows
 `straightest` and `farthest` know nothing of pairs. A suite in which they do well doesn't test influence.
-`forces` knows that accelerations are linear in places, as springs are; `var` depends much on its ridge.
+`forces` knows that accelerations are linear in positions, as springs are; `var-weak-ridge` is a vector autoregression.
 
 * springs: particles in a box; half of the ordered pairs have a spring that pulls one of them (Kipf et al. 2018), and an
   influencer pulls all (Löwe et al. 2022). Others pull it back; in ``-unpulled`` they don't, so that it flies straight
@@ -33,7 +33,7 @@ from zlib import crc32
 
 import numpy as np
 import pandas as pd
-from paper.shared import Game, measure, parse
+from paper.shared import Game, make_parser, run_missing
 from pivot import across, mean, pivot
 from scipy.integrate import solve_ivp
 from sklearn.metrics import average_precision_score, roc_auc_score
@@ -44,7 +44,7 @@ from usnet_env.detection import ask
 
 DETECTORS = (
     "random", "reader(policy='map')", "directional-delays", "lagged-network", "net-lag-regression", "transfer-entropy",
-    "mflica", "flica", "granger", "lagged-correlation", "factions", *("var", "var-weak-ridge", "forces", "pcmci+"),
+    "mflica", "flica", "granger", "lagged-correlation", "factions", "var-weak-ridge", "forces", "pcmci+",
     "straightest", "farthest",
 )  # fmt: skip
 #: AUROC and AUPRC as the authors of CausalDynamics report them; their graphs and systems are other ones than ours.
@@ -52,23 +52,23 @@ PUBLISHED = {
     "causal-dynamics": "TSCI .69/.36, PCMCI+ .68/.27, FPCMCI .67/.24, DYNOTEARS .66/.32, VarLiNGAM .57/.18",
     "causal-dynamics-lag": "at most .55/.23",
 }
-Drawn = tuple[np.ndarray, np.ndarray, np.ndarray]  # (T + 1, N, d) places, (N, N) bool: j acts on i, (N,) influencers
+Drawn = tuple[np.ndarray, np.ndarray, np.ndarray]  # (T + 1, N, d) positions, (N, N) bool: j acts on i, (N,) influencers
 
 
 def draw_springs(rng: np.random.Generator, edges: np.ndarray, steps: int) -> np.ndarray:
     """Places ``(T + 1, N, 2)`` of particles in a box of ±5 with the force 0.1 (p_j - p_i), a sample each 0.1 s."""
     uavs, dt, every, box = len(edges), 0.001, 100, 5.0
-    place, course = 0.5 * rng.standard_normal((uavs, 2)), rng.standard_normal((uavs, 2))
+    position, course = 0.5 * rng.standard_normal((uavs, 2)), rng.standard_normal((uavs, 2))
     speed = 0.5 * course / np.linalg.norm(course, axis=1, keepdims=True)
-    pull, places = 0.1 * edges, []
+    pull, positions = 0.1 * edges, []
     for t in range(steps * every + 1):
         if t % every == 0:
-            places.append(place)
-        speed = speed + dt * (pull @ place - pull.sum(axis=1, keepdims=True) * place)
-        place = place + dt * speed
-        speed = np.where(np.abs(place) > box, -np.sign(place) * np.abs(speed), speed)
-        place = np.where(np.abs(place) > box, 2 * box * np.sign(place) - place, place)
-    return np.stack(places)
+            positions.append(position)
+        speed = speed + dt * (pull @ position - pull.sum(axis=1, keepdims=True) * position)
+        position = position + dt * speed
+        speed = np.where(np.abs(position) > box, -np.sign(position) * np.abs(speed), speed)
+        position = np.where(np.abs(position) > box, 2 * box * np.sign(position) - position, position)
+    return np.stack(positions)
 
 
 def draw_influencer(rng: np.random.Generator, uavs: int, pulled: bool = True, unseen: bool = False) -> Drawn:
@@ -77,8 +77,8 @@ def draw_influencer(rng: np.random.Generator, uavs: int, pulled: bool = True, un
     edges = (rng.random((count, count)) < 0.5) & ~np.eye(count, dtype=bool)
     edges[:-1, -1], edges[-1] = True, edges[-1] & pulled
     order = rng.permutation(uavs if unseen else count)
-    place = draw_springs(rng, edges.astype(float), 99)
-    return place[:, order], edges[np.ix_(order, order)], order == count - 1
+    position = draw_springs(rng, edges.astype(float), 99)
+    return position[:, order], edges[np.ix_(order, order)], order == count - 1
 
 
 def grow_graph(rng: np.random.Generator, uavs: int) -> np.ndarray:
@@ -99,29 +99,29 @@ def draw_structure(rng: np.random.Generator, grown: bool) -> Drawn:
 
 
 def draw_flock(rng: np.random.Generator, kind: str, uavs: int = 10, steps: int = 100) -> Drawn:
-    """A flock with zones of repulsion (1), alignment and attraction (20), led by ranks, by a course or by places."""
-    order, place = rng.permutation(uavs), rng.uniform(0, 6, (uavs, 2))
+    """A flock with zones of repulsion (1), alignment and attraction (20), led by ranks, by a course or by positions."""
+    order, position = rng.permutation(uavs), rng.uniform(0, 6, (uavs, 2))
     going, own = rng.standard_normal((2, uavs, 2))
     heard = order[None] < order[:, None] if kind == "ranks" else ~np.eye(uavs, dtype=bool)
-    leads, target, places = order == 0, rng.uniform(-30, 30, 2), []
+    leads, target, positions = order == 0, rng.uniform(-30, 30, 2), []
     for _ in range(50 + steps + 1):
-        places.append(place)
-        gap = place[None] - place[:, None]
+        positions.append(position)
+        gap = position[None] - position[:, None]
         far = np.linalg.norm(gap, axis=2, keepdims=True) + np.eye(uavs)[..., None]
         near, seen = (far < 1.0) & (far > 0) & ~np.eye(uavs, dtype=bool)[..., None], heard[..., None] & (far < 20)
         away, mates = -(near * gap / far).sum(axis=1), np.maximum(seen.sum(axis=1), 1)
         social = (seen * (0.5 * gap / far + going / np.linalg.norm(going, axis=1, keepdims=True))).sum(axis=1) / mates
         own = own + 0.3 * rng.standard_normal((uavs, 2)) - 0.05 * own
-        known = target - place if kind == "places" else own
-        if kind == "places" and np.linalg.norm(target - place[leads]) < 3:
-            target = place[leads][0] + rng.uniform(-30, 30, 2)
+        known = target - position if kind == "places" else own
+        if kind == "places" and np.linalg.norm(target - position[leads]) < 3:
+            target = position[leads][0] + rng.uniform(-30, 30, 2)
         goal = known / np.maximum(np.linalg.norm(known, axis=1, keepdims=True), 1e-9)
         wanted = np.where(near.any(axis=1), away, social) + (1.0 if kind == "ranks" else 0.7) * goal * leads[:, None]
         wanted += 0.1 * rng.standard_normal((uavs, 2))
         turned = 0.5 * going + 0.5 * wanted / np.maximum(np.linalg.norm(wanted, axis=1, keepdims=True), 1e-9)
         going = turned / np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-9)
-        place = place + 0.3 * going
-    return np.stack(places[50:]), heard, leads
+        position = position + 0.3 * going
+    return np.stack(positions[50:]), heard, leads
 
 
 def fly_chaos(rng: np.random.Generator, steps: int) -> np.ndarray:
@@ -143,16 +143,16 @@ def draw_chaos(rng: np.random.Generator, lag: int, uavs: int = 5, steps: int = 3
     now, late = grow_graph(rng, uavs), np.zeros((uavs, uavs), bool)
     if lag:
         late = np.tril(rng.random((uavs, uavs)) < 0.1, -1) & ~now
-    place = np.zeros((steps + 1 + lag, uavs, 3))
+    position = np.zeros((steps + 1 + lag, uavs, 3))
     for i in range(uavs):
         if not (now | late)[i].any():
-            place[:, i] = fly_chaos(rng, len(place))
+            position[:, i] = fly_chaos(rng, len(position))
         for j in np.flatnonzero((now | late)[i]):
-            mixed = place[:, j] @ rng.normal(0, 3**-0.5, (3, 3)) + rng.normal(0, 0.1, 3)
-            place[:, i] += np.roll(mixed, lag, axis=0) if late[i, j] else mixed
+            mixed = position[:, j] @ rng.normal(0, 3**-0.5, (3, 3)) + rng.normal(0, 0.1, 3)
+            position[:, i] += np.roll(mixed, lag, axis=0) if late[i, j] else mixed
     order, edges = rng.permutation(uavs), now | late
-    edges, place = edges[np.ix_(order, order)], place[lag:, order]
-    return place, edges, edges.any(axis=0) & ~edges.any(axis=1)
+    edges, position = edges[np.ix_(order, order)], position[lag:, order]
+    return position, edges, edges.any(axis=0) & ~edges.any(axis=1)
 
 
 SUITES: dict[str, Callable[[np.random.Generator], Drawn]] = {
@@ -165,17 +165,17 @@ SUITES: dict[str, Callable[[np.random.Generator], Drawn]] = {
     "causal-dynamics": partial(draw_chaos, lag=0),
     "causal-dynamics-lag": partial(draw_chaos, lag=10),
 }
-# Runs in the Python that has tigramite: reads places of all runs, writes the strength of each link to i from j.
+# Runs in the Python that has tigramite: reads positions of all runs, writes the strength of each link to i from j.
 PCMCI = """
 import sys, numpy as np
 from tigramite import data_processing as pp
 from tigramite.pcmci import PCMCI
 from tigramite.independence_tests.parcorr_mult import ParCorrMult
 runs, found = np.load(sys.argv[1]), []
-for place in runs:
-    steps, uavs, axes = place.shape
+for position in runs:
+    steps, uavs, axes = position.shape
     groups = {i: [(axes * i + k, 0) for k in range(axes)] for i in range(uavs)}
-    frame = pp.DataFrame(place.reshape(steps, -1), vector_vars=groups)
+    frame = pp.DataFrame(position.reshape(steps, -1), vector_vars=groups)
     search = PCMCI(frame, cond_ind_test=ParCorrMult(), verbosity=0)
     got = search.run_pcmciplus(tau_max=2, pc_alpha=0.05, max_conds_dim=2)
     directed = np.isin(got["graph"], ["-->", "o-o", "x-x"])
@@ -185,7 +185,7 @@ np.save(sys.argv[2], found)
 
 
 def run_pcmci(runs: np.ndarray, python: Path | None) -> np.ndarray:
-    """Strengths ``(R, N, N)`` of links by PCMCI+ (Runge 2020), of places ``(R, T + 1, N, d)``."""
+    """Strengths ``(R, N, N)`` of links by PCMCI+ (Runge 2020), of positions ``(R, T + 1, N, d)``."""
     if python is None or not python.exists():
         raise ArgumentError(f"tigramite must be a Python that has tigramite, for the detector pcmci+, got {python}.")
     with tempfile.TemporaryDirectory() as folder:
@@ -195,51 +195,49 @@ def run_pcmci(runs: np.ndarray, python: Path | None) -> np.ndarray:
         return np.load(found)
 
 
-def fit_var(place: np.ndarray, ridge: float, lags: int = 2) -> np.ndarray:
-    """Strengths ``(N, N)`` of links: the norm of the coefficients of j in the next place of i, by ridge regression."""
-    steps, uavs, axes = place.shape
-    flat = ((place - place.mean(axis=0)) / place.std(axis=0)).reshape(steps, -1)
+def fit_var(position: np.ndarray, ridge: float = 1e-9, lags: int = 2) -> np.ndarray:
+    """Strengths ``(N, N)`` of links: the norm of the coefficients of j in the next position of i, by ridge."""
+    steps, uavs, axes = position.shape
+    flat = ((position - position.mean(axis=0)) / position.std(axis=0)).reshape(steps, -1)
     past = np.concatenate([flat[lags - 1 - k : steps - 1 - k] for k in range(lags)], axis=1)
     square = past.T @ past + ridge * len(past) * np.eye(past.shape[1])
     weights = np.linalg.solve(square, past.T @ flat[lags:]).reshape(lags, uavs, axes, uavs, axes)
     return np.sqrt(np.square(weights).sum(axis=(0, 2, 4))).T
 
 
-def fit_forces(place: np.ndarray) -> np.ndarray:
+def fit_forces(position: np.ndarray) -> np.ndarray:
     """Strengths ``(N, N)`` of links: how much the way to j explains i's acceleration; kicks of walls are left out."""
-    uavs, speed = place.shape[1], np.diff(place, axis=0)
+    uavs, speed = position.shape[1], np.diff(position, axis=0)
     pushes, found = np.diff(speed, axis=0), np.zeros((uavs, uavs))
     for i in range(uavs):
-        ways = np.delete(place[1:-1] - place[1:-1, i : i + 1], i, axis=1).swapaxes(1, 2).reshape(-1, uavs - 1)
-        given, push = np.column_stack([ways, speed[:-1, i].ravel()]), pushes[:, i].ravel()
+        ways = np.delete(position[1:-1] - position[1:-1, i : i + 1], i, axis=1).swapaxes(1, 2).reshape(-1, uavs - 1)
+        inputs, push = np.column_stack([ways, speed[:-1, i].ravel()]), pushes[:, i].ravel()
         kept = np.abs(push) < 8 * np.median(np.abs(push)) + 1e-12
-        found[i, np.arange(uavs) != i] = np.abs(np.linalg.lstsq(given[kept], push[kept], rcond=None)[0][:-1])
+        found[i, np.arange(uavs) != i] = np.abs(np.linalg.lstsq(inputs[kept], push[kept], rcond=None)[0][:-1])
     return found
 
 
-RULES: dict[str, Callable[[np.ndarray], np.ndarray]] = {  # scores of places, one track or one instant at a time
-    "straightest": lambda place: -np.square(np.diff(place, n=2, axis=0)).sum(axis=2).mean(axis=0),
-    "farthest": lambda place: np.linalg.norm(place - place.mean(axis=1, keepdims=True), axis=2).mean(axis=0),
+RULES: dict[str, Callable[[np.ndarray], np.ndarray]] = {  # scores of positions, one track or one instant at a time
+    "straightest": lambda position: -np.square(np.diff(position, n=2, axis=0)).sum(axis=2).mean(axis=0),
+    "farthest": lambda position: np.linalg.norm(position - position.mean(axis=1, keepdims=True), axis=2).mean(axis=0),
 }
-FITS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
-    "var": partial(fit_var, ridge=1e-3), "var-weak-ridge": partial(fit_var, ridge=1e-9), "forces": fit_forces,
-}  # fmt: skip
+FITS: dict[str, Callable[[np.ndarray], np.ndarray]] = {"var-weak-ridge": fit_var, "forces": fit_forces}
 
 
 def find_links(
     name: str, runs: list[Drawn], seed: int, python: Path | None
 ) -> list[tuple[np.ndarray, np.ndarray, bool]]:
     """Of each run, strengths ``(N, N)`` of links to i from j, scores ``(N,)``, and whether any UAV is named."""
-    places = np.stack([place for place, _, _ in runs])
+    positions = np.stack([position for position, _, _ in runs])
     if name in RULES:
-        return [(np.full(edges.shape, np.nan), RULES[name](place), True) for place, edges, _ in runs]
+        return [(np.full(edges.shape, np.nan), RULES[name](position), True) for position, edges, _ in runs]
     if name in FITS or name == "pcmci+":
-        links = map(FITS[name], places) if name in FITS else run_pcmci(places, python)
+        links = map(FITS[name], positions) if name in FITS else run_pcmci(positions, python)
         off = [values * ~np.eye(len(values), dtype=bool) for values in links]
         return [(values, values.sum(axis=0) - values.sum(axis=1), True) for values in off]
     found = []
-    for number, (place, _, _) in enumerate(runs):
-        detector, flown = make_detector(name), np.pad(place, ((0, 0), (0, 0), (0, 3 - place.shape[2])))
+    for number, (position, _, _) in enumerate(runs):
+        detector, flown = make_detector(name), np.pad(position, ((0, 0), (0, 0), (0, 3 - position.shape[2])))
         detector.reset(seed + number)
         everyone = np.ones(flown.shape[:2], bool)
         answer, _ = ask(detector, Window(flown, np.diff(flown, axis=0), everyone, everyone[0], step=1.0))
@@ -286,14 +284,16 @@ def report(rows: pd.DataFrame) -> str:
 
 
 def main(argv: list[str] | None = None) -> None:
-    parser = parse(__doc__, Path("out/peers.csv"))
+    parser = make_parser(__doc__, Path("out/peers.csv"))
     parser.add_argument("--suite", nargs="+", choices=list(SUITES), default=list(SUITES))
     parser.add_argument("--detector", nargs="+", default=list(DETECTORS))
     parser.add_argument("--runs", type=int, default=50)
     parser.add_argument("--tigramite", type=Path, help="a Python that has tigramite")
-    given = parser.parse_args(argv)
-    games = [{"suite": suite, "detector": name, "runs": given.runs} for suite in given.suite for name in given.detector]
-    print(report(measure(given, games, partial(play, seed=given.seed, python=given.tigramite))))
+    options = parser.parse_args(argv)
+    games = [
+        {"suite": suite, "detector": name, "runs": options.runs} for suite in options.suite for name in options.detector
+    ]
+    print(report(run_missing(options, games, partial(play, seed=options.seed, python=options.tigramite))))
 
 
 if __name__ == "__main__":

@@ -8,64 +8,68 @@ from typing import Any
 import pandas as pd
 from paper.shared import interval
 
-Say = Callable[[pd.DataFrame], str]  # what stands in a cell of a table, from the rows of the cell
+from usnet_env.evaluation.tables import format_markdown
+
+CellFormatter = Callable[[pd.DataFrame], str]  # the text of a cell of a table, from the rows of the cell
 
 
-def pivot(rows: pd.DataFrame, lines: Mapping[str, str], columns: Mapping[str, Say]) -> str:
+def pivot(rows: pd.DataFrame, lines: Mapping[str, str], columns: Mapping[str, CellFormatter]) -> str:
     """A Markdown table with a line for each group of rows, in the order of the rows.
 
     Args:
         rows: the rows.
         lines: the columns of rows that name a group, by heading.
-        columns: what the other cells say of the rows of a group, by heading.
+        columns: the texts of the other cells, from the rows of a group, by heading.
     """
     body = []
     for key, part in rows.groupby(list(lines.values()), sort=False, dropna=False):
-        names = [f"`{name}`" if heading == "detector" else str(name) for heading, name in zip(lines, key, strict=True)]
-        body.append([*names, *(say(part) for say in columns.values())])
+        names = [f"`{name}`" if heading == "detector" else f"{name}" for heading, name in zip(lines, key, strict=True)]
+        body.append([*names, *(format_cell(part) for format_cell in columns.values())])
     return markdown([*lines, *columns], body)
 
 
 def markdown(header: Iterable[str], body: Iterable[Iterable[str]]) -> str:
     """A Markdown table of texts."""
-    lines = [list(header), *map(list, body)]
-    lines.insert(1, ["---"] * len(lines[0]))
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    return format_markdown(list(header), [list(line) for line in body], numbers=False).strip()
 
 
-def mean(metric: str, digits: int = 2, scale: float = 1.0, group: str = "episode") -> Say:
+def mean(metric: str, digits: int = 2, scale: float = 1.0, group: str = "episode") -> CellFormatter:
     """The mean with its interval, such as ``1.02 (1.00–1.05)``; alone if all values are equal, – if there is none."""
 
-    def say(rows: pd.DataFrame) -> str:
+    def format_cell(rows: pd.DataFrame) -> str:
         if not rows[metric].notna().any():
             return "–"
-        found = interval(rows, metric, group)
-        middle, low, high = (f"{scale * value:.{digits}f}" for value in (found.mean, found.low, found.high))
-        return middle if found.low == found.high else f"{middle} ({low}–{high})"
+        bounds = interval(rows, metric, group)
+        middle, low, high = (f"{scale * value:.{digits}f}" for value in bounds)
+        return middle if bounds.low == bounds.high else f"{middle} ({low}–{high})"
 
-    return say
+    return format_cell
 
 
-def rate(metric: str, count: bool = False, group: str = "episode") -> Say:
+def rate(metric: str, count: bool = False, group: str = "episode") -> CellFormatter:
     """The share of ones in percent with its interval, and n if ``count``."""
 
-    def say(rows: pd.DataFrame) -> str:
+    def format_cell(rows: pd.DataFrame) -> str:
         if not len(rows):
             return "–"
         middle, low, high = (f"{100 * value:.1f}" for value in interval(rows, metric, group))
         return f"{middle} % ({low}–{high})" + (f"; {len(rows):,}" if count else "")
 
-    return say
+    return format_cell
 
 
-def median(metric: str, form: str = ".2g") -> Say:
+def median(metric: str, form: str = ".2g") -> CellFormatter:
     """The median, without an interval."""
     return lambda rows: format(rows[metric].median(), form) if rows[metric].notna().any() else "–"
 
 
-def across(column: str, values: Iterable[Any], say: Say, heading: str = "{}") -> dict[str, Say]:
-    """Columns of a table that say the same of the rows with each value of a column."""
-    return {heading.format(value): lambda rows, value=value: say(rows[rows[column] == value]) for value in values}
+def across(
+    column: str, values: Iterable[Any], format_cell: CellFormatter, heading: str = "{}"
+) -> dict[str, CellFormatter]:
+    """Columns of a table with the same text of the rows with each value of a column."""
+    return {
+        heading.format(value): lambda rows, value=value: format_cell(rows[rows[column] == value]) for value in values
+    }
 
 
 def size(rows: pd.DataFrame) -> str:

@@ -5,8 +5,8 @@
     python benchmarks/probing.py --draw                              # plays nothing: the tables of the rows
 
 A row is an episode; all probers play the same swarms. ``none`` watches and never moves an intruder. ``ppo`` learned in
-all cells, in other episodes, when to watch, to fly or to name, and how far to trust the detector in that. ``oracle`` is
-no prober but a bound: it knows the head, flies at it, and names it as soon as it is the most probable.
+all cells, in other episodes, when to watch, to fly or to name, and how far to trust the detector in that. ``oracle``
+knows the head, flies at it, and names it as soon as it is the most probable.
 """
 
 from __future__ import annotations
@@ -150,7 +150,7 @@ def play(game: shared.Game) -> list[dict[str, Any]]:
     """Play an episode."""
     env = gym.make("USNET/Probing-v0", **ALL, **CELLS[game["cell"]])
     seed = int(np.random.default_rng([shared.SEED, game["episode"]]).integers(2**31))
-    prober = shared.remember(make_prober, game["detector"], game["target"])
+    prober = shared.cached(make_prober, game["detector"], game["target"])
     if isinstance(prober, Oracle):
         env.reset(seed=seed)
         prober.head = int(env.unwrapped.swarm.head.argmax())
@@ -169,23 +169,23 @@ def report(rows: pd.DataFrame) -> str:
 
 
 def main(argv: list[str] | None = None) -> None:
-    parser = shared.parse(__doc__, ROWS)
+    parser = shared.make_parser(__doc__, ROWS)
     parser.add_argument("--detector", default="reader(objective='P1')")
     parser.add_argument("--episodes", type=int, default=50)
     parser.add_argument("--train", type=int, metavar="LOOKS")
-    given = parser.parse_args(argv)
-    if given.train:
-        train(given.detector, given.train)
-        if given.rows.exists():
-            rows = shared.read_rows(given.rows)
-            shared.write_rows(given.rows, rows[rows.target != "ppo"])
+    options = parser.parse_args(argv)
+    if options.train:
+        train(options.detector, options.train)
+        if options.rows.exists():
+            rows = shared.read_rows(options.rows)
+            shared.write_rows(options.rows, rows[rows.target != "ppo"])
     games = [
-        {"detector": given.detector, "cell": cell, "target": target, "episode": episode}
+        {"detector": options.detector, "cell": cell, "target": target, "episode": episode}
         for target in PROBERS
         for cell in CELLS
-        for episode in range(given.episodes)
+        for episode in range(options.episodes)
     ]
-    print(report(shared.measure(given, games, play)))
+    print(report(shared.run_missing(options, games, play)))
 
 
 if __name__ == "__main__":

@@ -1,8 +1,7 @@
-"""What the reader owes to its prior, its size and its features, and whether its probabilities are right.
+"""What the reader owes to its prior and its features, and whether its probabilities are right.
 
     python benchmarks/reader.py families --workers 2       # a family left out of a short training, one after another
-    python benchmarks/reader.py scaling                    # widths and numbers of shards, with a figure
-    python benchmarks/reader.py ablation                   # a group of features without information; also --retrained
+    python benchmarks/reader.py ablation                   # a group of features without information
     python benchmarks/reader.py calibration                # of the shipped weights, in suites and families
 
 Trainings are kept in the folder --readers and rows in the folder --rows, and the same command goes on where it
@@ -12,23 +11,19 @@ and a tenth of the range of p(head), with the number of its UAVs, the sum of the
 
 from __future__ import annotations
 
-import json
 from argparse import Namespace
 from collections.abc import Iterable
-from contextlib import nullcontext
 from functools import partial
 from importlib.resources import files
 from itertools import product
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 from zlib import crc32
 
 import numpy as np
 import pandas as pd
 from paper import shared
 from pivot import across, pivot, rate, size
-from safetensors.numpy import load_file
 from scipy import special
 from sklearn.metrics import roc_auc_score
 
@@ -39,14 +34,13 @@ from usnet_env import Window
 from usnet_env.evaluation import list_suites, load_suite
 from usnet_env.progress import progress_bar
 
+STUDIES = ("calibration", "families", "ablation")
 KEYS = ["reader", "dropped", "source", "episode"]
 SUITES = ("field-v2", "controls-v2", "sensing-v2")
 KINDS = {"pair": PAIR_GROUPS, "uav": UAV_GROUPS, "context": CONTEXT_GROUPS}
 GROUPS = {name: (kind, part) for kind, groups in KINDS.items() for name, part in groups.items()}
-SIZES = {f"width {width}, {shards} shards": (width, shards) for width in (16, 32, 48) for shards in (10, 30, 90)}
 NONE, SHIPPED = "nothing", "shipped"  # no group is dropped; the weights of the package
 CONFIDENCES = (0.0, 0.2, 0.4, 0.6, 0.8, 0.95, 1.0)
-Played = Iterable[tuple[str, str, str]]  # reader, dropped group, source
 
 
 def find_weights(readers: Path, label: str) -> Path:
@@ -55,17 +49,16 @@ def find_weights(readers: Path, label: str) -> Path:
     return (data if label == SHIPPED else readers / label) / "reader.safetensors"
 
 
-def train(given: Namespace, label: str, group: str = NONE, **settings: Any) -> None:
-    """Train a reader unless its weights are there; a group of features has its mean in every batch."""
-    from detectors.reader import train as training
-
-    path = find_weights(given.readers, label)
-    if label == SHIPPED or path.exists() or given.draw:
+def train(options: Namespace, label: str, without: tuple[str, ...] = ()) -> None:
+    """Train a reader without some families, unless its weights are there."""
+    path = find_weights(options.readers, label)
+    if path.exists() or options.draw:
         return
-    hidden = {} if group == NONE else {"_GROUPS": [GROUPS[group]], "_DROPPED": 1.0}
-    settings = {"shards": given.shards, "device": given.device, "seed": given.seed} | settings
-    with progress_bar(label) as progress, patch.multiple(training, **hidden) if hidden else nullcontext():
-        training.train_reader(path.parent, training.ReaderTraining(**settings), progress, workers=given.workers)
+    from detectors.reader.train import ReaderTraining, train_reader  # it needs PyTorch
+
+    settings = ReaderTraining(shards=options.shards, device=options.device, seed=options.seed, without=without)
+    with progress_bar(label) as progress:
+        train_reader(path.parent, settings, progress, workers=options.workers)
 
 
 def draw_window(source: str, episode: int, seed: int) -> tuple[Window, np.ndarray]:
@@ -84,7 +77,7 @@ def ask(path: Path, window: Window, dropped: str) -> tuple[np.ndarray, float]:
     """``(N,)`` p(head), and p(nobody leads); a group of features that is dropped has its mean in the training."""
     flying = np.flatnonzero(window.velocity_seen.any(axis=0))
     features = make_features(window.position[:, flying], window.velocity[:, flying], window.seen[:, flying])
-    weights = shared.remember(load_reader, str(path))
+    weights = shared.cached(load_reader, str(path))
     if dropped != NONE:
         kind, part = GROUPS[dropped]
         getattr(features, kind)[..., part] = weights[f"{kind}_mean"][part]
@@ -114,23 +107,16 @@ def list_cells(suites: Iterable[str] = SUITES, family: str = "") -> list[str]:
     return [f"{suite}/{cell}" for suite, cell in names if not part or part in cell.split("-")]
 
 
-def choose(given: Namespace) -> Played:
-    """What a study plays, after the trainings that it needs."""
-    if given.study == "families":
-        train(given, "all")
+def choose_windows(options: Namespace) -> Iterable[tuple[str, str, str]]:
+    """The reader, the dropped group and the source of each window of a study, after the trainings that it needs."""
+    if options.study == "families":
+        train(options, "all")
         yield from product(["all"], [NONE], list_cells(["paper"]))  # f1 to f7 are in no prior
-        for family in given.names or [name for name in FAMILIES if name != "field"]:
-            train(given, f"without {family}", without=(family,))
+        for family in options.names or [name for name in FAMILIES if name != "field"]:
+            train(options, f"without {family}", without=(family,))
             yield from product(["all", f"without {family}"], [NONE], [f"prior/{family}", *list_cells(family=family)])
-    elif given.study == "scaling":
-        for label, (width, shards) in SIZES.items():
-            train(given, label, width=width, shards=shards)
-            yield from product([label], [NONE], list_cells())
-    elif given.study == "ablation":
-        for group in [NONE, *(given.names or GROUPS)]:
-            label = f"without {group}" if given.retrained and group != NONE else SHIPPED
-            train(given, label, group)
-            yield from product([label], [group], list_cells())
+    elif options.study == "ablation":
+        yield from product([SHIPPED], [NONE, *(options.names or GROUPS)], list_cells())
     else:
         cells = list_cells(["paper", *SUITES, "open", "limit"])
         yield from product([SHIPPED], [NONE], [*cells, *(f"prior/{family}" for family in FAMILIES)])
@@ -148,7 +134,7 @@ def measure_doubt(windows: pd.DataFrame) -> str:
     return "–" if errors.nunique() < 2 else f"{roc_auc_score(errors, 1 - windows.confidence):.3f}"
 
 
-def say_confidence(windows: pd.DataFrame) -> str:
+def format_confidence(windows: pd.DataFrame) -> str:
     """The mean confidence."""
     return f"{windows.confidence.mean():.3f}"
 
@@ -160,11 +146,11 @@ def report_families(windows: pd.DataFrame) -> str:
     known = windows[windows.reader == "all"].drop(columns="reader").merge(pairs, on="source")
     both = pd.concat([left.assign(training="without"), known.assign(training="with")])
     both = both.assign(family=both.reader.str.removeprefix("without "))
-    says = {"windows": lambda part: size(part[part.training == "with"])}
-    says |= across("training", ("with", "without"), rate("exact"), "exact, {}")
-    says |= across("training", ("with", "without"), say_confidence, "mean confidence, {}")
-    says |= across("training", ("without",), measure_doubt, "errors by 1 - confidence, {}")
-    return pivot(both, {"left out": "family", "source": "source"}, says)
+    columns = {"windows": lambda part: size(part[part.training == "with"])}
+    columns |= across("training", ("with", "without"), rate("exact"), "exact, {}")
+    columns |= across("training", ("with", "without"), format_confidence, "mean confidence, {}")
+    columns |= across("training", ("without",), measure_doubt, "errors by 1 - confidence, {}")
+    return pivot(both, {"left out": "family", "source": "source"}, columns)
 
 
 def report(rows: pd.DataFrame, study: str) -> str:
@@ -173,59 +159,37 @@ def report(rows: pd.DataFrame, study: str) -> str:
     rows = rows.assign(set=rows.source.str.partition("/")[0], sure=sure)
     rows["unit"] = rows.source.where(rows.set == "open", rows.episode.astype(str))  # laws, or windows
     windows = rows.drop_duplicates(KEYS)
-    says = {"windows": size, "exact": rate("exact", group="unit"), "mean confidence": say_confidence}
-    says["errors by 1 - confidence"] = measure_doubt
-    if study in ("scaling", "ablation"):
-        lines = {"reader": "reader"} | ({"dropped": "dropped"} if study == "ablation" else {})
-        return pivot(windows, lines, across("set", SUITES, rate("exact")))
+    columns = {"windows": size, "exact": rate("exact", group="unit"), "mean confidence": format_confidence}
+    columns["errors by 1 - confidence"] = measure_doubt
+    if study == "ablation":
+        return pivot(windows, {"reader": "reader", "dropped": "dropped"}, across("set", SUITES, rate("exact")))
     if study == "families":
         return report_families(windows)
     tables: list[dict[str, str]] = [{"set": "set", "leads": "leads"}, {"leads": "leads"}, {"confidence": "sure"}]
     errors = {"calibration error": measure_calibration}
-    return "\n\n".join(pivot(part, line, say) for line in tables for part, say in ((windows, says), (rows, errors)))
-
-
-def draw_sizes(rows: pd.DataFrame, readers: Path, images: Path) -> None:
-    """The loss of the last shards and the share of exact windows, against parameters times windows."""
-    exact, (figure, panels) = rows.drop_duplicates(KEYS).groupby("reader").exact, shared.panels(9, 4.2, 1, 2)
-    for color, width in zip(shared.COLORS, dict.fromkeys(width for width, _ in SIZES.values()), strict=False):
-        points = []
-        for label, (_, shards) in [item for item in SIZES.items() if item[1][0] == width]:
-            path = find_weights(readers, label)
-            record = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
-            windows = shards * record["training"]["batches"] * record["training"]["windows"]
-            parameters = sum(array.size for array in load_file(path).values())
-            points.append((parameters * windows, record["metrics"]["last_loss"], exact.mean()[label]))
-        cost, *values = zip(*points, strict=True)
-        for axes, name, value in zip(panels[0], ("loss", "exact"), values, strict=True):
-            axes.plot(cost, value, "o-", color=color, label=f"width {width}")
-            axes.set(xscale="log", xlabel="parameters × windows of the training", ylabel=name)
-    caption = f"n = {exact.size().min()} windows of {', '.join(SUITES)} a point."
-    shared.save_figure(figure, images / "reader-scaling.png", "The reader's size and its training", caption)
+    blocks = (windows, columns), (rows, errors)
+    return "\n\n".join(pivot(part, line, texts) for line in tables for part, texts in blocks)
 
 
 def main(argv: list[str] | None = None) -> None:
-    parser = shared.parse(__doc__, Path("out/reader"))
-    parser.add_argument("study", choices=["families", "scaling", "ablation", "calibration"])
+    parser = shared.make_parser(__doc__, Path("out/reader"))
+    parser.add_argument("study", choices=STUDIES)
     parser.add_argument("names", nargs="*", help="families or groups of features; by default all")
     parser.add_argument("--episodes", type=int, default=50, help="windows of each source, at most those of its suite")
     parser.add_argument("--readers", type=Path, default=Path("out/reader"), help="folder of the trainings")
-    parser.add_argument("--shards", type=int, default=25, help="of a training, except in scaling")
+    parser.add_argument("--shards", type=int, default=25, help="of a training")
     parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu")
-    parser.add_argument("--retrained", action="store_true", help="ablation: train without each group")
-    given = parser.parse_args(argv)
+    options = parser.parse_args(argv)
     most = {name: suite.episodes for name, suite in list_suites().items()}
     played = [
         (*key, episode)
-        for key in dict.fromkeys(choose(given))
-        for episode in range(min(given.episodes, most.get(key[2].partition("/")[0], given.episodes)))
+        for key in dict.fromkeys(choose_windows(options))
+        for episode in range(min(options.episodes, most.get(key[2].partition("/")[0], options.episodes)))
     ]
     games = [dict(zip(KEYS, each, strict=True)) for each in played]
-    given.rows /= f"{given.study}.csv.gz"
-    rows = shared.measure(given, games, partial(play, readers=given.readers, seed=given.seed))
-    print(report(rows, given.study))
-    if given.study == "scaling":
-        draw_sizes(rows, given.readers, given.images)
+    options.rows /= f"{options.study}.csv.gz"
+    rows = shared.run_missing(options, games, partial(play, readers=options.readers, seed=options.seed))
+    print(report(rows, options.study))
 
 
 if __name__ == "__main__":

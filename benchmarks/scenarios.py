@@ -19,7 +19,7 @@ from zlib import crc32
 
 import numpy as np
 import pandas as pd
-from paper.shared import Game, measure, parse, remember
+from paper.shared import Game, cached, make_parser, run_missing
 from pivot import across, pivot
 from scipy.signal import lfilter
 
@@ -68,19 +68,19 @@ def fly_star(
             at = np.maximum(np.arange(begin, end) - late[i], 0)
             velocity[begin:end, i] = gain * velocity[at, row[i]] + own * alone[begin:end, i]
             done.append(i)
-    place = rng.uniform(0, 30, (uavs, axes)) + np.cumsum(velocity, axis=0) * dt
-    return (place[:, 1:], np.full((steps, uavs - 1), -1)) if hidden else (place, leader)
+    position = rng.uniform(0, 30, (uavs, axes)) + np.cumsum(velocity, axis=0) * dt
+    return (position[:, 1:], np.full((steps, uavs - 1), -1)) if hidden else (position, leader)
 
 
 def fly_path(grid: Grid, uavs: int = 6, delay: float = 3.0, file: bool = False) -> Flight:
-    """UAVs go to the places of their leader some seconds later, or in a file of the one before."""
+    """UAVs go to the positions of their leader some seconds later, or in a file of the one before."""
     rng, steps, dt, axes = grid
     late = delay * (np.arange(uavs) if file else np.append(0, rng.uniform(0.6, 1.4, uavs - 1)))
     way = np.cumsum(walk(grid, 1)[:, 0], axis=0) * dt
-    place = way[np.maximum(np.arange(steps)[:, None] - np.round(late / dt).astype(int), 0)]
-    place += 0.5 * np.stack([drift(grid, uavs, 10.0) for _ in range(axes)], axis=2)
+    position = way[np.maximum(np.arange(steps)[:, None] - np.round(late / dt).astype(int), 0)]
+    position += 0.5 * np.stack([drift(grid, uavs, 10.0) for _ in range(axes)], axis=2)
     leader = np.arange(uavs) - 1 if file else np.minimum(np.arange(uavs) - 1, 0)
-    return place, np.broadcast_to(leader, (steps, uavs))
+    return position, np.broadcast_to(leader, (steps, uavs))
 
 
 def set_off(grid: Grid, uavs: int = 6) -> Flight:
@@ -89,8 +89,8 @@ def set_off(grid: Grid, uavs: int = 6) -> Flight:
     begins = BEFORE + 0.5 * (steps * dt - BEFORE) * (np.arange(uavs) + rng.uniform(0.1, 0.4, uavs)) / uavs
     going = np.clip(np.arange(steps)[:, None] * dt - begins, 0, 1)
     step = SPEED * np.eye(axes)[0] + 0.05 * rng.standard_normal((steps, uavs, axes))
-    place = np.arange(uavs)[:, None] * 2.0 * np.eye(axes)[1] + np.cumsum(going[..., None] * step, axis=0) * dt
-    return place, np.broadcast_to(np.minimum(np.arange(uavs) - 1, 0), (steps, uavs))
+    position = np.arange(uavs)[:, None] * 2.0 * np.eye(axes)[1] + np.cumsum(going[..., None] * step, axis=0) * dt
+    return position, np.broadcast_to(np.minimum(np.arange(uavs) - 1, 0), (steps, uavs))
 
 
 def walk_route(grid: Grid, uavs: int = 6) -> Flight:
@@ -100,8 +100,8 @@ def walk_route(grid: Grid, uavs: int = 6) -> Flight:
     length = np.append(0, np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1)))
     speed = SPEED * rng.uniform(0.9, 1.1, uavs) * np.exp(0.15 * drift(grid, uavs, 10.0))
     gone = rng.uniform(0, 30 * SPEED, uavs) + np.cumsum(speed, axis=0) * dt
-    place = np.stack([np.interp(gone, length, axis) for axis in way.T], axis=2)
-    return place + 0.3 * rng.standard_normal((1, uavs, axes)), np.full((steps, uavs), -1)
+    position = np.stack([np.interp(gone, length, axis) for axis in way.T], axis=2)
+    return position + 0.3 * rng.standard_normal((1, uavs, axes)), np.full((steps, uavs), -1)
 
 
 def drive_ring(grid: Grid, uavs: int = 8, closed: bool = False) -> Flight:
@@ -109,44 +109,44 @@ def drive_ring(grid: Grid, uavs: int = 8, closed: bool = False) -> Flight:
     rng, steps, dt, axes = grid
     around = 20.0 * uavs * (1 if closed else 3)
     at, speed = -20.0 * np.arange(uavs) + rng.normal(0, 1, uavs), np.full(uavs, 10.0)
-    first, places = 10.0 + 4.0 * drift(grid, 1, 6.0)[:, 0], np.empty((steps, uavs))
+    first, positions = 10.0 + 4.0 * drift(grid, 1, 6.0)[:, 0], np.empty((steps, uavs))
     for t in range(steps):
-        places[t] = at
+        positions[t] = at
         gap = np.roll(at, 1) - at + around * (np.arange(uavs) == 0)
         wanted = 10.0 * (np.tanh((gap - 20.0) / 8.0) + 1.0)
         wanted[0] = wanted[0] if closed else first[t]
         speed = speed + 1.0 * (wanted - speed) * dt + 0.3 * np.sqrt(dt) * rng.standard_normal(uavs)
         at = at + np.maximum(speed, 0) * dt
-    angle, radius = 2 * np.pi * places / around, around / (2 * np.pi)
-    place = radius * np.stack([np.cos(angle), np.sin(angle), 0 * angle][:axes], axis=2)
-    return place, np.broadcast_to(np.full(uavs, -1) if closed else np.arange(uavs) - 1, (steps, uavs))
+    angle, radius = 2 * np.pi * positions / around, around / (2 * np.pi)
+    position = radius * np.stack([np.cos(angle), np.sin(angle), 0 * angle][:axes], axis=2)
+    return position, np.broadcast_to(np.full(uavs, -1) if closed else np.arange(uavs) - 1, (steps, uavs))
 
 
 def fly_flock(grid: Grid, uavs: int = 15, delay: float = 0.0, reach: float = 12.0, driven: bool = False) -> Flight:
     """A flock that aligns, at once or some time later; a driver, the last UAV, may push it from behind."""
     rng, steps, dt, axes = grid
-    place, course = rng.uniform(0, 20, (uavs, axes)), walk(grid, 1)[:, 0] / SPEED
+    position, course = rng.uniform(0, 20, (uavs, axes)), walk(grid, 1)[:, 0] / SPEED
     going = np.eye(axes)[0] + 0.5 * rng.standard_normal((uavs, axes))
-    late, flown, places = np.round(delay * rng.uniform(0.5, 1.5, uavs) / dt).astype(int), [going], []
+    late, flown, positions = np.round(delay * rng.uniform(0.5, 1.5, uavs) / dt).astype(int), [going], []
     members = uavs - driven
     for t in range(steps):
-        places.append(place)
+        positions.append(position)
         then = np.stack(flown)[-1 - np.minimum(late, len(flown) - 1)] if delay else None  # (i, j, d): what i sees of j
-        gap = place[None] - place[:, None]
+        gap = position[None] - position[:, None]
         far = np.linalg.norm(gap, axis=2) + np.eye(uavs)
         near = ((far < reach) & ~np.eye(uavs, dtype=bool))[..., None] * (np.arange(uavs) < members)[:, None]
         mean = (near * (going if then is None else then)).sum(1) / np.maximum(near.sum(1), 1)
         push = (gap / far[..., None] ** 2 * (far < 3.0)[..., None]).sum(1)
-        middle = place[:members].mean(axis=0)
-        turn = 1.5 * (mean - going) * (near.sum(1) > 0) - 1.5 * push + 0.02 * (middle - place)
+        middle = position[:members].mean(axis=0)
+        turn = 1.5 * (mean - going) * (near.sum(1) > 0) - 1.5 * push + 0.02 * (middle - position)
         if driven:
             turn -= 3.0 * gap[:, -1] / far[:, -1:] * (far[:, -1:] < 15.0)
-            turn[-1] = 2.0 * ((middle - 12.0 * course[t] - place[-1]) / 5.0 - going[-1])
+            turn[-1] = 2.0 * ((middle - 12.0 * course[t] - position[-1]) / 5.0 - going[-1])
         going = going + turn * dt + 0.4 * np.sqrt(dt) * rng.standard_normal((uavs, axes))
         going /= np.maximum(np.linalg.norm(going, axis=1, keepdims=True), 1e-6)
         flown = [*flown[-round(2 * delay / dt) :], going] if delay else flown
-        place = place + SPEED * going * dt
-    return np.stack(places), np.full((steps, uavs), -1)
+        position = position + SPEED * going * dt
+    return np.stack(positions), np.full((steps, uavs), -1)
 
 
 CHANGES: Plan = ((0.0, (-1, 0, 0, 0, 0, 0)), (0.5, (1, -1, 1, 1, 1, 1)))
@@ -181,7 +181,7 @@ SCENARIOS: dict[str, tuple[Callable[..., Flight], float, float, float]] = {
     "0 closed ring road": (partial(drive_ring, closed=True), 2, 360, 0),
 }
 CONFOUNDS = ("0 hidden driver", "0 same route")
-WORDS = ("named", "confirmed")
+STAGES = ("named", "confirmed")
 AIMS = ("led (aim .97; .05)", "a driver or a route (aim .10)", "nobody leads (aim .05)")
 
 
@@ -192,12 +192,12 @@ def read_file(scenario: str, file: int, seed: int) -> Tracks:
     every, axes = int(np.ceil(10 / hertz)), 2 + file % 2
     dt = 1 / (hertz * every)
     flown = fly((rng, round((BEFORE + seconds) / dt) + 1, dt, axes))
-    place, leader = (values[round(BEFORE / dt) :: every] for values in flown)
-    place = place + noise * rng.standard_normal(place.shape)
+    position, leader = (values[round(BEFORE / dt) :: every] for values in flown)
+    position = position + noise * rng.standard_normal(position.shape)
     samples, uavs = leader.shape
     names = np.array([f"u{k:02d}" for k in rng.permutation(uavs)] + [""])
     table = {"id": np.tile(names[:-1], samples), "t": np.repeat(np.arange(samples) / hertz, uavs)}
-    table |= {name: place[..., axis].ravel() for axis, name in enumerate("xyz"[:axes])}
+    table |= {name: position[..., axis].ravel() for axis, name in enumerate("xyz"[:axes])}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "tracks.csv"
         pd.DataFrame(table | {"leader": names[leader.ravel()]}).to_csv(path, index=False, float_format="%.5f")
@@ -206,37 +206,37 @@ def read_file(scenario: str, file: int, seed: int) -> Tracks:
 
 def play(game: Game, seed: int) -> list[dict[str, Any]]:
     """Answer a file. Heads through most of a window are due; a UAV that is at no time of it a head is wrong."""
-    even = remember(read_file, game["scenario"], game["file"], seed)
-    owner, rows = np.repeat(np.arange(len(even.ids)), np.diff(even.offsets)), []
+    tracks = cached(read_file, game["scenario"], game["file"], seed)
+    owner, rows = np.repeat(np.arange(len(tracks.ids)), np.diff(tracks.offsets)), []
 
     def score(cut: Any, answer: Any, found: Any) -> None:
         following = np.full(cut.window.uavs, -1) if cut.leader is None else cut.leader
-        inside = (even.time >= cut.start) & (even.time < cut.end)
-        whom, who = even.leader[inside] if even.leader is not None else owner[:0], owner[inside]
+        inside = (tracks.time >= cut.start) & (tracks.time < cut.end)
+        whom, who = tracks.leader[inside] if tracks.leader is not None else owner[:0], owner[inside]
         ever = np.isin(cut.rows, whom) & np.isin(cut.rows, who[: len(whom)][whom < 0])
         roots = find_roots(following)
         due = np.isin(np.arange(len(roots)), roots[roots != np.arange(len(roots))])
         sure = np.isin(np.arange(len(roots)), [cut.ids.index(one.id) for one in found.leaders])
         row = {"step": cut.step, "window": len(rows), "due": due.sum()}
-        for word, chosen in zip(WORDS, (answer.candidates, sure), strict=True):
-            row |= {f"{word}_right": (chosen & due).sum(), f"{word}_wrong": (chosen & ~ever).sum()}
+        for stage, chosen in zip(STAGES, (answer.candidates, sure), strict=True):
+            row |= {f"{stage}_right": (chosen & due).sum(), f"{stage}_wrong": (chosen & ~ever).sum()}
         rows.append(game | row)
 
-    find_leaders(even, game["detector"], length=min(LENGTH, round(even.duration / even.step)), on_window=score)
+    find_leaders(tracks, game["detector"], length=min(LENGTH, round(tracks.duration / tracks.step)), on_window=score)
     return rows
 
 
-def say_found(word: str, part: pd.DataFrame) -> str:
+def format_found(stage: str, part: pd.DataFrame) -> str:
     """The share of the due leaders that is found, and the share of windows with a false one."""
-    right, due, false = part[f"{word}_right"].sum(), part.due.sum(), (part[f"{word}_wrong"] > 0).mean()
+    right, due, false = part[f"{stage}_right"].sum(), part.due.sum(), (part[f"{stage}_wrong"] > 0).mean()
     return "–" if not len(part) else f"{right / due:.3f} of {due}; {false:.3f}" if due else f"{false:.3f}"
 
 
 def report(rows: pd.DataFrame) -> str:
     """Each scenario: due leaders found, and windows with a false one, named and confirmed; then the totals."""
     columns = {}
-    for word in WORDS:
-        columns |= across("detector", rows.detector.unique(), partial(say_found, word), f"{{}} {word}")
+    for stage in STAGES:
+        columns |= across("detector", rows.detector.unique(), partial(format_found, stage), f"{{}} {stage}")
     return f"{pivot(rows, {'scenario': 'scenario'}, columns)}\n\n{summarise(rows)}"
 
 
@@ -244,20 +244,20 @@ def summarise(rows: pd.DataFrame) -> str:
     """Each detector: the totals of the scenarios with a leader, with a driver or a route, and without."""
     kind = np.select([rows.scenario.isin(CONFOUNDS), rows.scenario.str.startswith("0")], AIMS[1:], AIMS[0])
     totals = {}
-    for word in WORDS:
-        totals |= across("kind", AIMS, partial(say_found, word), f"{word}, {{}}")
+    for stage in STAGES:
+        totals |= across("kind", AIMS, partial(format_found, stage), f"{stage}, {{}}")
     return pivot(rows.assign(kind=kind), {"detector": "detector"}, totals)
 
 
 def main(argv: list[str] | None = None) -> None:
-    parser = parse(__doc__, Path("out/scenarios.csv"))
+    parser = make_parser(__doc__, Path("out/scenarios.csv"))
     parser.add_argument("--files", type=int, default=10, help="of each scenario")
     parser.add_argument("--detector", nargs="+", default=["reader(policy='map')"])
     parser.add_argument("--scenario", nargs="+", choices=list(SCENARIOS), default=list(SCENARIOS))
-    given = parser.parse_args(argv)
-    keys = product(given.scenario, range(given.files), given.detector)
+    options = parser.parse_args(argv)
+    keys = product(options.scenario, range(options.files), options.detector)
     games = [{"scenario": scenario, "file": file, "detector": name} for scenario, file, name in keys]
-    print(report(measure(given, games, partial(play, seed=given.seed))))
+    print(report(run_missing(options, games, partial(play, seed=options.seed))))
 
 
 if __name__ == "__main__":

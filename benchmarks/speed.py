@@ -23,7 +23,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from paper.shared import FOLLOW, RESULTS, ROOT, parse
+from paper.shared import FOLLOW, RESULTS, ROOT, make_parser
 
 import usnet_env  # noqa: F401  registers the environments
 from usnet_env import Window, make_detector
@@ -37,7 +37,6 @@ GAME = "USNET/MultiCluster-v0"
 EPISODES, UAVS = 256, 82
 GAMES = 64  # in a batch
 BATCHES = ("SingleCluster-Tiny-v0", "SingleCluster-Small-v0", "MultiCluster-v0", "MultiCluster-Small-v0", "Field-v1")
-FIELD = "USNET/Field-v1"
 SEVERAL = ("usnet_observers_v0", "usnet_evasion_v0")
 FEW: dict[str, Any] = {"clusters": 3, "uavs": 12, "observation_steps": 20}
 SIZES = [100, 300, 1000, 3000, 10_000]
@@ -153,11 +152,11 @@ def play_one(name: str) -> tuple[int, Callable[[], object]]:
     return 10, play
 
 
-def play_batch(name: str, named: bool = False) -> tuple[int, Callable[[], object]]:
-    """A function that plays a round of a batch of games and names no UAV, or all of them, and the number of games."""
+def play_batch(name: str) -> tuple[int, Callable[[], object]]:
+    """The number of games of a batch, and a function that plays a round of them and names no UAV."""
     envs = gym.make_vec(name, GAMES, autoreset_mode="SameStep")
     envs.reset(seed=0)
-    actions = np.full(envs.action_space.shape, int(named), np.int8)
+    actions = np.zeros(envs.action_space.shape, np.int8)
     return GAMES, lambda: envs.step(actions)
 
 
@@ -166,17 +165,8 @@ def batch(name: str, turns: int) -> dict[str, object]:
     return race(f"a batch of {GAMES} games over a single one", turns, play_batch(name), play_one(name))
 
 
-def field_games(turns: int) -> dict[str, object]:
-    """Windows of the field against those of another game, and games that end at once against windows."""
-    field = play_batch(FIELD)
-    return {
-        "Field-v1, windows": race(f"over those of {GAME}, {GAMES} games each", turns, field, play_batch(GAME)),
-        "Field-v1, all named": race("games of one round over windows", turns, play_batch(FIELD, named=True), field),
-    }
-
-
-def several_agents(name: str, turns: int, chosen: bool = False) -> dict[str, object]:
-    """A batch of small games of several agents against a single one; all do nothing, or heads choose at random."""
+def several_agents(name: str, turns: int) -> dict[str, object]:
+    """A batch of small games of several agents against a single one; observers do nothing, heads choose at random."""
     module, count, rng = importlib.import_module(f"usnet_env.multiagent.{name}"), 4 * GAMES, np.random.default_rng(0)
     games, env = module.batch_env(count, **FEW), module.parallel_env(**FEW)
     for each in (games, env):
@@ -184,7 +174,7 @@ def several_agents(name: str, turns: int, chosen: bool = False) -> dict[str, obj
 
     def act(role: str) -> np.ndarray:
         space, shape = games.action_spaces[role], (count, games.roles[role])
-        sizes = space.nvec if chosen and role == "head" else np.ones(space.shape, int)
+        sizes = space.nvec if role == "head" else np.ones(space.shape, int)
         return rng.integers(0, sizes, (*shape, *space.shape))
 
     plans = [{role: act(role) for role in games.roles} for _ in range(10)]
@@ -203,16 +193,9 @@ def several_agents(name: str, turns: int, chosen: bool = False) -> dict[str, obj
                 env.reset()
 
     agents = len(env.possible_agents)
-    what = f"a batch of {count} games over a single one, N = {FEW['uavs']}" + ", heads choose at random" * chosen
+    choices = ", heads choose at random" * ("head" in games.roles)
+    what = f"a batch of {count} games over a single one, N = {FEW['uavs']}{choices}"
     return race(what, turns, (agents * count, play_all), (agents * len(plans), play_alone))
-
-
-def starting(turns: int) -> dict[str, object]:
-    """Starts of games of P1 in a batch against one after another."""
-    config = SwarmConfig(clusters=1, uavs=8, observation_steps=20)
-    rngs = [np.random.default_rng(seed) for seed in range(GAMES)]
-    together, alone = (lambda: start(config, rngs)), (lambda: [start(config, [rng]) for rng in rngs[:10]])
-    return race(f"starts of {GAMES} games together over one after another", turns, (GAMES, together), (10, alone))
 
 
 def sb3(turns: int) -> dict[str, object]:
@@ -255,11 +238,8 @@ PARTS: dict[str, Callable[[int], dict[str, object]]] = {
     },
     "scaling": lambda turns: {follow: scaling(follow, turns) for follow in ("pigeons", "vicsek", "couzin")},
     "batches": lambda turns: (
-        {"start of P1": starting(turns)}
-        | {name: batch(f"USNET/{name}", turns) for name in BATCHES}
-        | field_games(turns)
+        {name: batch(f"USNET/{name}", turns) for name in BATCHES}
         | {name: several_agents(name, turns) for name in SEVERAL}
-        | {f"{SEVERAL[1]}, choices": several_agents(SEVERAL[1], turns, chosen=True)}
         | {"Stable-Baselines3": sb3(turns), "TorchRL": torchrl(turns)}
     ),
     "memory": memory,
@@ -268,16 +248,16 @@ PARTS: dict[str, Callable[[int], dict[str, object]]] = {
 
 
 def main(argv: list[str] | None = None) -> None:
-    parser = parse(__doc__)
+    parser = make_parser(__doc__)
     parser.add_argument("--turns", type=int, default=15)
     parser.add_argument("--out", type=Path, default=RESULTS / "speed.json")
     parser.add_argument("--parts", nargs="+", choices=list(PARTS), default=list(PARTS))
-    given = parser.parse_args(argv)
-    result = json.loads(given.out.read_text(encoding="utf-8")) if given.out.exists() else {}
-    result |= {"machine": machine(), "versions": versions(("torch",)), "turns": given.turns}
-    for part in given.parts:
-        result[part] = PARTS[part](given.turns)
-        write_text(given.out, json.dumps(result, indent=1) + "\n")
+    options = parser.parse_args(argv)
+    result = json.loads(options.out.read_text(encoding="utf-8")) if options.out.exists() else {}
+    result |= {"machine": machine(), "versions": versions(("torch",)), "turns": options.turns}
+    for part in options.parts:
+        result[part] = PARTS[part](options.turns)
+        write_text(options.out, json.dumps(result, indent=1) + "\n")
         print(json.dumps({part: result[part]}, indent=1), flush=True)
 
 

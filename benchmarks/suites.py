@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from paper.shared import RESULTS, ROOT, parse, read_rows, write_rows
+from paper.shared import RESULTS, ROOT, make_parser, read_rows, write_rows
 
 from usnet_env.evaluation import EvaluationResult, Suite, evaluate_suite, list_suites, load_suite
 from usnet_env.evaluation.published import published_seed
@@ -101,7 +101,7 @@ def draw_seed(path: Path, weights: Path) -> int:
 
 
 def main(argv: list[str] | None = None) -> None:
-    parser = parse(__doc__)
+    parser = make_parser(__doc__)
     parser.add_argument("suite", choices=list(list_suites()))
     parser.add_argument("--detector", action="append", help="may repeat; by default all that the tables show")
     parser.add_argument("--episodes", type=int, help="by default those of the suite, fewer of slow detectors")
@@ -114,19 +114,19 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("--print-seed", action="store_true", help="print the seed of the committed rows, play nothing")
     parser.add_argument("--draw", action="store_true", help="draw the seed of a suite with weights, play nothing")
     parser.set_defaults(seed=None)  # that of the committed rows
-    given = parser.parse_args(argv)
-    suite = load_suite(given.suite)
-    path = given.results / f"{suite.name}-v{suite.version}.csv.gz"
-    if given.draw:
+    options = parser.parse_args(argv)
+    suite = load_suite(options.suite)
+    path = options.results / f"{suite.name}-v{suite.version}.csv.gz"
+    if options.draw:
         print(draw_seed(ROOT / f"usnet_env/evaluation/suites/{suite.name}.yaml", WEIGHTS))
-    elif given.print_seed:
+    elif options.print_seed:
         print(published_seed(suite))
-    elif given.add:
-        pack(suite, [EvaluationResult.load(folder).rows for folder in given.add], path)
+    elif options.add:
+        pack(suite, [EvaluationResult.load(folder).rows for folder in options.add], path)
     else:
-        names = given.detector or list(DETECTORS)
-        how = {"seed": given.seed or published_seed(suite), "workers": given.workers}
-        pack(suite, play(suite, names, given.episodes, given.out / suite.name, **how), path)
+        names = options.detector or list(DETECTORS)
+        how = {"seed": options.seed or published_seed(suite), "workers": options.workers}
+        pack(suite, play(suite, names, options.episodes, options.out / suite.name, **how), path)
 
 
 if __name__ == "__main__":

@@ -13,13 +13,12 @@ import json
 import re
 import sys
 from collections.abc import Callable
-from functools import cache, partial
+from functools import cache
 from operator import attrgetter
 from pathlib import Path
 
 import evasion
 import leaks
-import learning
 import numpy as np
 import pandas as pd
 import paper_tables
@@ -27,9 +26,8 @@ import peers
 import probing
 import reader
 import scenarios
-import small_field
-from paper.shared import RESULTS, ROOT, parse, read_rows
-from pivot import Say, across, markdown, mean, median, pivot, rate, size
+from paper.shared import RESULTS, ROOT, make_parser, read_rows
+from pivot import CellFormatter, across, markdown, mean, median, pivot, rate, size
 
 from usnet_env.evaluation import list_suites
 from usnet_env.files import write_text
@@ -42,7 +40,6 @@ PAGES = (
     "README.md",
     "docs/suites.md",
     "docs/environments.md",
-    "docs/frameworks.md",
     "docs/leaderboard.md",
     "docs/reader.md",
     "docs/probing.md",
@@ -64,8 +61,6 @@ OF_LAWS = ("reader(policy='map')", "reader", "lagged-network", "track-outlier", 
 #: The lines of README.md's table; the page of the suites has every detector.
 SHORT_LIST = ["reader(policy='map')", "reader", "lagged-network", "lagged-regression"]
 SHORT_LIST += ["reader(weights='untrained')", "track-outlier", "destroy-all", "random", "none"]
-
-
 #: What a detector is, for the leaderboard; the others are baselines.
 ABOUT = {"reader": "learned", "gassl": "the paper", "mc-gassl": "the paper"}
 ABOUT |= dict.fromkeys(("central-most", "track-outlier"), "blind")
@@ -100,7 +95,7 @@ def suite_block(name: str) -> str:
     if not suite_file(name).exists():
         return "This version has no rows yet."
     rows, suite, group = read_suite(name), list_suites()[name], _group(name)
-    columns: dict[str, Say] = {"n": size, "exact": rate("exact", group=group)}
+    columns: dict[str, CellFormatter] = {"n": size, "exact": rate("exact", group=group)}
     columns |= {"F1 in round 1": mean("f1_first", group=group), "J": mean("J", group=group)}
     parts = [pivot(rows, DETECTOR, {**columns, "seconds": median("seconds_per_round")})]
     counts = rows.groupby("detector", sort=False).episode.max() + 1
@@ -113,20 +108,12 @@ def suite_block(name: str) -> str:
         return "\n\n".join([*parts, *_compare_laws(rows)])
     percent = across("detector", counts.index[:BEST], lambda part: f"{100 * part.exact.mean():.0f}", "`{}`")
     title = f"Exact in percent, cell by cell, of the first {BEST} lines"
-    oracle = read_rows(RESULTS / "suites/ceilings.csv.gz")
-    oracle = oracle[oracle.suite == name].groupby("cell").exact.agg(["mean", "size"])
-    if len(oracle):
-        title += (
-            ". The oracle knows the law and its constants, but no head, and nothing of how heads fly, so a detector "
-            f"can beat it (n = {oracle['size'].min()}; –: not computed, as with noise)"
-        )
-        percent = {"oracle": partial(_say_possible, oracle["mean"]), **percent}
-    return "\n\n".join([*parts, f"{title}:", pivot(rows, {"cell": "cell"}, percent | leaks.say_controls(name))])
+    return "\n\n".join([*parts, f"{title}:", pivot(rows, {"cell": "cell"}, percent | leaks.format_controls(name))])
 
 
 def _compare_laws(rows: pd.DataFrame) -> list[str]:
     """A table of how followers answer, one of how they hear their head, and one of how the answer is bent."""
-    columns: dict[str, Say] = {"laws": lambda part: str(part["cell"].nunique())}
+    columns: dict[str, CellFormatter] = {"laws": lambda part: str(part["cell"].nunique())}
     columns |= across("detector", OF_LAWS, rate("exact", group="cell"), "`{}`")
     kinds = {"the answer": "answers", "the head is heard": "hears", "the answer is bent": "bends"}
     laws = rows["cell"].map({**OPEN_LAWS, **SECOND_LAWS})
@@ -134,19 +121,13 @@ def _compare_laws(rows: pd.DataFrame) -> list[str]:
     return [pivot(rows, {title: kind}, columns) for title, kind in kinds.items()]
 
 
-def _say_possible(oracle: pd.Series, rows: pd.DataFrame) -> str:
-    """The share of swarms that the oracle of the rows' cell reads exactly."""
-    cell = rows["cell"].iloc[0]
-    return f"{100 * oracle[cell]:.0f}" if cell in oracle.index else "–"
-
-
 def scale_block() -> str:
     """A line for each detector, and what it does in each cell of the suite ``scale``; a line for each cell."""
 
-    def say(rows: pd.DataFrame) -> str:
+    def format_cell(rows: pd.DataFrame) -> str:
         return f"{median('f1_first', '.2f')(rows)}; {median('seconds_per_round')(rows)} s".replace("–; – s", "–")
 
-    lines = pivot(read_suite("scale"), DETECTOR, across("cell", list_suites()["scale"].cells, say))
+    lines = pivot(read_suite("scale"), DETECTOR, across("cell", list_suites()["scale"].cells, format_cell))
     return f"{lines}\n\n{pivot(leaks.read_controls('scale'), {'cell': 'cell'}, leaks.CONTROLS)}"
 
 
@@ -163,7 +144,7 @@ def readme_block() -> str:
     rows = rows[rows.detector.isin(SHORT_LIST)]
     rows = rows.sort_values("detector", key=lambda labels: labels.map(SHORT_LIST.index), kind="stable")
 
-    def say(part: pd.DataFrame) -> str:
+    def format_cell(part: pd.DataFrame) -> str:
         return f"{100 * part.exact.mean():.1f}; {part.J.mean():.2f}"
 
     return "\n\n".join(
@@ -174,7 +155,7 @@ def readme_block() -> str:
             "*Exact*: round 1 names all heads and no other UAV. J_m: the number of rounds, plus the redundant "
             "candidates divided by N; lower is better, 1 is best. A name without arguments means the default settings. "
             "[All detectors and cells, with 95 % intervals](docs/results/suites.md).",
-            pivot(rows, DETECTOR, across("suite", suites, say, "`{}`: % exact; J_m")),
+            pivot(rows, DETECTOR, across("suite", suites, format_cell, "`{}`: % exact; J_m")),
             "GASSL plays P1, MC-GASSL plays P2; iid heads, f1 to f7, means of cells, seed 2022, n after the semicolon. "
             "A *decoy* flies like a head, and no UAV follows it. The paper's J_m follows from the rounds and redundant "
             "candidates that its text reports.",
@@ -190,7 +171,7 @@ def ladder_block() -> str:
     names = ("none", "random", "destroy-all", "central-most", "track-outlier", "reader(weights='untrained')")
     names += ("reader(policy='map')",)
     columns = across("detector", names, mean("J"), "`{}`: J") | across("detector", names[-1:], rate("exact"), "exact")
-    columns = {"n": lambda part: str(part.episode.nunique()), **columns, **leaks.say_controls("ladder")}
+    columns = {"n": lambda part: str(part.episode.nunique()), **columns, **leaks.format_controls("ladder")}
     return pivot(rows, {"game": "cell"}, columns)
 
 
@@ -204,13 +185,13 @@ def leaderboard_block() -> str:
     rows["what"] = [ABOUT.get(label.partition("(")[0], "baseline") for label in rows.detector]
     most = rows.groupby(["suite", "detector"]).size().groupby("suite").max()
 
-    def say(part: pd.DataFrame) -> str:
+    def format_cell(part: pd.DataFrame) -> str:
         if not len(part):
             return "–"
         n = f"; {len(part)}" if len(part) < most[part.suite.iloc[0]] else ""
         return f"{100 * part.exact.mean():.1f}{n}"
 
-    return pivot(rows, {"detector": "detector", "what it is": "what"}, across("suite", suites, say, "`{}`"))
+    return pivot(rows, {"detector": "detector", "what it is": "what"}, across("suite", suites, format_cell, "`{}`"))
 
 
 def tracks_block() -> str:
@@ -221,13 +202,13 @@ def tracks_block() -> str:
         "cars": "Cars: platoons of five, each after the next",
     }
 
-    def by_recording(metric: str) -> Say:
+    def by_recording(metric: str) -> CellFormatter:
         return lambda part: mean(metric, group="recording")(part.groupby("recording", as_index=False)[metric].mean())
 
-    def right(heads: str, named: str) -> Say:
+    def right(heads: str, named: str) -> CellFormatter:
         return lambda part: f"{part[heads].sum() / part[named].sum():.0%}" if part[named].sum() else "–"
 
-    columns: dict[str, Say] = {
+    columns: dict[str, CellFormatter] = {
         "windows; recordings": lambda part: f"{len(part)}; {part.recording.nunique()}",
         "leader has the highest score": by_recording("group_leader"),
         "named": by_recording("named"),
@@ -250,33 +231,35 @@ def compare_block() -> str:
 
 def speed_block() -> str:
     """Rates and ratios of the parts that speed.py has measured."""
-    found = json.loads((RESULTS / "speed.json").read_text(encoding="utf-8"))
+    parts, ratio = json.loads((RESULTS / "speed.json").read_text(encoding="utf-8")), "median (range of the turns)"
     flights = [
-        [name, str(len(row["ratios"])), f"{row['uav_steps_per_second'] / 1e6:.1f}", _spread(row["ratios"])]
+        [name, str(len(row["ratios"])), f"{row['uav_steps_per_second'] / 1e6:.1f}", format_range(row["ratios"])]
         for part in ("stepping", "field", "kinematics")
-        for name, row in found[part].items()
+        for name, row in parts[part].items()
     ]
-    parts = [markdown(("flight", "turns", "million UAV steps a second", "stepping over drawing normals"), flights)]
     games = [
-        [name, f"{row['decisions_per_second']:,.0f}", row["what"], _spread(row["ratios"])]
-        for name, row in found.get("batches", {}).items()
+        [name, f"{row['decisions_per_second']:,.0f}", row["what"], format_range(row["ratios"])]
+        for name, row in parts["batches"].items()
     ]
-    parts += [markdown(("games", "decisions a second", "ratio", "median (range of the turns)"), games)] if games else []
-    sizes = next(iter(found["scaling"].values()))["uavs"]
-    grown = [
-        [name, *(f"{1e9 * each:.0f}" for each in row["seconds_per_uav_step"])] for name, row in found["scaling"].items()
+    steps = [
+        [name, *(f"{1e9 * each:.0f}" for each in row["seconds_per_uav_step"])] for name, row in parts["scaling"].items()
     ]
-    parts.append(markdown(("ns of a UAV step", *(f"N = {uavs:,}" for uavs in sizes)), grown))
-    lines = [[f"`{name}`", row["what"], _spread(row["ratios"])] for name, row in found["detectors"].items()]
-    parts.append(markdown(("detector", "ratio", "median (range of the turns)"), lines))
-    return "\n\n".join([*parts, f"1,000 swarms of 82 UAVs take {found['memory']['bytes'] / 2**30:.2f} GiB."])
+    detectors = [[f"`{name}`", row["what"], format_range(row["ratios"])] for name, row in parts["detectors"].items()]
+    uavs = next(iter(parts["scaling"].values()))["uavs"]
+    return "\n\n".join(
+        [
+            markdown(("flight", "turns", "million UAV steps a second", "stepping over drawing normals"), flights),
+            markdown(("games", "decisions a second", "ratio", ratio), games),
+            markdown(("ns of a UAV step", *(f"N = {count:,}" for count in uavs)), steps),
+            markdown(("detector", "ratio", ratio), detectors),
+            f"1,000 swarms of 82 UAVs take {parts['memory']['bytes'] / 2**30:.2f} GiB.",
+        ]
+    )
 
 
-def _spread(ratios: list[float]) -> str:
+def format_range(ratios: list[float]) -> str:
+    """The median of the turns, and their range."""
     return f"{np.median(ratios):.3g} ({min(ratios):.3g}–{max(ratios):.3g})"
-
-
-READER_STUDIES = ("calibration", "families", "scaling", "ablation")
 
 
 def _report(name: str, report: Callable[[pd.DataFrame], str]) -> Callable[[], str]:
@@ -290,20 +273,15 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "ladder": ladder_block,
     "scenarios": _report("scenarios", scenarios.report),
     "scenarios-compared": compare_block,
-    **{name: _report(name, lambda rows, name=name: reader.report(rows, name)) for name in READER_STUDIES},
+    **{name: _report(name, lambda rows, name=name: reader.report(rows, name)) for name in reader.STUDIES},
     "peers": _report("peers", peers.report),
-    **{
-        one.ROWS.name.partition(".")[0]: lambda one=one: one.report(read_rows(one.ROWS))
-        for one in (probing, evasion, small_field)
-    },
-    "ppo": lambda: learning.report(read_rows(learning.ROWS)),
+    **{one.ROWS.name.partition(".")[0]: lambda one=one: one.report(read_rows(one.ROWS)) for one in (probing, evasion)},
     "leaks": lambda: leaks.report(read_rows(leaks.ROWS)),
     "leaderboard": leaderboard_block,
     "table2": paper_tables.table2_block,
     "learning": paper_tables.learning_block,
     "rounds": paper_tables.rounds_block,
     "purity": paper_tables.purity_block,
-    "losses": paper_tables.losses_block,
     "tracks": tracks_block,
     "speed": speed_block,
 }
@@ -315,7 +293,7 @@ def fill(text: str) -> str:
 
 
 def main(argv: list[str] | None = None, root: Path = ROOT) -> int:
-    parser = parse(__doc__)
+    parser = make_parser(__doc__)
     parser.add_argument("--check", action="store_true", help="write nothing; exit with 1 if a table differs")
     check, differ = parser.parse_args(argv).check, False
     for name in PAGES:

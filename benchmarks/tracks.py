@@ -10,14 +10,14 @@ one detector's answer to one window, compared with the leaders of the file.
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from time import process_time
 from typing import Any
 from zlib import crc32
 
 import numpy as np
-import pandas as pd
-from paper.shared import RESULTS, parse, write_rows
+from paper.shared import RESULTS, Game, cached, make_parser, run_missing
 
 from usnet_env import make_detector
 from usnet_env.objectives import find_roots, group_leader_accuracy
@@ -34,11 +34,11 @@ DETECTORS = (
 )  # fmt: skip
 
 
-def score(even: Tracks, cut: Any, name: str, seed: int) -> dict[str, Any]:
+def score(tracks: Tracks, cut: Any, name: str, seed: int) -> dict[str, Any]:
     """Answer one window, and compare the answer with the file's leaders."""
     detector, window = make_detector(name), cut.window
     start = process_time()
-    answer, finest = answer_window(detector, even, cut, seed)
+    answer, finest = answer_window(detector, tracks, cut, seed)
     seconds = process_time() - start
     everyone = np.arange(window.uavs)
     roots = find_roots(cut.leader)
@@ -59,30 +59,35 @@ def score(even: Tracks, cut: Any, name: str, seed: int) -> dict[str, Any]:
     }
 
 
-def play(path: Path, given: float | None, detectors: list[str]) -> list[dict[str, Any]]:
-    """All rows of one recording with one step; ``None``: the step that is chosen from the file."""
-    even = read_tracks(path).resample(given)
-    cuts, rows = [cut for cut in even.windows(LENGTH) if cut.window.velocity.any()], []
+def play(game: Game, folder: Path) -> list[dict[str, Any]]:
+    """All rows of a detector in one recording with one step, chosen from the file or :data:`STEP`."""
+    step = None if game["chosen"] else STEP
+    tracks = cached(read_resampled, folder / game["set"] / f"{game['recording']}.csv", step)
+    cuts = [cut for cut in tracks.windows(LENGTH) if cut.window.velocity.any()]
+    rows = []
     for k in np.unique(np.linspace(0, len(cuts) - 1, min(MOST, len(cuts))).astype(int)) if cuts else ():
-        about = {"set": path.parent.name, "recording": path.stem, "chosen": int(given is None)}
-        about |= {"step": even.step, "window": int(k)}
-        seed = crc32(f"{path.stem} {given} {k}".encode())
-        rows += [{**about, "detector": detector_label(name), **score(even, cuts[k], name, seed)} for name in detectors]
+        seed = crc32(f"{game['recording']} {step} {k}".encode())
+        rows.append({**game, "step": tracks.step, "window": int(k), **score(tracks, cuts[k], game["detector"], seed)})
     return rows
 
 
+def read_resampled(path: Path, step: float | None) -> Tracks:
+    """A recording with equal steps."""
+    return read_tracks(path).resample(step)
+
+
 def main(argv: list[str] | None = None) -> None:
-    parser = parse(__doc__)
+    parser = make_parser(__doc__, RESULTS / "tracks.csv.gz")
     parser.add_argument("folder", type=Path, help="holds a folder of CSV files for each set")
-    parser.add_argument("--rows", type=Path, default=RESULTS / "tracks.csv.gz")
-    parser.add_argument("--detector", action="append", help="may repeat; by default all of the table")
-    given = parser.parse_args(argv)
-    rows = []
-    for path in sorted(given.folder.glob("*/*.csv")):
-        for step in (None, STEP):
-            rows += play(path, step, given.detector or list(DETECTORS))
-        print(path, f"{len(rows)} rows", flush=True)
-    write_rows(given.rows, pd.DataFrame(rows).round(4))
+    parser.add_argument("--detector", nargs="+", default=list(DETECTORS))
+    options = parser.parse_args(argv)
+    games = [
+        {"set": path.parent.name, "recording": path.stem, "chosen": chosen, "detector": detector_label(name)}
+        for path in sorted(options.folder.glob("*/*.csv"))
+        for chosen in (1, 0)
+        for name in options.detector
+    ]
+    run_missing(options, games, partial(play, folder=options.folder))
 
 
 if __name__ == "__main__":

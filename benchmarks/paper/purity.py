@@ -78,16 +78,16 @@ def play(game: Game, seed: int) -> list[dict[str, Any]]:
 
 def draw(rows: pd.DataFrame, folder: Path) -> None:
     """Draw the paper's picture: purity of its four algorithms for each follow strategy, M given."""
-    rows, looks = rows[rows["count"] == "given"], {}
+    rows, styles = rows[rows["count"] == "given"], {}
     named = {(clusterer, features): label for clusterer, features, label, _ in PICTURED}
     rows = rows.assign(detector=[named.get(key, "") for key in zip(rows.clusterer, rows.features, strict=True)])
     for number, (_, features, label, marker) in enumerate(PICTURED):
         color = shared.COLORS[number // 2] if marker != "*" else shared.COLORS[-1]
         fill = "white" if features == "raw" else color
-        looks[label] = {"marker": marker, "mfc": fill, "ms": 11 if marker == "*" else 6, "color": color}
+        styles[label] = {"marker": marker, "mfc": fill, "ms": 11 if marker == "*" else 6, "color": color}
     figure, ((axes,),) = shared.panels(11, 5.4)
     shared.draw_intervals(
-        axes, pd.concat([rows, rows.assign(follow="all")]), "follow", [*FOLLOW, "all"], "purity", looks
+        axes, pd.concat([rows, rows.assign(follow="all")]), "follow", [*FOLLOW, "all"], "purity", styles
     )
     axes.set(xlabel="follow strategy", ylabel="purity", xlim=(-0.5, len(FOLLOW) + 0.5), ylim=(0, 1.03))
     count = shared.describe_counts(rows, ["clusterer", "features", "follow"])
@@ -99,20 +99,22 @@ def draw(rows: pd.DataFrame, folder: Path) -> None:
 
 
 def main(argv: list[str] | None = None) -> None:
-    parser = shared.parse(__doc__, shared.RESULTS / "paper" / "purity.csv.gz")
+    parser = shared.make_parser(__doc__, shared.RESULTS / "paper" / "purity.csv.gz")
     parser.add_argument("--clusterer", nargs="+", choices=list(CLUSTERERS), default=list(CLUSTERERS))
     parser.add_argument("--features", nargs="+", choices=FEATURES, default=list(FEATURES))
     parser.add_argument("--count", nargs="+", choices=["given", "estimated"], default=["given", "estimated"])
     parser.add_argument("--follow", nargs="+", default=list(FOLLOW))
     parser.add_argument("--episodes", type=int, default=30)
-    given = parser.parse_args(argv)
+    options = parser.parse_args(argv)
     games: list[Game] = [
         {"clusterer": clusterer, "features": features, "count": "given" if count == "given" else CLUSTERERS[clusterer]}
         | {"follow": follow, "clusters": 5, "uavs": 82, "mobility": "iid", "head_jitter": False, "episode": episode}
-        for follow, clusterer, features, count in product(given.follow, given.clusterer, given.features, given.count)
-        for episode in range(given.episodes)
+        for follow, clusterer, features, count in product(
+            options.follow, options.clusterer, options.features, options.count
+        )
+        for episode in range(options.episodes)
     ]
-    draw(shared.measure(given, games, partial(play, seed=given.seed)), given.images)
+    draw(shared.run_missing(options, games, partial(play, seed=options.seed)), options.images)
 
 
 if __name__ == "__main__":

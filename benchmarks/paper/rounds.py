@@ -55,8 +55,8 @@ def draw(rows: pd.DataFrame, folder: Path) -> None:
     words = pd.read_csv(WORDS, index_col="study")
     figure, grid = shared.panels(15, 3.6 * len(shared.STUDIES) + 0.8, len(shared.STUDIES), len(PANELS))
     names = sorted(set(rows.detector), key=lambda name: (name in TRIVIAL, name))
-    looks = shared.make_looks(names, 5)
-    looks |= {name: {**looks[name], "color": "#777777"} for name in names if name in TRIVIAL}
+    styles = shared.make_styles(names, 5)
+    styles |= {name: {**styles[name], "color": "#777777"} for name in names if name in TRIVIAL}
     for line, (study, swarms) in zip(grid, shared.STUDIES.items(), strict=True):
         chosen, x = rows[rows[list(swarms)].isin(swarms).all(axis=1)], study if study in swarms else "follow"
         sizes = np.broadcast_to(swarms["uavs"], len(swarms[x]))
@@ -64,7 +64,7 @@ def draw(rows: pd.DataFrame, folder: Path) -> None:
             bounds = scale * np.array([said(metric, words.loc[study], uavs) for uavs in sizes])
             edges = np.repeat(np.arange(len(bounds)), 2) + np.tile([-0.5, 0.5], len(bounds))
             axes.fill_between(edges, *np.repeat(bounds, 2, axis=0).T, color="#cccccc", label="the paper, in words")
-            shared.draw_intervals(axes, chosen, x, swarms[x], metric, looks, scale)
+            shared.draw_intervals(axes, chosen, x, swarms[x], metric, styles, scale)
             axes.set_ylabel(label)
             if metric == "redundancy":
                 axes.set_yscale("symlog", linthresh=1)
@@ -81,22 +81,22 @@ def draw(rows: pd.DataFrame, folder: Path) -> None:
 
 
 def main(argv: list[str] | None = None) -> None:
-    parser = shared.parse(__doc__, shared.RESULTS / "paper" / "rounds.csv.gz")
+    parser = shared.make_parser(__doc__, shared.RESULTS / "paper" / "rounds.csv.gz")
     parser.add_argument("--study", action="append", choices=list(shared.STUDIES), help="may repeat; by default all")
     parser.add_argument("--detector", action="append", help="may repeat; by default mc-gassl and baselines")
     parser.add_argument("--episodes", type=int, default=10)
-    given = parser.parse_args(argv)
+    options = parser.parse_args(argv)
     swarms = dict.fromkeys(
-        swarm for study in given.study or shared.STUDIES for swarm in product(*shared.STUDIES[study].values())
+        swarm for study in options.study or shared.STUDIES for swarm in product(*shared.STUDIES[study].values())
     )
     games: list[Game] = [
         {"detector": detector, "follow": follow, "clusters": clusters, "uavs": uavs}
         | {"mobility": "iid", "head_jitter": False, "episode": episode}
-        for detector in given.detector or (*DETECTORS, *TRIVIAL)
+        for detector in options.detector or (*DETECTORS, *TRIVIAL)
         for follow, clusters, uavs in swarms
-        for episode in range(given.episodes)
+        for episode in range(options.episodes)
     ]
-    draw(shared.measure(given, games, partial(play, seed=given.seed)), given.images)
+    draw(shared.run_missing(options, games, partial(play, seed=options.seed)), options.images)
 
 
 if __name__ == "__main__":

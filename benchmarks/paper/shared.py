@@ -51,20 +51,20 @@ Game = dict[str, Any]
 Play = Callable[[Game], list[dict[str, Any]]]
 
 
-def parse(words: str | None, rows: Path | None = None) -> argparse.ArgumentParser:
+def make_parser(description: str | None, rows: Path | None = None) -> argparse.ArgumentParser:
     """A command line with the options of all programs; ``rows`` is the file of a program that measures."""
-    parser = argparse.ArgumentParser(description=words, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--images", type=Path, default=IMAGES, help="folder of the picture")
     parser.add_argument("--seed", type=int, default=SEED)
     if rows is not None:
         parser.add_argument("--rows", type=Path, default=rows, help="file of the rows; those that it holds are kept")
         parser.add_argument("--workers", type=int, default=1, help="number of processes")
-        parser.add_argument("--draw", action="store_true", help="measure nothing, show what the rows say")
+        parser.add_argument("--draw", action="store_true", help="measure nothing, show the tables of the rows")
     return parser
 
 
 @lru_cache(maxsize=4)
-def remember(function: Callable[..., Any], *arguments: Any) -> Any:
+def cached(function: Callable[..., Any], *arguments: Any) -> Any:
     """The result of a function, kept for further calls with the same arguments; other processes can have it, too."""
     return function(*arguments)
 
@@ -89,18 +89,18 @@ def write_rows(path: Path, rows: pd.DataFrame) -> None:
         aside.write_bytes(gzip.compress(content, mtime=0) if path.suffix == ".gz" else content)
 
 
-def measure(given: argparse.Namespace, games: Sequence[Game], play: Play) -> pd.DataFrame:
+def run_missing(options: argparse.Namespace, games: Sequence[Game], play: Play) -> pd.DataFrame:
     """Play the games that the file of rows lacks, unless rows are only drawn, and return all rows.
 
     The rows of each game are appended at once, and all are sorted at the end.
 
     Args:
-        given: the options of :func:`parse`: the file, whose columns stay, and the number of processes.
+        options: those of :func:`make_parser`: the file, whose columns stay, and the number of processes.
         games: what their rows begin with.
         play: plays a game and returns its rows; a function of a module or a ``functools.partial`` of one.
     """
-    path: Path = given.rows
-    if given.draw:
+    path: Path = options.rows
+    if options.draw:
         return read_rows(path)
     keys, columns, known = list(games[0]), None, set()
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -109,10 +109,11 @@ def measure(given: argparse.Namespace, games: Sequence[Game], play: Play) -> pd.
         columns, known = list(old), set(old[keys].itertuples(index=False, name=None))
     missing = [game for game in games if tuple(game.values()) not in known]
     with progress_bar("games") as progress:
-        for done, found in enumerate(map_tasks(play, missing, workers=given.workers), 1):
-            rows = pd.DataFrame(found, columns=columns)
-            rows.to_csv(path, mode="a", header=columns is None, index=False, lineterminator="\n")
-            columns = list(rows)
+        for done, found in enumerate(map_tasks(play, missing, workers=options.workers), 1):
+            if found:
+                rows = pd.DataFrame(found, columns=columns)
+                rows.to_csv(path, mode="a", header=columns is None, index=False, lineterminator="\n")
+                columns = list(rows)
             progress(done, len(missing))
     if missing:
         write_rows(path, read_rows(path).sort_values(keys, kind="stable").round(4))
@@ -146,25 +147,25 @@ def panels(width: float, height: float, rows: int = 1, columns: int = 1, **how: 
     return figure, grid
 
 
-def make_looks(names: Sequence[str], size: float) -> dict[str, dict[str, Any]]:
+def make_styles(names: Sequence[str], size: float) -> dict[str, dict[str, Any]]:
     """Colour and marker of each detector in a picture."""
     pairs = zip(names, cycle(COLORS), cycle(MARKERS), strict=False)
     return {name: {"color": color, "marker": marker, "ms": size} for name, color, marker in pairs}
 
 
 def draw_intervals(
-    axes: Any, rows: pd.DataFrame, x: str, places: Sequence[Any], metric: str, looks: dict[str, Any], scale: float = 1
+    axes: Any, rows: pd.DataFrame, x: str, ticks: Sequence[Any], metric: str, styles: dict[str, Any], scale: float = 1
 ) -> None:
-    """Draw the means of a metric with error bars over the places of a column ``x``, the detectors side by side.
+    """Draw the means of a metric with error bars over values ``ticks`` of a column ``x``, detectors side by side.
 
-    ``looks`` has arguments of ``Axes.errorbar`` for each detector.
+    ``styles`` has arguments of ``Axes.errorbar`` for each detector.
     """
-    for number, (name, look) in enumerate(looks.items()):
-        found = {places.index(place): interval(cell, metric) for place, cell in rows[rows.detector == name].groupby(x)}
+    for number, (name, style) in enumerate(styles.items()):
+        found = {ticks.index(value): interval(cell, metric) for value, cell in rows[rows.detector == name].groupby(x)}
         mean, low, high = scale * np.array(list(found.values())).reshape(-1, 3).T
-        at = np.array(list(found)) + 0.75 * ((number + 0.5) / len(looks) - 0.5)
-        axes.errorbar(at, mean, [mean - low, high - mean], ls="none", lw=1.2, label=name, **look)
-    axes.set_xticks(range(len(places)), places)
+        at = np.array(list(found)) + 0.75 * ((number + 0.5) / len(styles) - 0.5)
+        axes.errorbar(at, mean, [mean - low, high - mean], ls="none", lw=1.2, label=name, **style)
+    axes.set_xticks(range(len(ticks)), ticks)
 
 
 def save_figure(figure: Figure, path: Path, title: str, caption: str) -> None:
@@ -176,8 +177,8 @@ def save_figure(figure: Figure, path: Path, title: str, caption: str) -> None:
     figure.suptitle(f"{title}\n{lines}", fontsize=10, x=0.01, ha="left")
     labels = {label: line for one in figure.axes for line, label in zip(*one.get_legend_handles_labels(), strict=True)}
     if labels:
-        place: Any = "outside lower center"
-        figure.legend(labels.values(), labels.keys(), loc=place, ncols=4, fontsize=9, frameon=False)
+        about: dict[str, Any] = {"loc": "outside lower center", "ncols": 4, "fontsize": 9, "frameon": False}
+        figure.legend(labels.values(), labels.keys(), **about)
     content = io.BytesIO()
     figure.savefig(content, format="png", dpi=_DPI)
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -60,14 +60,14 @@ def draw(rows: pd.DataFrame, folder: Path) -> None:
     rows = rows[(rows.mobility == "iid") & ~rows.head_jitter]
     draw_training(rows[rows.detector.isin(COMPARED) & (rows.decoys <= 1)], folder)
     rows = rows[(rows.decoys == 0) & rows.detector.isin(DETECTORS)]
-    paper, looks = pd.read_csv(PAPER), shared.make_looks(DETECTORS, 4)
+    paper, styles = pd.read_csv(PAPER), shared.make_styles(DETECTORS, 4)
     figure, grid = shared.panels(13.2, 7.2, 2, 4, sharey=True)
     grid[1, 3].set_visible(False)
     for axes, follow in zip(grid.ravel(), FOLLOW, strict=False):
-        shared.draw_intervals(axes, rows[rows.follow == follow], "followers", FOLLOWERS, "hit", looks, 100)
+        shared.draw_intervals(axes, rows[rows.follow == follow], "followers", FOLLOWERS, "hit", styles, 100)
         theirs = paper[paper.ifs == follow]
-        places = [FOLLOWERS.index(size) for size in theirs.followers]
-        axes.plot(places, theirs.detection_rate_percent, "o", mfc="none", mec="black", ms=9, label="the paper")
+        ticks = [FOLLOWERS.index(size) for size in theirs.followers]
+        axes.plot(ticks, theirs.detection_rate_percent, "o", mfc="none", mec="black", ms=9, label="the paper")
         axes.set(xlabel="followers m", ylabel="rate, %" if axes in grid[:, 0] else "", title=follow)
     count = shared.describe_counts(rows, ["detector", "follow", "followers"])
     caption = (
@@ -79,20 +79,20 @@ def draw(rows: pd.DataFrame, folder: Path) -> None:
 
 def draw_training(rows: pd.DataFrame, folder: Path) -> None:
     """Draw trained, untrained, ours and chance against m and, for m = 2, against f; without and with a decoy."""
-    paper, looks = pd.read_csv(PAPER), shared.make_looks(COMPARED, 5)
+    paper, styles = pd.read_csv(PAPER), shared.make_styles(COMPARED, 5)
     figure, grid = shared.panels(11, 6.4, 2, 2, sharey=True)
     for decoys, line in enumerate(grid):
         part = rows[rows.decoys == decoys]
-        for axes, x, places, chosen in zip(
+        for axes, x, ticks, chosen in zip(
             line, ("followers", "follow"), (FOLLOWERS, FOLLOW), (part, part[part.followers == 2]), strict=True
         ):
-            shared.draw_intervals(axes, chosen, x, places, "hit", looks, 100)
+            shared.draw_intervals(axes, chosen, x, ticks, "hit", styles, 100)
             sizes = np.array(FOLLOWERS if x == "followers" else [2] * len(FOLLOW))
             axes.plot(100 / (sizes + 1 + decoys), "_", ms=18, color="black", label="chance: one UAV at random")
             axes.set(xlabel="followers m, f1 to f7" if x == "followers" else "follow strategy, m = 2", ylim=(-3, 103))
             if decoys == 0:
                 rates = (paper if x == "followers" else paper[paper.followers == 2]).rename(columns={"ifs": "follow"})
-                means = rates.groupby(x).detection_rate_percent.mean().reindex(places)
+                means = rates.groupby(x).detection_rate_percent.mean().reindex(ticks)
                 axes.plot(means.to_numpy(), "o", mfc="none", mec="black", ms=9, label="the paper")
         line[0].set(ylabel="head alone named, %", title=("no decoy", "one decoy")[decoys])
     count = shared.describe_counts(rows, ["detector", "decoys", "followers", "follow"])
@@ -101,24 +101,24 @@ def draw_training(rows: pd.DataFrame, folder: Path) -> None:
 
 
 def main(argv: list[str] | None = None) -> None:
-    parser = shared.parse(__doc__, shared.RESULTS / "paper" / "table2.csv.gz")
+    parser = shared.make_parser(__doc__, shared.RESULTS / "paper" / "table2.csv.gz")
     parser.add_argument("--detector", action="append", help="may repeat; by default those of the table")
     parser.add_argument("--cells", default=",".join(FOLLOW), help="such as f1:2,f4:15 or f1; by default all 70")
     parser.add_argument("--episodes", type=int, help=f"of each cell; by default {MANY} up to m = 15, else {FEW}")
     parser.add_argument("--decoys", type=int, default=0)
     parser.add_argument("--mobility", default="iid")
     parser.add_argument("--head-jitter", action="store_true")
-    given = parser.parse_args(argv)
-    words = [word.partition(":") for word in given.cells.split(",")]
+    options = parser.parse_args(argv)
+    words = [word.partition(":") for word in options.cells.split(",")]
     cells = [(follow, int(size)) for follow, _, chosen in words for size in ([chosen] if chosen else FOLLOWERS)]
     games: list[Game] = [
-        {"detector": name, "follow": follow, "followers": followers, "decoys": given.decoys}
-        | {"mobility": given.mobility, "head_jitter": given.head_jitter, "episode": episode}
+        {"detector": name, "follow": follow, "followers": followers, "decoys": options.decoys}
+        | {"mobility": options.mobility, "head_jitter": options.head_jitter, "episode": episode}
         for follow, followers in sorted(cells, key=lambda cell: cell[1])  # small swarms first
-        for name in given.detector or DETECTORS
-        for episode in range(given.episodes or (MANY if followers <= 15 else FEW))
+        for name in options.detector or DETECTORS
+        for episode in range(options.episodes or (MANY if followers <= 15 else FEW))
     ]
-    draw(shared.measure(given, games, partial(play, seed=given.seed)), given.images)
+    draw(shared.run_missing(options, games, partial(play, seed=options.seed)), options.images)
 
 
 if __name__ == "__main__":

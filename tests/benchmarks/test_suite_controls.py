@@ -28,6 +28,7 @@ def suite(tmp_path):
     return path
 
 
+@pytest.mark.slow
 def test_controls_tell_heads_where_something_gives_them_away(suite, tmp_path, capsys):
     words = ["--suite", str(suite), "--rows", str(tmp_path / "rows.csv")]
     leaks.main([*words, "--cell", "told", "--cell", "hidden", "--swarms", "24"])

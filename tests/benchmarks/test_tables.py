@@ -46,9 +46,9 @@ def test_rows_of_an_episode_are_one_group():
 
 
 def test_only_the_blocks_of_a_page_are_replaced():
-    page = "By hand.\n\n<!-- results:begin losses -->\nold\n<!-- results:end -->\n\nBy hand, too.\n"
+    page = "By hand.\n\n<!-- results:begin purity -->\nold\n<!-- results:end -->\n\nBy hand, too.\n"
     filled = tables.fill(page)
-    assert filled.startswith("By hand.\n\n<!-- results:begin losses -->\n\n| start | trainings |")
+    assert filled.startswith("By hand.\n\n<!-- results:begin purity -->\n\n| clusterer | M |")
     assert filled.endswith("|\n\n<!-- results:end -->\n\nBy hand, too.\n")
     assert tables.fill(filled) == filled
     with pytest.raises(KeyError, match="unknown"):

@@ -99,9 +99,9 @@ def list_ranking(summary: Summary) -> tuple[list[str], Lines]:
     return list_lines(rank(summary), [first, *["rounds"] * (first == "J"), *names], "{} ({}–{})", ["rounds", *names])
 
 
-def format_markdown(header: Sequence[str], lines: Lines) -> str:
-    """A table in Markdown, whose first column is left-aligned."""
-    rule = ["---", *["---:"] * (len(header) - 1)]
+def format_markdown(header: Sequence[str], lines: Lines, numbers: bool = True) -> str:
+    """A table in Markdown: its first column is left-aligned, and the others are unless they hold ``numbers``."""
+    rule = ["---", *["---:" if numbers else "---"] * (len(header) - 1)]
     cells = ([text.replace("|", r"\|") for text in line] for line in (header, rule, *lines))
     return "".join(f"| {' | '.join(line)} |\n" for line in cells)
 
