@@ -12,8 +12,8 @@ from usnet_env.evaluation.result import EvaluationResult
 from usnet_env.evaluation.suites import Suite, load_suite
 from usnet_env.files import read_csv
 
-#: Makes the swarms of published rows others than those of a suite's own seed. It is no draw: 60413, the seed of the
-#: suite ``field``, again and again.
+#: Makes the swarms of published rows others than those of a suite's own seed. It is no draw: 60413, the seed of a
+#: former suite, again and again.
 PUBLISHED_ENTROPY = 0x60413604136041360413604136041300
 
 
