@@ -25,6 +25,7 @@ import paper_tables
 import peers
 import probing
 import reader
+import recordings
 import scenarios
 from paper.shared import RESULTS, ROOT, make_parser, read_rows
 from pivot import CellFormatter, across, markdown, mean, median, pivot, rate, size
@@ -283,6 +284,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "rounds": paper_tables.rounds_block,
     "purity": paper_tables.purity_block,
     "tracks": tracks_block,
+    "recordings": lambda: recordings.report(read_rows(recordings.ROWS)),
     "speed": speed_block,
 }
 
