@@ -11,11 +11,12 @@ from pydantic import Field
 
 from detectors.base import Detector
 from detectors.parameters import Count, Lags, check_clusters
-from detectors.series.designs import centre_columns, centre_past, check_pairs, count_lags, scale_to_unit, shift_in_time
-from detectors.series.regressions import correlate_over_lags, explain_beyond_own_past, explain_pairs, whiten
+from detectors.series.designs import centre_past, check_pairs, count_lags, shift_in_time
+from detectors.series.regressions import explain_beyond_own_past, explain_pairs, whiten
 from detectors.series.votes import Evidence, adjust_shares, detection_from_evidence, rank_uavs
 from usnet_env.arrays import Mask
 from usnet_env.detection import Detection, Tags
+from usnet_env.series import centre_columns, correlate_over_lags, scale_to_unit
 from usnet_env.window import Window
 
 _LEAST_ROWS = 6

@@ -8,11 +8,12 @@ import numpy as np
 from pydantic import Field
 
 from detectors.baselines.networks import Flight, NetworkDetector, Pairs, correlate_flights
-from detectors.series.designs import centre_columns, centre_past, scale_to_unit
-from detectors.series.regressions import correlate_at_lag, correlate_over_lags, explain_pairs
+from detectors.series.designs import centre_past
+from detectors.series.regressions import explain_pairs
 from usnet_env.arrays import Floats, Mask
 from usnet_env.compiling import compiled
 from usnet_env.detection import Tags
+from usnet_env.series import centre_columns, correlate_at_lag, correlate_over_lags, scale_to_unit
 
 
 def _directions(velocity: Floats) -> Floats:
@@ -96,8 +97,7 @@ class FrontMost(NetworkDetector):
     def pairs(self, flight: Flight, lags: int, needed: Mask | None = None) -> Pairs:
         """Compare the places of all pairs along their common velocity."""
         course = scale_to_unit(_directions(flight.velocity))
-        behind = correlate_over_lags(course, course, lags)
-        alike = np.maximum(np.maximum(behind, behind.T), correlate_at_lag(course, course, 0))
+        alike = correlate_over_lags(course, course, lags, least=-lags)
         by_uav = (values.swapaxes(0, 1).copy() for values in (flight.place, flight.velocity, flight.seen))
         return Pairs(alike, np.where(alike >= self.alike, _compare_places(*by_uav), 0.0))
 

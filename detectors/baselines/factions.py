@@ -10,11 +10,11 @@ from scipy.sparse.csgraph import dijkstra
 
 from detectors.base import Detector
 from detectors.parameters import Lags
-from detectors.series.designs import centre_columns, check_pairs, scale_to_unit
-from detectors.series.regressions import correlate_over_lags
+from detectors.series.designs import check_pairs
 from detectors.series.votes import rank_uavs
 from usnet_env.arrays import Floats
 from usnet_env.detection import Detection, Tags
+from usnet_env.series import centre_columns, correlate_over_lags, scale_to_unit
 from usnet_env.window import Window
 
 _DAMPING = 0.85

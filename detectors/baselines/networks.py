@@ -15,11 +15,11 @@ from pydantic import Field
 
 from detectors.base import Detector
 from detectors.parameters import Lags
-from detectors.series.designs import centre_columns, check_pairs, check_steps, scale_to_unit
-from detectors.series.regressions import correlate_at_lag
+from detectors.series.designs import check_pairs, check_steps
 from detectors.series.votes import find_trees, spread
 from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.detection import Detection, Tags
+from usnet_env.series import bound_maximum, centre_columns, correlate_at_lag, reverse_blocks, scale_to_unit
 from usnet_env.window import Window
 
 _MOST_BLOCKS = 8
@@ -103,7 +103,7 @@ class NetworkDetector(Detector):
             return _describe(window, living, pairs, np.inf)
         maxima = [
             np.where(either, self._measure(each, lags, either).lead, -np.inf).max(axis=1)[rows]
-            for each in reverse_blocks(flight, lags, count)
+            for each in reverse_flight(flight, lags, count)
         ]
         lead = np.where(related, pairs.lead, -np.inf)
         threshold = _find_threshold(lead[rows].max(axis=1), maxima, self.level)
@@ -139,15 +139,13 @@ def _read_flight(window: Window, living: Indices) -> Flight:
     return Flight(velocity, np.where(seen[..., None], place - middle, 0.0), seen)
 
 
-def reverse_blocks(flight: Flight, lags: int, count: int) -> Iterator[Flight]:
+def reverse_flight(flight: Flight, lags: int, count: int) -> Iterator[Flight]:
     """Yield up to ``count`` surrogates in which time is reversed in half of an even number of blocks."""
     steps = len(flight.velocity)
     blocks = 2 * max(1, min(_MOST_BLOCKS // 2, steps // (4 * (lags + 1))))
-    parts = np.array_split(np.arange(steps), blocks)
     choices = [each for each in combinations(range(blocks), blocks // 2) if 0 in each]
     for k in np.unique(np.linspace(0, len(choices) - 1, count).astype(int)):
-        order = np.concatenate([part[::-1] if b in choices[k] else part for b, part in enumerate(parts)])
-        sign = np.concatenate([np.full(len(part), -1.0 if b in choices[k] else 1.0) for b, part in enumerate(parts)])
+        order, sign = reverse_blocks(steps, np.isin(np.arange(blocks), choices[k]))
         yield Flight(flight.velocity[order] * sign[:, None, None], flight.place[order], flight.seen[order])
 
 
@@ -156,11 +154,7 @@ def _find_threshold(values: Floats, maxima: list[Floats], level: float) -> float
 
     By chance they have the Gumbel distribution with the mean and variance of ``maxima``, those of surrogates.
     """
-    by_chance = np.concatenate(maxima)
-    scale = math.sqrt(6) / math.pi * float(by_chance.std())
-    location = float(by_chance.mean()) - scale * float(np.euler_gamma)
-    shares = [level * k / len(values) for k in range(1, len(values) + 1)]
-    allowed = np.array([location - scale * math.log(-math.log1p(-share)) for share in shares])
+    allowed = bound_maximum(np.concatenate(maxima), level * np.arange(1, len(values) + 1) / len(values))
     passed = np.flatnonzero(np.sort(values)[::-1] > allowed)
     return float(allowed[passed[-1]]) if len(passed) else math.inf
 

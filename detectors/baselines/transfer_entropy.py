@@ -9,9 +9,9 @@ from pydantic import Field
 from scipy.special import digamma
 
 from detectors.baselines.networks import Flight, NetworkDetector, Pairs, correlate_flights
-from detectors.series.designs import centre_columns, scale_to_unit
 from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.compiling import compiled
+from usnet_env.series import centre_columns, scale_to_unit
 
 _MOST_ROWS = 200  # of a window; more are thinned out
 

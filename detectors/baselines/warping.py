@@ -9,10 +9,10 @@ from pydantic import Field
 
 from detectors.baselines.factions import compute_pagerank
 from detectors.baselines.networks import Flight, NetworkDetector, Pairs
-from detectors.series.designs import centre_columns
 from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.compiling import compiled
 from usnet_env.detection import Detection, Tags
+from usnet_env.series import centre_columns
 from usnet_env.window import Window
 
 

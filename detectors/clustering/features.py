@@ -10,11 +10,11 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from detectors.series.designs import centre_columns, compute_chance, scale_to_unit, shift_in_time
+from detectors.series.designs import compute_chance, shift_in_time
 from detectors.series.gaps import fill_gaps
-from detectors.series.regressions import correlate_at_lag, correlate_over_lags
 from usnet_env.arrays import Floats
 from usnet_env.config import ArgumentError
+from usnet_env.series import centre_columns, correlate_over_lags, scale_to_unit
 from usnet_env.window import Window
 
 #: A function from a window to features ``(N, d)`` or a time series ``(N, T, d)``; rows of destroyed UAVs are ignored.
@@ -61,10 +61,8 @@ def correlate_both_ways(series: Floats, max_lag: int, surrogate: bool = False) -
     """
     flight = scale_to_unit(centre_columns(series.swapaxes(0, 1), np.ones(series.shape[1::-1], bool)))
     other = shift_in_time(flight) if surrogate else flight
-    best = correlate_at_lag(flight, other, 0)
     lags = min(max_lag, len(flight) - 1)
-    np.maximum(best, correlate_over_lags(flight, other, lags), out=best)
-    np.maximum(best, correlate_over_lags(other, flight, lags).T, out=best)
+    best = correlate_over_lags(flight, other, lags, least=-lags)
     best = np.maximum(best, best.T)
     if not surrogate:
         np.fill_diagonal(best, 1.0)

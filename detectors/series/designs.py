@@ -9,13 +9,12 @@ from numpy.typing import NDArray
 
 from usnet_env.arrays import Mask
 from usnet_env.config import ArgumentError
+from usnet_env.series import RealT, centre_columns
 from usnet_env.window import Window
 
 _MOST_UAVS = 10_000  # a matrix of all pairs then takes 0.75 GiB, and a detector holds several
-LEAST_MOTION = 1e-9  # squared sum of a centred velocity, in (metres per step)²; less is rounding
 
 AnyT = TypeVar("AnyT", bound=np.generic)
-RealT = TypeVar("RealT", np.float32, np.float64)
 
 
 def check_pairs(uavs: int) -> None:
@@ -62,13 +61,6 @@ def stack_past(values: NDArray[AnyT], lags: int) -> NDArray[AnyT]:
     return values[at].transpose(2, 0, 1, 3)
 
 
-def centre_columns(values: NDArray[RealT], seen: Mask) -> NDArray[RealT]:
-    """Subtract the mean over the ``seen`` rows ``(R, ...)`` from ``values`` ``(R, ..., d)``; unseen rows become 0."""
-    weight = seen[..., None].astype(np.float64)
-    mean = (values * weight).sum(axis=0) / np.maximum(weight.sum(axis=0), 1.0)
-    return np.asarray((values - mean) * weight, values.dtype)
-
-
 def centre_past(values: NDArray[RealT], seen: Mask, lags: int) -> NDArray[RealT]:
     """Stack the past of ``values`` ``(T, n, d)``, each column centred over its seen rows, ``(n, T - lags, lags d)``.
 
@@ -78,9 +70,3 @@ def centre_past(values: NDArray[RealT], seen: Mask, lags: int) -> NDArray[RealT]
         stack_past(values, lags).swapaxes(0, 1), stack_past(seen[..., None], lags)[..., 0].swapaxes(0, 1)
     )
     return past.swapaxes(0, 1).reshape(past.shape[1], len(past), lags * values.shape[2])
-
-
-def scale_to_unit(values: NDArray[RealT]) -> NDArray[RealT]:
-    """Scale centred ``values`` ``(T, n, d)`` to a squared sum of 1 per UAV; 0 for a UAV whose velocity never varies."""
-    total = (values**2).sum(axis=(0, 2))
-    return np.asarray(values / np.sqrt(np.where(total > LEAST_MOTION, total, np.inf))[:, None], values.dtype)

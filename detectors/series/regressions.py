@@ -1,4 +1,4 @@
-"""Regressions and correlations over all ordered pairs of UAVs by matrix products.
+"""Regressions over all ordered pairs of UAVs by matrix products.
 
 Entry (i, j) of a result relates UAV i's present to UAV j's past.
 """
@@ -10,8 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from detectors.series.designs import LEAST_MOTION, RealT, scale_to_unit
 from usnet_env.arrays import Floats
+from usnet_env.series import LEAST_MOTION, RealT, scale_to_unit
 
 RIDGE = 1e-3  # in units of the mean squared singular value of the features
 _LEAST_RIDGE = 1e-9  # with |v| = 1 the squares and the intercept are linearly dependent
@@ -99,18 +99,3 @@ def explain_beyond_own_past(target: Floats, own: Floats, theirs: Floats) -> Floa
         left = (1.0 + 1e-6) * np.eye(width) - shared @ shared.swapaxes(-1, -2)
         share[some] = (onto * np.linalg.solve(left, onto)).sum(axis=(2, 3)) / scale[some, None]
     return np.clip(share, 0.0, 1.0)
-
-
-def correlate_at_lag(later: NDArray[RealT], earlier: NDArray[RealT], lag: int) -> NDArray[RealT]:
-    """``(n, n)``; entry (i, j) is Σ_t later_i(t + lag) · earlier_j(t); inputs ``(T, n, d)``, lag from 0 to T - 1."""
-    uavs = later.shape[1]
-    after = later[lag:].transpose(1, 0, 2).reshape(uavs, -1)
-    return after @ earlier[: len(earlier) - lag].transpose(1, 0, 2).reshape(uavs, -1).T
-
-
-def correlate_over_lags(later: NDArray[RealT], earlier: NDArray[RealT], max_lag: int) -> NDArray[RealT]:
-    """``(n, n)``; the largest result of :func:`correlate_at_lag` for a lag of 1 to ``max_lag``; -inf without a lag."""
-    best = np.full((later.shape[1],) * 2, -np.inf, later.dtype)
-    for lag in range(1, max_lag + 1):
-        np.maximum(best, correlate_at_lag(later, earlier, lag), out=best)
-    return best

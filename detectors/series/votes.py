@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from detectors.series.designs import compute_chance
 from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.detection import Detection
+from usnet_env.series import find_middle
 from usnet_env.window import Window
 
 LEAST_UAVS = 3  # among which a head can be found: it and two followers
 LEAST_VOTERS = 1.5  # voters that a head must add: m_j >= 2 followers, of which a noisy one may count for half
 _SIGNIFICANT_SPREADS = 3.0  # robust standard deviations between the surrogate's median row maximum and the threshold
-_MAD_TO_SPREAD = 1.4826  # median absolute deviation to standard deviation, for a normal variable
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +49,8 @@ class Evidence:
     @property
     def threshold(self) -> float:
         """A voter is significant if its row maximum is above this value."""
-        best = self.surrogate.max(axis=1)
-        spread = _MAD_TO_SPREAD * float(np.median(np.abs(best - self.chance)))
-        return self.chance + _SIGNIFICANT_SPREADS * max(spread, self.spread)
+        chance, spread = find_middle(self.surrogate.max(axis=1))
+        return chance + _SIGNIFICANT_SPREADS * max(spread, self.spread)
 
 
 def adjust_shares(shares: Floats, rows: int, freedom: Floats, own: float = 0.0) -> Evidence:

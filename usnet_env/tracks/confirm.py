@@ -10,16 +10,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.arrays import Floats, Indices, Mask
+from usnet_env.arrays import Floats, Indices, Mask, Singles
+from usnet_env.series import bound_maximum, centre_columns, correlate_over_lags, reverse_blocks, scale_to_unit
+from usnet_env.tracks.resample import LAGS
 from usnet_env.window import Window
 
-_LAGS = 4  # steps; the step of resampled tracks puts delays at 1 to 4 of them
 _BLOCKS, _SURROGATES = 8, 40  # the fewest blocks of a window; how often half of them are reversed
 LEAST_STEPS = 2 * _BLOCKS
 LEVEL = 0.05  # of a group and window: how often a leaderless group gets a leader
 _LEVEL_OUTSIDE = 0.5
 _NEAREST, _SHIFTS, _DEVIATIONS = 5, 9, 3.0
-_LEAST_SHIFT = 3 * _LAGS  # a smaller shift leaves a part of the likeness at some lag
+_LEAST_SHIFT = 3 * LAGS  # a smaller shift leaves a part of the likeness at some lag
 _DEVIATION_OF_BOTH = 1.8  # of the sum of two scores: 1.7 by their correlation of 0.45; 1.9 in tracks without leaders
 _LONGEST, _THIRD = 30.0, 3  # seconds, and part of a window, in which a place is reached later
 _SAME_HEADING = 0.8  # the cosine of headings at one place
@@ -34,19 +35,19 @@ def confirm_leaders(
     window: Window,
     leaders: Sequence[int] | NDArray[np.integer[Any]],
     followers: Sequence[Sequence[int]],
-    finest: Window | None = None,
+    shortest_step_window: Window | None = None,
 ) -> tuple[Mask, list[list[int]]]:
     """Which of c leaders are confirmed, ``(c,)`` bool, and the followers that each keeps.
 
     Its followers copy its velocity later (:func:`keep_group`, :func:`confirm_lead`) and it doesn't follow another
     (:func:`find_followers`); or else they go on its way later (:func:`follow_places`), by the window with the shortest
-    step, ``finest``, if there are several.
+    step, if there are several.
     """
     kept = [keep_group(window, int(leader), members) for leader, members in zip(leaders, followers, strict=True)]
     leads = [confirm_lead(window, int(leader), members) for leader, members in zip(leaders, kept, strict=True)]
     confirmed = np.array(leads, bool) & ~find_followers(window, leaders, followers)
     for c in np.flatnonzero(~confirmed).tolist():
-        if behind := follow_places(finest or window, int(leaders[c]), followers[c]):
+        if behind := follow_places(shortest_step_window or window, int(leaders[c]), followers[c]):
             confirmed[c], kept[c] = True, behind
     return confirmed, kept
 
@@ -80,20 +81,20 @@ def _compare_ways(window: Window, behind: Indices, ahead: Indices, most: int) ->
     from rounded numbers.
     """
     seen = window.seen.astype(np.float64)
-    place = np.where(window.seen[..., None], window.position - window.position[window.seen].mean(axis=0), 0.0)
-    squares, instants = (place**2).sum(axis=2), len(place)
+    position = np.where(window.seen[..., None], window.position - window.position[window.seen].mean(axis=0), 0.0)
+    squares, instants = (position**2).sum(axis=2), len(position)
     least = _ROUNDED * squares.sum() / max(seen.sum(), 1.0)
     spread = np.empty((2, 2 * most + 1, len(behind), len(ahead)))  # mean squares and variances
     for lag in range(-most, most + 1):
         now, then = slice(max(0, lag), instants + min(0, lag)), slice(max(0, -lag), instants - max(0, lag))
         both = seen[now][:, behind].T @ seen[then][:, ahead]
         total = squares[now][:, behind].T @ seen[then][:, ahead] + seen[now][:, behind].T @ squares[then][:, ahead]
-        total -= 2 * np.einsum("tbk,tak->ba", place[now][:, behind], place[then][:, ahead], optimize=True)
-        apart = np.einsum("tbk,ta->bak", place[now][:, behind], seen[then][:, ahead], optimize=True)
-        apart -= np.einsum("tb,tak->bak", seen[now][:, behind], place[then][:, ahead], optimize=True)
+        total -= 2 * np.einsum("tbk,tak->ba", position[now][:, behind], position[then][:, ahead], optimize=True)
+        apart = np.einsum("tbk,ta->bak", position[now][:, behind], seen[then][:, ahead], optimize=True)
+        apart -= np.einsum("tb,tak->bak", seen[now][:, behind], position[then][:, ahead], optimize=True)
         square, mean = total / np.maximum(both, 1.0), apart / np.maximum(both, 1.0)[..., None]
-        found = np.maximum((square, square - (mean**2).sum(axis=2)), least)
-        spread[:, lag + most] = np.where(both >= instants / 2, found, np.inf)
+        apart_by = np.maximum((square, square - (mean**2).sum(axis=2)), least)
+        spread[:, lag + most] = np.where(both >= instants / 2, apart_by, np.inf)
     before, other = spread[:, most + 1 :].min(axis=1), spread[:, : most + 1].min(axis=1)
     known = np.isfinite(before) & np.isfinite(other) & (other > 0)
     return np.where(known, before / np.where(known, other, 1.0), np.inf).min(axis=0)
@@ -119,11 +120,11 @@ def keep_group(window: Window, leader: int, followers: Sequence[int]) -> list[in
     return sorted(group) or list(followers)
 
 
-def _are_alike(unit: NDArray[np.float32], others: NDArray[np.float32]) -> Mask:
+def _are_alike(unit: Singles, others: Singles) -> Mask:
     """Which scaled velocities ``(T, n, 3)`` are more like those of any other than chance allows; ``(n,)``."""
     late = np.linspace(_LEAST_SHIFT, len(unit) - _LEAST_SHIFT, _SHIFTS).astype(int)
-    found = np.array([_correlate(np.roll(unit, k, axis=0), others).max(axis=1) for k in (0, *late)])
-    like, *by_chance = np.arctanh(np.clip(found, -_MOST_ALIKE, _MOST_ALIKE))
+    likeness = np.array([_measure_likeness(np.roll(unit, k, axis=0), others).max(axis=1) for k in (0, *late)])
+    like, *by_chance = np.arctanh(np.clip(likeness, -_MOST_ALIKE, _MOST_ALIKE))
     return np.asarray(like > np.mean(by_chance, axis=0) + _DEVIATIONS * np.std(by_chance, axis=0))
 
 
@@ -144,7 +145,7 @@ def find_confound(window: Window) -> tuple[str, list[int]]:
         near[i, j] = near[j, i] = all(_is_on_way(window, *pair) for pair in permutations((uavs[i], uavs[j])))
     velocity, seen = window.velocity[:, uavs], window.velocity_seen[:, uavs]
     unit, changes = _scale(velocity, seen), _scale(np.diff(velocity, axis=0), seen[1:] & seen[:-1])
-    first = int(_correlate(unit, unit).mean(axis=1).argmax())
+    first = int(_measure_likeness(unit, unit).mean(axis=1).argmax())
     alike = _are_alike(unit, unit[:, [first]]) & _are_alike(changes, changes[:, [first]])
     alike[first] = True
     for words, who in (("one path", near[near.sum(axis=1).argmax()]), ("one signal", alike)):
@@ -153,19 +154,19 @@ def find_confound(window: Window) -> tuple[str, list[int]]:
     return "", []
 
 
-def _is_on_way(window: Window, one: int, other: int) -> bool:
+def _is_on_way(window: Window, uav: int, other: int) -> bool:
     """Whether the places of one UAV are near to some of the other's, at whatever time, and headed in the same way."""
     seen = window.seen[1:] & window.velocity_seen
-    both = seen[:, [one, other]].all(axis=1)
+    both = seen[:, [uav, other]].all(axis=1)
     if both.sum() < LEAST_STEPS:
         return False
-    place, velocity = window.position[1:].astype(np.float64), window.velocity.astype(np.float64)
-    mine, theirs = seen[:, one], seen[:, other]
-    squares = ((place[mine, None, one] - place[None, theirs, other]) ** 2).sum(axis=2)
-    going, there = velocity[mine, one], velocity[theirs, other][squares.argmin(axis=1)]
+    position, velocity = window.position[1:].astype(np.float64), window.velocity.astype(np.float64)
+    mine, theirs = seen[:, uav], seen[:, other]
+    squares = ((position[mine, None, uav] - position[None, theirs, other]) ** 2).sum(axis=2)
+    going, there = velocity[mine, uav], velocity[theirs, other][squares.argmin(axis=1)]
     size = np.linalg.norm(going, axis=1) * np.linalg.norm(there, axis=1)
     alike = np.median((going * there).sum(axis=1) / np.where(size > 0, size, np.inf))
-    apart = np.median(((place[both, one] - place[both, other]) ** 2).sum(axis=1))
+    apart = np.median(((position[both, uav] - position[both, other]) ** 2).sum(axis=1))
     return bool(np.median(squares.min(axis=1)) <= _SAME_WAY * apart and alike >= _SAME_HEADING)
 
 
@@ -224,13 +225,10 @@ def find_alike(window: Window, uavs: Indices, half: slice) -> list[list[int]]:
     late = np.linspace(min(_LEAST_SHIFT, length), last, _SHIFTS).astype(int)
     starts = [half.start, *(late if half.start == 0 else half.start - late)]
     parts = [_scale(window.velocity[k : k + length], window.velocity_seen[k : k + length]) for k in starts]
-    like = np.stack([_correlate(parts[0][:, uavs], part) for part in parts])
+    like = np.stack([_measure_likeness(parts[0][:, uavs], part) for part in parts])
     like[:, np.arange(len(uavs)), uavs] = 0.0
     like = np.arctanh(np.minimum(like, _MOST_ALIKE))
-    by_chance = like[1:].max(axis=2)
-    scale = by_chance.std(axis=0) * np.sqrt(6) / np.pi
-    quantile = -np.log(-np.log1p(-LEVEL / (2 * len(uavs))))  # of the standard Gumbel distribution
-    limit = by_chance.mean(axis=0) + scale * (quantile - np.euler_gamma)
+    limit = bound_maximum(like[1:].max(axis=2), LEVEL / (2 * len(uavs)))
     nearest = np.argsort(-like[0], axis=1, kind="stable")[:, :_NEAREST]
     return [[int(k) for k in near if like[0, c, k] > limit[c]] for c, near in enumerate(nearest)]
 
@@ -240,7 +238,7 @@ def _is_ahead(group: Floats, ahead: Floats, both: Mask, level: float) -> bool:
 
     ``both`` ``(T,)``: where both are seen. At a strict level, each score must exceed 1, too.
     """
-    group, ahead = _centre(group, both), _centre(ahead, both)
+    group, ahead = centre_columns(group, both), centre_columns(ahead, both)
     velocity = _measure_score(group, ahead, -1.0)
     changes = _measure_score(np.diff(group, axis=0), np.diff(ahead, axis=0), 1.0)
     limit = max(0.0, -NormalDist().inv_cdf(level))
@@ -249,47 +247,31 @@ def _is_ahead(group: Floats, ahead: Floats, both: Mask, level: float) -> bool:
 
 def _measure_score(group: Floats, ahead: Floats, sign: float) -> float:
     """The lead in standard deviations of those with time reversed in half of the blocks, with this ``sign`` there."""
-    blocks = max(_BLOCKS, 2 * (len(group) // (4 * _LAGS)))
-    parts = np.array_split(np.arange(len(group)), blocks)
-    mirror, block = np.concatenate([part[::-1] for part in parts]), np.repeat(np.arange(blocks), [*map(len, parts)])
+    blocks = max(_BLOCKS, 2 * (len(group) // (4 * LAGS)))
     halves = np.tile(np.arange(blocks) < blocks // 2, (1 + _SURROGATES, 1))
-    reverse = np.random.default_rng(0).permuted(halves, axis=1)[:, block]
-    reverse[0] = False
-    order, turn = np.where(reverse, mirror, np.sort(mirror)), np.where(reverse, sign, 1.0)[..., None]
-    lead, *by_chance = _measure_leads(group[order] * turn, ahead[order] * turn)
+    halves = np.random.default_rng(0).permuted(halves, axis=1)
+    halves[0] = False
+    order, turn = reverse_blocks(len(group), halves)
+    turn = np.where(turn < 0, sign, 1.0)[..., None]
+    lead, *by_chance = _compare_lags(group[order] * turn, ahead[order] * turn)
     deviation = np.sqrt(np.mean(np.square(by_chance)))
     return float(lead / deviation) if deviation else 0.0
 
 
-def _measure_leads(group: Floats, ahead: Floats) -> Floats:
+def _compare_lags(group: Floats, ahead: Floats) -> Floats:
     """How much better each of ``(n, T, 3)`` agrees with what is ``ahead`` before than with that later; ``(n,)``."""
     later, earlier = (
-        np.max([np.einsum("ntk,ntk->n", behind[:, lag:], first[:, :-lag]) for lag in range(1, _LAGS + 1)], axis=0)
+        np.max([np.einsum("ntk,ntk->n", behind[:, lag:], first[:, :-lag]) for lag in range(1, LAGS + 1)], axis=0)
         for behind, first in ((group, ahead), (ahead, group))
     )
     return np.asarray(later - earlier)
 
 
-def _centre(values: Floats, seen: Mask) -> Floats:
-    """``values`` ``(T, 3)`` less their mean where they are seen, 0 elsewhere."""
-    return np.where(seen[:, None], values - values[seen].mean(axis=0), 0.0) if seen.any() else np.zeros_like(values)
-
-
-def _scale(velocity: NDArray[np.float32], seen: Mask) -> NDArray[np.float32]:
+def _scale(velocity: Singles, seen: Mask) -> Singles:
     """Velocities ``(T, N, 3)`` centred over time and scaled to a squared sum of 1; 0 where unseen."""
-    known = np.maximum(seen.sum(axis=0), 1)[:, None]
-    centred = np.where(seen[..., None], velocity - (velocity * seen[..., None]).sum(axis=0) / known, 0.0)
-    size = np.sqrt((centred**2).sum(axis=(0, 2)))
-    return np.asarray(centred / np.where(size > 0, size, np.inf)[:, None], np.float32)
+    return scale_to_unit(centre_columns(velocity, seen), least=0.0)
 
 
-def _correlate(first: NDArray[np.float32], others: NDArray[np.float32]) -> NDArray[np.float32]:
+def _measure_likeness(first: Singles, others: Singles) -> Singles:
     """``(c, N)`` largest correlation of series ``(T, c, 3)`` with those ``(T, N, 3)`` of others at the lags -4 to 4."""
-    steps = len(first)
-    rows, columns = (values.transpose(1, 0, 2).reshape(values.shape[1], -1) for values in (first, others))
-    curves = [
-        rows[:, 3 * max(0, lag) : 3 * (steps + min(0, lag))]
-        @ columns[:, 3 * max(0, -lag) : 3 * (steps - max(0, lag))].T
-        for lag in range(-_LAGS, _LAGS + 1)
-    ]
-    return np.asarray(np.max(curves, axis=0))
+    return correlate_over_lags(first, others, LAGS, least=-LAGS)

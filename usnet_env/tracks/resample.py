@@ -10,6 +10,7 @@ import numpy as np
 
 from usnet_env.arrays import Floats, Indices
 from usnet_env.config import ArgumentError, format_number
+from usnet_env.series import find_middle
 from usnet_env.tracks.samples import Samples, SamplesT
 
 JUMP = 5.0  # a jump is faster than this many times the speed that 95 % of the steps don't exceed
@@ -24,7 +25,7 @@ _OTHERS = (0.25, 0.5)  # times the chosen step
 
 # The choice of the step looks at a part of the tracks: followers, ids in all, steps, and samples.
 _FOCAL, _POOL, _PART, _MOST_SAMPLES = 48, 400, 2048, 2**21
-_LAGS = 4  # steps; detectors look at least as far back
+LAGS = 4  # steps in which delays lie; detectors look at least as far back
 _LEAST_STEPS, _FEWEST_STEPS = 100, 16  # of the longest step that is tried; of the shortest
 _GROWTH = 2**0.5  # from one step that is tried to the next
 _SHIFTS = 64
@@ -54,7 +55,8 @@ def find_jumps(tracks: Samples) -> Jumps:
     """Find the steps that are more than 5 times as fast as 95 % of the steps, and the samples off the track.
 
     These are the samples between two jumps if the way past them is no jump, at most half of an id's; repetitions of a
-    place before a jump that is none from the first of them on; and two or more equal places at an end, apart by a jump.
+    position before a jump that is none from the first of them on; and two or more equal ones at an end, apart by a
+    jump.
     """
     samples, inner = np.arange(tracks.samples), tracks.inner_steps
     length = np.linalg.norm(np.diff(tracks.position, axis=0), axis=1)
@@ -64,7 +66,7 @@ def find_jumps(tracks: Samples) -> Jumps:
     steps = np.flatnonzero(speed > JUMP * usual)
     owner = np.searchsorted(tracks.offsets, steps, side="right") - 1
     begin, end = tracks.offsets[owner], tracks.offsets[owner + 1]
-    equal = np.maximum.accumulate(np.where(np.append(True, (length > 0) | ~inner), samples, 0))  # the first of a place
+    equal = np.maximum.accumulate(np.where(np.append(True, (length > 0) | ~inner), samples, 0))  # the first equal
     low, high = np.append(steps[:-1], equal[steps]), np.append(steps[1:], steps) + 1  # what is between may be left out
     way = np.linalg.norm(tracks.position[high] - tracks.position[low], axis=1)
     good = way <= JUMP * usual * (tracks.time[high] - tracks.time[low])
@@ -99,8 +101,8 @@ def leave_out_spikes(tracks: SamplesT) -> SamplesT:
 
 def close_jumps(tracks: SamplesT) -> tuple[SamplesT, int]:
     """The tracks with gross jumps, 20 times as fast as usual, of no length: each goes on from where it was before."""
-    found = find_jumps(tracks)
-    jumps = found.steps[found.speed[found.steps] > _GROSS * found.usual]
+    steps, _, speed, usual = find_jumps(tracks)
+    jumps = steps[speed[steps] > _GROSS * usual]
     moved = np.zeros_like(tracks.position)
     moved[jumps + 1] = tracks.position[jumps + 1] - tracks.position[jumps]
     moved = np.cumsum(moved, axis=0)  # within an id: all jumps up to a sample, less those of the ids before
@@ -117,8 +119,9 @@ def leave_out_heights(tracks: SamplesT) -> tuple[SamplesT, float]:
         return tracks, 0.0
     velocity = _sample_velocities(tracks, float(np.nanmedian(typical_intervals(tracks))))
     noise, needed = _noise(velocity[..., 2:])[0], _noise(velocity[..., :2])[1]
-    place = np.cumsum(np.nan_to_num(velocity[..., :2]), axis=0)
-    moved = float(((place[needed:] - place[:-needed]) ** 2).sum(axis=2).mean()) if len(place) > needed else np.inf
+    position = np.cumsum(np.nan_to_num(velocity[..., :2]), axis=0)
+    moves = position[needed:] - position[:-needed]
+    moved = float((moves**2).sum(axis=2).mean()) if len(moves) else np.inf
     if 2 * noise**2 <= max(moved, 1e-6 * float(np.nanmean(velocity[..., 2] ** 2))):
         return tracks, 0.0
     return replace(tracks, position=tracks.position * (1.0, 1.0, 0.0)), noise
@@ -139,12 +142,12 @@ def resample_positions(tracks: SamplesT, step: float, max_gap: float | None) -> 
     if counts.sum() > _MOST_GRID:
         raise ArgumentError(f"step must be longer, got {step:g} s, {counts.sum():g} samples of at most {_MOST_GRID:g}.")
     grids = [_resample_one(tracks.time[parts[i]], tracks.position[parts[i]], step, max_gap) for i in filled]
-    times, places = (np.concatenate([grid[k] for grid in grids]) for k in (0, 1))
+    times, positions = (np.concatenate([grid[k] for grid in grids]) for k in (0, 1))
     leader = tracks.leader
     if leader is not None:
         leader = np.concatenate([leader[parts[i]][grid[2]] for i, grid in zip(filled, grids, strict=True)])
     offsets = np.concatenate([[0], np.cumsum(counts)])
-    return replace(tracks, offsets=offsets, time=times * step, position=places, leader=leader, step=step)
+    return replace(tracks, offsets=offsets, time=times * step, position=positions, leader=leader, step=step)
 
 
 def resample_others(tracks: SamplesT, step: float, max_gap: float | None) -> tuple[SamplesT, ...]:
@@ -167,11 +170,11 @@ def _resample_one(
     share = np.clip((number - at[before]) / length, 0.0, 1.0)
     hit = np.minimum(share, 1 - share) * length <= _SNAP  # a sample lies at the grid time
     share = np.where(hit, np.round(share), share)
-    place = position[before] + share[:, None] * (position[after] - position[before])
+    resampled = position[before] + share[:, None] * (position[after] - position[before])
     nearest = np.where(share < 0.5, before, after)
     if len(number) and np.median(np.diff(at)) <= 1 / 2:
-        _fit_lines(at, position, number, place)
-    return number, place, nearest
+        _fit_lines(at, position, number, resampled)
+    return number, resampled, nearest
 
 
 def _grid_numbers(at: Floats, step: float, max_gap: float | None) -> tuple[Indices, Indices]:
@@ -186,8 +189,8 @@ def _grid_numbers(at: Floats, step: float, max_gap: float | None) -> tuple[Indic
     return low, count
 
 
-def _fit_lines(at: Floats, position: Floats, number: Indices, place: Floats) -> None:
-    """Replace ``place`` ``(G, 3)`` by straight lines fitted within half a step, where there are enough samples."""
+def _fit_lines(at: Floats, position: Floats, number: Indices, resampled: Floats) -> None:
+    """Replace ``resampled`` ``(G, 3)`` by straight lines fitted within half a step, where there are enough samples."""
     cell = np.floor(at + 0.5).astype(np.int64)
     starts = np.flatnonzero(np.diff(cell, prepend=cell[0] - 1))
     numbers, sizes = cell[starts], np.diff(np.append(starts, len(at)))
@@ -201,7 +204,7 @@ def _fit_lines(at: Floats, position: Floats, number: Indices, place: Floats) -> 
     line = (sum_uu[:, None] * sum_p - sum_u[:, None] * sum_up) / np.where(good, spread, 1.0)[:, None]
     where = np.minimum(np.searchsorted(numbers, number), len(numbers) - 1)
     fitted = (numbers[where] == number) & good[where]
-    place[fitted] = (position[starts] + line)[where[fitted]]
+    resampled[fitted] = (position[starts] + line)[where[fitted]]
 
 
 def choose_step(tracks: Samples, length: int = 0) -> tuple[float, str]:
@@ -217,7 +220,7 @@ def choose_step(tracks: Samples, length: int = 0) -> tuple[float, str]:
     longest = max(1.0, stay / (_LEAST_STEPS * needed))  # compared with the shortest step
     powers = np.arange(1 + max(0, int(np.floor(np.log(longest) / np.log(_GROWTH) + 1e-9))))
     factors = sorted({round(needed * _GROWTH ** int(k)) for k in powers})
-    leads = [_measure_leads(_sample_velocities(tracks, factor * interval)) for factor in factors]
+    leads = [_find_leads(_sample_velocities(tracks, factor * interval)) for factor in factors]
     largest = max(mean for mean, _, _ in leads)
     best = next(k for k, (mean, _, _) in enumerate(leads) if mean >= _NEARLY * largest)
     (_, lag, followers), step = leads[best], factors[best] * interval
@@ -244,13 +247,13 @@ def _sample_velocities(tracks: Samples, interval: float) -> Floats:
     longest = np.argsort(low - high, kind="stable")[:_POOL]
     longest = longest[: max(2, int(np.searchsorted(np.cumsum((high - low)[longest]), _MOST_SAMPLES)) + 1)]
     instants = int(min(_PART, tracks.duration / interval)) + 1
-    place = np.full((instants, len(longest), 3), np.nan)
+    position = np.full((instants, len(longest), 3), np.nan)
     for k, i in enumerate(longest[(high - low)[longest] > 1]):
         part = slice(int(low[i]), int(high[i]))
         number, where, _ = _resample_one(tracks.time[part] - begin, tracks.position[part], interval, None)
         inside = (number >= 0) & (number < instants)
-        place[number[inside], k] = where[inside]
-    return np.diff(place, axis=0)
+        position[number[inside], k] = where[inside]
+    return np.diff(position, axis=0)
 
 
 def _noise(velocity: Floats) -> tuple[float, int]:
@@ -274,10 +277,10 @@ def _noise(velocity: Floats) -> tuple[float, int]:
     variance = max(0.0, 2 * covariance(2) - covariance(3) - covariance(1))  # summed over the axes
     if variance < 0.01 * total:
         return 0.0, 1
-    place = np.cumsum(np.nan_to_num(velocity), axis=0)
+    position = np.cumsum(np.nan_to_num(velocity), axis=0)
     needed = 1
-    while needed < min(_LARGEST_SCALE, len(place) // 4):
-        moved = float(((place[needed:] - place[:-needed]) ** 2).sum(axis=2).mean())
+    while needed < min(_LARGEST_SCALE, len(position) // 4):
+        moved = float(((position[needed:] - position[:-needed]) ** 2).sum(axis=2).mean())
         if moved - 2 * variance >= _SIGNAL * 2 * variance / needed:
             break
         needed += 1
@@ -285,7 +288,7 @@ def _noise(velocity: Floats) -> tuple[float, int]:
     return float(np.sqrt(variance / axes)), needed
 
 
-def _measure_leads(velocity: Floats) -> tuple[float, float, int]:
+def _find_leads(velocity: Floats) -> tuple[float, float, int]:
     """The mean lead over the ids with velocities ``(T, n, 3)``, the median lag in steps, and the number of followers.
 
     The lead of j over i is max_τ C(τ) - max_τ C(-τ), τ = 1, ..., 4; C(τ) correlates the changes of i's velocity with
@@ -301,7 +304,7 @@ def _measure_leads(velocity: Floats) -> tuple[float, float, int]:
     scaled = (changes / np.where(size > 0, size, np.inf)[:, None]).transpose(1, 2, 0).astype(np.float32)  # (n, 3, T)
     spectrum = np.fft.rfft(scaled)
     shifts = np.arange(_SHIFTS) * steps // _SHIFTS if steps > _SHIFTS else np.arange(steps)  # 0 is among them
-    lags = np.arange(1, _LAGS + 1)[:, None]
+    lags = np.arange(1, LAGS + 1)[:, None]
     later, earlier = (shifts + lags) % steps, (shifts - lags) % steps  # (4, S)
     focal = np.linspace(0, ids - 1, min(ids, _FOCAL)).astype(int)
     leads, delays = [], []
@@ -310,13 +313,12 @@ def _measure_leads(velocity: Floats) -> tuple[float, float, int]:
         leads_of = curve[:, later].max(axis=1) - curve[:, earlier].max(axis=1)  # (n, S)
         leads_of[i] = -np.inf
         by_chance = leads_of[:, 1:].max(axis=0)
-        inside = curve[:, 1 : _LAGS + 1].max(axis=1) > curve[:, _LAGS + 1]  # otherwise the delay is longer than 4 steps
+        inside = curve[:, 1 : LAGS + 1].max(axis=1) > curve[:, LAGS + 1]  # otherwise the delay is longer than 4 steps
         lead = np.where(inside, leads_of[:, 0], -np.inf)
-        middle = float(np.median(by_chance))
-        spread = 1.4826 * float(np.median(np.abs(by_chance - middle)))
+        middle, spread = find_middle(by_chance)
         if lead.max() > middle + _SIGNIFICANT * spread:
             leads.append(float(lead.max()) - middle)
-            delays.append(1 + int(curve[lead.argmax(), 1 : _LAGS + 1].argmax()))
+            delays.append(1 + int(curve[lead.argmax(), 1 : LAGS + 1].argmax()))
     if len(leads) < max(1, len(focal) / _FEWEST):
         return 0.0, 0.0, 0
     return sum(leads) / len(focal), float(np.median(delays)), len(leads)

@@ -5,14 +5,9 @@ import pytest
 from sklearn.linear_model import Ridge
 
 from detectors.lagged import Granger, LaggedCorrelation, LaggedRegression
-from detectors.series.designs import centre_columns, centre_past
-from detectors.series.regressions import (
-    correlate_at_lag,
-    correlate_over_lags,
-    explain_beyond_own_past,
-    explain_pairs,
-    whiten,
-)
+from detectors.series.designs import centre_past
+from detectors.series.regressions import explain_beyond_own_past, explain_pairs, whiten
+from usnet_env.series import centre_columns, correlate_at_lag, correlate_over_lags
 
 
 def flight(seed, steps=40, uavs=6):
