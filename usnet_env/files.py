@@ -90,12 +90,12 @@ def write_html(path: str | os.PathLike[str], title: str, body: str) -> None:
     write_text(path, page)
 
 
-def reserve_folder(folder: Path) -> Path:
-    """Create the folder ``out`` before the work begins, check that it can be written, and return it."""
+def reserve_folder(folder: Path, name: str = "out") -> Path:
+    """Create the folder of an argument before the work begins, check that it can be written, and return it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with TemporaryFile(dir=folder):
             return folder
     except OSError as error:
-        sentence = f"out must be a folder that can be written, got {quote(str(folder))}: {error.strerror}."
+        sentence = f"{name} must be a folder that can be written, got {quote(str(folder))}: {error.strerror}."
         raise ArgumentError(sentence) from None

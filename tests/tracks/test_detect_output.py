@@ -39,11 +39,8 @@ def test_odd_ids_are_drawn_and_written_as_plain_text(run, tmp_path):
 
 def test_the_picture_has_the_coordinates_and_times_of_the_file(tmp_path):
     pytest.importorskip("matplotlib")
-    from usnet_env.tracks.picture import draw_leaders
-
     tracks = read_tracks(flock(tmp_path / "flock.csv", shift=1_700_000_000.5, move=500_000.0)).resample()
-    found = find_leaders(tracks, "lagged-regression")
-    axes = draw_leaders(found, tracks.windows(), "flock.csv", tracks).axes[0]
+    axes = find_leaders(tracks, "lagged-regression").plot_maps("flock.csv").axes[0]
     low, high = axes.get_xlim()
     places = [row[2] + 500_000.0 for row in example().flock() if row[1] <= 100]
     assert low < min(places) < max(places) < high
@@ -76,7 +73,7 @@ def test_an_interrupted_run_leaves_the_files_of_an_earlier_one(run, tmp_path, mo
     out.mkdir()
     for name in ("leaders.json", "windows.csv", "network.png", "page.html", "episode.npz"):
         (out / name).write_text("old")
-    monkeypatch.setattr("usnet_env.drawing.write_figure", interrupt)
+    monkeypatch.setattr("usnet_env.tracks.result.write_figure", interrupt)
     assert run("detect", path, *QUICK, "--out", out)[0] == 130
     assert [file.read_text() for file in out.iterdir()] == ["old"] * 5
 

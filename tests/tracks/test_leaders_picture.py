@@ -10,13 +10,10 @@ from usnet_env.tracks import find_leaders, read_tracks
 pytest.importorskip("matplotlib")
 from matplotlib.colors import to_hex
 
-from usnet_env.tracks.picture import draw_leaders
-
 
 def draw(tracks, detector, **options):
     """The figure of all windows."""
-    found = find_leaders(tracks, detector, **options)
-    figure = draw_leaders(found, tracks.windows(), "tracks.csv", tracks)
+    figure = find_leaders(tracks, detector, **options).plot_maps("tracks.csv")
     figure.draw_without_rendering()
     return figure
 
@@ -72,7 +69,7 @@ def test_an_id_has_one_colour_in_all_pictures(tmp_path):
     found = find_leaders(tracks, answers, length=20, confirm=False)
     colors = [color.lower() for color in found.colors.values()]
     assert [*found.colors] == ["a", "b"]
-    maps, network = draw_leaders(found, tracks.windows(20), "tracks.csv", tracks), found.plot().axes[0]
+    maps, network = found.plot_maps(), found.plot().axes[0]
     for axes, color in zip(maps.axes, (colors[1], colors[0]), strict=False):
         assert color in {to_hex(each) for part in axes.collections for each in part.get_facecolor()}
     patches = found.plot_timeline().axes[0].patches

@@ -5,31 +5,25 @@ from __future__ import annotations
 import json
 import warnings
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-import numpy as np
 
 from usnet_env.cli.options import PositiveNumber, WholeNumber, complete_names
 from usnet_env.cli.output import print_message, show
-from usnet_env.config import ArgumentError, MissingExtraError, printable, quote
-from usnet_env.files import as_path, replace_files, reserve_folder, write_text
+from usnet_env.config import ArgumentError, printable, quote
+from usnet_env.files import as_path, reserve_folder
 from usnet_env.progress import progress_bar
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from usnet_env.detection import Detection
-    from usnet_env.replay import EpisodeRecord
-    from usnet_env.tracks import DetectedWindow, FoundLeaders, Leader, Tracks, TrackWindow
-
-    Kept = tuple[TrackWindow, Detection, DetectedWindow]
+    from usnet_env.tracks import DetectedWindow, FoundLeaders, Leader, TrackWindow
 
 _DETECTOR = "reader(policy='map')"
 _MOST_ROWS, _MOST_NAMES = 40, 6  # of a table that is printed; ids in a row
-_OPTIONAL = ("episode.npz", "replay.rrd", "network.png", "delays.png", "timeline.png", "picture.png")  # files
 _COLUMN = "Name of a column; without NAME, the role is left out. May be repeated."
 _HEADER = "Names of the columns, with commas, of a file without them in row 1."
 _LENGTH = "Unit of x, y and z; beside degrees of z.  [default: m]"
@@ -125,64 +119,59 @@ def detect(
     from usnet_env.detection import read_tags
     from usnet_env.plugins import make_detector
     from usnet_env.tracks import find_leaders, read_tracks
-    from usnet_env.tracks.confirm import LEAST_STEPS
-    from usnet_env.tracks.page import write_page
 
     if record and out is None:
         raise click.UsageError("--record needs --out.")
     folder = None if out is None else as_path("out", out)
     read = read_tracks(list(tracks), **reading)
-    report = read.report()
+    warnings_of_file = read.report().warnings
     player = make_detector(detector)
     if read_tags(player).false_leaders and not unconfirmed:
         what = f"got {quote(detector)}, which names some in more than 5 % of the windows of tracks without one"
         raise ArgumentError(f"detector must confirm few false leaders, {what} (--unconfirmed takes it).")
-    for sentence in report.warnings:
+    for sentence in warnings_of_file:
         print_message(f"warning: {sentence}")
-    even = read.resample(step, max_gap=max_gap, keep_spikes=keep_spikes, length=window or 0)
-    facts = [*report.facts, *even.notes[len(read.notes) :]]
-    window = even.choose_length() if window is None else window
-    if window < LEAST_STEPS and not unconfirmed:
-        facts.append(f"Windows of fewer than {LEAST_STEPS} steps are too short for the test that confirms leaders.")
+    resampled = read.resample(step, max_gap=max_gap, keep_spikes=keep_spikes, length=window or 0)
+    window = resampled.choose_length() if window is None else window
     if folder is not None:
         reserve_folder(folder)
-    kept: list[Kept] = []
+    has_followers: list[bool] = []
     with progress_bar("windows") as progress:
 
-        def keep(*answered: Any) -> None:
-            kept.append(answered)
-            progress(len(kept), even.count_windows(window, stride or window))
+        def count(_: TrackWindow, answer: Detection, __: DetectedWindow) -> None:
+            has_followers.append(answer.leader is not None or answer.clusters is not None)
+            progress(len(has_followers), resampled.count_windows(window, stride or window))
 
         options: Any = {"length": window, "stride": stride, "seed": seed, "confirm": not unconfirmed}
-        found = find_leaders(even, player, on_window=keep, **options)
-    if not unconfirmed and all(answer.leader is None and answer.clusters is None for _, answer, _ in kept):
+        found = find_leaders(resampled, player, on_window=count, **options)
+    if not unconfirmed and not any(has_followers):
         print_message("the detector names no followers, so no leader is confirmed; --unconfirmed lists its candidates.")
-    content = json.dumps(found.as_dict(), indent=2, allow_nan=False)
     if as_json:
-        click.echo(content)
+        click.echo(json.dumps(found.as_dict(), indent=2, allow_nan=False))
     else:
-        over_file, by_window = _tables(found)
-        show(over_file)
-        events = [printable(str(event)) for event in (*found.confounds, *found.events)]
-        if len(events) > _MOST_ROWS:
-            events[_MOST_ROWS:] = [f"{len(events) - _MOST_ROWS} more changes; --out DIR writes all windows."]
-        click.echo("\n".join(["", *events]))
-        if by_windows:
-            show(by_window)
-        click.echo("\n".join(map(printable, ["", *facts])))
+        _print_leaders(found, by_windows)
     if folder is not None:
-        title = ", ".join(Path(name).name for name in tracks)
-        episode = _make_record(even, kept, title, found.detector, seed) if record else None
-        with replace_files(folder, _OPTIONAL) as aside:
-            write_text(aside / "leaders.json", content + "\n")
-            _write_files(aside, found, episode, ([cut for cut, _, _ in kept], title, even))
-            write_page(found, aside / "page.html", title, facts)
-            names = ", ".join(sorted(path.name for path in aside.iterdir()))
-        click.echo(f"{names} are in {folder}.", err=True)
+        with warnings.catch_warnings(record=True, action="always") as caught:
+            files = found.write(folder, ", ".join(Path(name).name for name in tracks), record=record)
+        for message in dict.fromkeys(str(warning.message) for warning in caught):
+            print_message(f"warning: {message}")
+        click.echo(f"{', '.join(file.name for file in files)} are in {folder}.", err=True)
+
+
+def _print_leaders(found: FoundLeaders, by_windows: bool) -> None:
+    over_file, by_window = _tables(found)
+    show(over_file)
+    events = [printable(event) for event in (*found.confounds, *found.events)]
+    if len(events) > _MOST_ROWS:
+        events[_MOST_ROWS:] = [f"{len(events) - _MOST_ROWS} more changes; --out DIR writes all windows."]
+    click.echo("\n".join(["", *events]))
+    if by_windows:
+        show(by_window)
+    click.echo("\n".join(map(printable, ["", *found.facts])))
 
 
 def _tables(found: FoundLeaders) -> list[Table]:
-    from usnet_env.tracks.leaders import CONFOUNDS
+    from usnet_env.tracks.found import CONFOUNDS
 
     rows: list[list[str]] = []
     for window in found.windows:
@@ -216,68 +205,3 @@ def _make_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str
     if len(rows) > _MOST_ROWS:
         table.caption = f"{len(rows) - _MOST_ROWS} more rows; --out DIR writes all of them."
     return table
-
-
-def _write_files(folder: Path, found: FoundLeaders, episode: EpisodeRecord | None, drawn: tuple[Any, str, Any]) -> None:
-    """Write tables, the episode and, where their extras are installed, a replay and a picture of ``drawn``."""
-    from usnet_env.drawing import write_figure
-    from usnet_env.replay import write_recording
-    from usnet_env.tracks.picture import draw_leaders
-
-    pictures = {"network.png": found.plot, "delays.png": found.plot_delays, "timeline.png": found.plot_timeline}
-    pictures["picture.png"] = lambda: draw_leaders(found, *drawn)
-    for name, table in found.tables().items():
-        write_text(folder / f"{name}.csv", table.to_csv(index=False))
-    writers: dict[str, Any] = {
-        name: partial(lambda name, draw: write_figure(draw(), folder / name), name, draw)
-        for name, draw in pictures.items()
-    }
-    if episode is not None:
-        episode.save(folder / "episode.npz")
-        writers["replay.rrd"] = lambda: write_recording(episode, folder / "replay.rrd")
-    with warnings.catch_warnings(record=True, action="always") as caught:
-        for name, write in writers.items():
-            try:
-                write()
-            except MissingExtraError as error:
-                print_message(f"{name} is left out. {error}")
-    for message in dict.fromkeys(str(warning.message) for warning in caught):
-        print_message(f"warning: {message}")
-
-
-def _make_record(even: Tracks, kept: Sequence[Kept], title: str, detector: str, seed: int) -> EpisodeRecord:
-    """The episode of all windows: a round for each, without truth, and without destroyed UAVs."""
-    from usnet_env.provenance import versions
-    from usnet_env.replay import EpisodeRecord
-
-    rounds, ids, steps = len(kept), len(even.ids), kept[0][0].window.observation_steps
-    arrays: dict[str, Any] = {
-        "position": np.zeros((rounds, steps + 1, ids, 3)),
-        "velocity": np.zeros((rounds, steps, ids, 3)),
-        "seen": np.zeros((rounds, steps + 1, ids), bool),
-        "scores": np.zeros((rounds, ids)),
-        "root": np.full((rounds, ids), -1),
-        "decoy": np.zeros(ids, bool),
-        "alive": np.ones((rounds, ids), bool),
-        "over_budget": np.ones(rounds, bool),
-        **dict.fromkeys(("objective", "seconds"), np.zeros(rounds)),
-    }
-    if all("probability" in answer.extras for _, answer, _ in kept):
-        arrays["probability"] = np.zeros((rounds, ids))
-    reasons = []
-    for r, (cut, answer, detected) in enumerate(kept):
-        rows, window, behind = cut.rows, cut.window, detected.roots(cut.ids)
-        place = np.where(window.seen[..., None], window.position + cut.origin, 0.0)
-        for name, values in (("position", place), ("velocity", window.velocity), ("seen", window.seen)):
-            arrays[name][r][:, rows] = values
-        arrays["scores"][r, rows] = answer.scores
-        if "probability" in arrays:
-            arrays["probability"][r, rows] = answer.extras["probability"]
-        arrays["root"][r, rows] = np.where(behind >= 0, rows[behind], -1)
-        reasons.append({str(rows[cut.ids.index(leader.id)]): leader.reason for leader in detected.leaders})
-    candidates = arrays["root"] == np.arange(ids)  # confirmed ones only
-    arrays |= {"candidates": candidates, "head": candidates.any(axis=0), "leader_estimate": arrays["root"]}
-    config = {"ids": [*even.ids], "step": even.step, "frame": even.frame, "origin": even.origin.tolist()}
-    config |= {end: [getattr(found, end) for _, _, found in kept] for end in ("start", "end")}
-    about: Any = {"env_id": title, "detector": detector, "detector_seed": seed, "config": config, "reasons": reasons}
-    return EpisodeRecord(**arrays, **about, versions=versions(), labelled=False)

@@ -7,16 +7,22 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from usnet_env.arrays import Floats, Indices, Mask, Singles
 from usnet_env.config import ArgumentError, quote
+from usnet_env.detection import Detection
 from usnet_env.drawing import last_seen_position
 from usnet_env.files import as_path, atomic_write
-from usnet_env.objectives import hits_and_redundant
+from usnet_env.objectives import hits_and_redundant, list_followers
+from usnet_env.provenance import versions
+from usnet_env.window import Window
+
+if TYPE_CHECKING:
+    from usnet_env.swarm import SwarmState
 
 FORMAT_VERSION = 1
 _FORMAT = "usnet-episode"
@@ -40,6 +46,32 @@ def _list_links(root: Indices, followers: Mask, heads: Mask) -> Indices:
     """``(L, 2)``: which of ``followers`` ``(N,)`` follow which of ``heads`` ``(N,)``."""
     linked = np.flatnonzero(followers & (root >= 0) & heads[root] & (root != np.arange(len(root))))
     return np.column_stack([linked, root[linked]])
+
+
+def _stack(values: Sequence[ArrayLike | None], absent: int = 0) -> Any:
+    """Stack an optional part of the answers; it is full of ``absent`` where a round lacks it, ``None`` if all do."""
+    first = next((value for value in values if value is not None), None)
+    return (
+        None
+        if first is None
+        else np.stack([np.full_like(first, absent) if value is None else value for value in values])
+    )
+
+
+def _list_reasons(answer: Detection) -> dict[str, str]:
+    """The sentences of ``extras["reasons"]`` by the UAVs of ``extras["heads"]``."""
+    heads, reasons = answer.extras.get("heads", ()), answer.extras.get("reasons", ())
+    return {str(int(i)): str(why) for i, why in zip(heads, reasons, strict=False)}
+
+
+def _find_roots(answer: Detection) -> Indices:
+    """``(N,)``: the candidate that each UAV follows by the answer; a candidate has its own index, -1: none."""
+    root = np.full(len(answer.candidates), -1, np.int64)
+    heads = np.flatnonzero(answer.candidates)
+    for head in heads.tolist():
+        root[list_followers(answer, head)] = head
+    root[heads] = heads
+    return root
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -132,6 +164,50 @@ class EpisodeRecord:
                 _check_shape(item.name, value, sizes)
             object.__setattr__(self, item.name, value)
 
+    @classmethod
+    def from_rounds(
+        cls,
+        windows: Sequence[Window],
+        answers: Sequence[Detection],
+        truths: Sequence[SwarmState] | None = None,
+        **others: Any,
+    ) -> EpisodeRecord:
+        """Make the record of R rounds.
+
+        Args:
+            windows: a window of all N UAVs for each round.
+            answers: the detector's answer to each window.
+            truths: the swarm in each round; ``None``: the truth is unknown, so that ``head`` and ``root`` are those of
+                the answers, no UAV is destroyed, and J is 0.
+            others: other arguments of the class by name, such as ``objective`` and ``env_id``.
+
+        Raises:
+            ArgumentError: an argument has another shape or can't be kept.
+        """
+        candidates, rounds = np.stack([answer.candidates for answer in answers]), len(windows)
+        reasons = [_list_reasons(answer) for answer in answers]
+        arrays: dict[str, Any] = {
+            **{name: [getattr(window, name) for window in windows] for name in ("position", "velocity", "seen")},
+            "candidates": candidates,
+            "scores": [answer.scores for answer in answers],
+            "clusters": _stack([answer.clusters for answer in answers], absent=-1),
+            "leader_estimate": _stack([answer.leader for answer in answers], absent=-1),
+            "attention": _stack([answer.attention for answer in answers]),
+            "probability": _stack([answer.extras.get("probability") for answer in answers]),
+            "reasons": reasons if any(reasons) else None,
+            "seconds": np.zeros(rounds),
+            "versions": versions(),
+            "labelled": truths is not None,
+        }
+        if truths is None:
+            arrays |= {"alive": [window.alive for window in windows], "root": [_find_roots(each) for each in answers]}
+            arrays |= {"head": candidates.any(axis=0), "decoy": np.zeros(candidates.shape[1], bool)}
+            arrays |= {"objective": np.zeros(rounds), "over_budget": np.ones(rounds, bool)}
+        else:
+            arrays |= {name: [getattr(truth, name) for truth in truths] for name in ("alive", "root")}
+            arrays |= {"head": truths[0].head, "decoy": truths[0].decoy}
+        return cls(**arrays | others)
+
     @property
     def rounds(self) -> int:
         """R."""
@@ -223,9 +299,9 @@ class EpisodeRecord:
         Raises:
             ArgumentError: the file can't be read, is of another kind or version, or is damaged.
         """
-        place = as_path("path", path)
+        file_path = as_path("path", path)
         try:
-            with place.open("rb") as source, np.load(source, allow_pickle=False) as file:
+            with file_path.open("rb") as source, np.load(source, allow_pickle=False) as file:
                 arrays: dict[str, Any] = {name: file[name] for name in file.files if name != _LINKS}
             words = json.loads(str(arrays.pop("metadata")))
             version = words.pop("version") if words.pop("format") == _FORMAT else None
@@ -235,4 +311,4 @@ class EpisodeRecord:
         except Exception as error:  # a damaged file makes NumPy raise whatever Python's own tokenizer raises
             reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
             fault = " ".join(reason.split()).rstrip(".")
-            raise ArgumentError(f"path must be an intact episode file, got {quote(str(place))}: {fault}.") from None
+            raise ArgumentError(f"path must be an intact episode file, got {quote(str(file_path))}: {fault}.") from None

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from usnet_env.tracks.events import Event
-from usnet_env.tracks.leaders import DetectedWindow, FoundLeaders, Leader, Link, find_leaders
+from usnet_env.tracks.found import DetectedWindow, Leader, Link
+from usnet_env.tracks.leaders import find_leaders
 from usnet_env.tracks.read import read_tracks
 from usnet_env.tracks.report import TrackReport
+from usnet_env.tracks.result import FoundLeaders
 from usnet_env.tracks.samples import Clock
 from usnet_env.tracks.tracks import Tracks, TrackWindow
 

@@ -15,10 +15,10 @@ class Answer(NamedTuple):
     """A detector's answer to a window, and the window with the shortest step that it was asked for."""
 
     detection: Detection
-    finest: TrackWindow
+    shortest_step_window: TrackWindow
 
 
-def answer_window(player: DetectorLike, even: Tracks, cut: TrackWindow, seed: int) -> Answer:
+def answer_window(player: DetectorLike, resampled: Tracks, track_window: TrackWindow, seed: int) -> Answer:
     """Ask a detector for a window.
 
     If it tells the probability that nobody leads, it is also asked at :attr:`Tracks.other_steps`. A step that doesn't
@@ -33,12 +33,13 @@ def answer_window(player: DetectorLike, even: Tracks, cut: TrackWindow, seed: in
     def tell_silence(each: Detection) -> float:
         return float(each.extras.get("silent", 0.0))
 
-    cuts, answers = [cut], [answer(cut)]
+    track_windows, answers = [track_window], [answer(track_window)]
     if "silent" in answers[0].extras:
-        cuts += [same for other in even.other_steps if (same := other.cut_like(cut))]
-        answers += map(answer, cuts[1:])
+        others = (other.cut_like(track_window) for other in resampled.other_steps)
+        track_windows += filter(None, others)
+        answers += map(answer, track_windows[1:])
     answers.sort(key=tell_silence)
     answers = [each for each in answers if tell_silence(each) < 0.5] or answers[:1]
     usual = np.mean([each.candidates for each in answers], axis=0)
     detection = min(answers, key=lambda each: round(float(np.abs(each.candidates - usual).sum()), 6))
-    return Answer(detection, min(cuts, key=lambda each: each.step))
+    return Answer(detection, min(track_windows, key=lambda each: each.step))

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from usnet_env.config import format_count
-
-if TYPE_CHECKING:
-    from usnet_env.tracks.leaders import DetectedWindow
+from usnet_env.tracks.found import DetectedWindow
 
 Name = str | int
 Kind = Literal["leads", "ends", "joins", "leaves", "changes", "merges", "splits", "takes over"]

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from base64 import b64encode
-from collections.abc import Sequence
+from collections.abc import Iterable
 from html import escape
 from pathlib import Path
 
 from usnet_env.config import printable
 from usnet_env.files import write_html
-from usnet_env.tracks.leaders import FoundLeaders
 
 _PICTURES = {
     "network": "Who follows whom: an arrow leads to the one that is followed",
@@ -19,13 +18,14 @@ _PICTURES = {
 }
 
 
-def write_page(found: FoundLeaders, path: Path, title: str, facts: Sequence[str]) -> None:
+def write_page(path: Path, title: str, sentences: Iterable[str], table: str, facts: Iterable[str]) -> None:
     """Write a page that any browser opens without a network.
 
     Args:
-        found: the leaders, which sentences and a table tell.
         path: of the page; pictures beside it, such as ``network.png``, become parts of it.
         title: what the tracks are.
+        sentences: about the leaders.
+        table: HTML.
         facts: sentences about the tracks.
     """
     pictures = [
@@ -33,8 +33,5 @@ def write_page(found: FoundLeaders, path: Path, title: str, facts: Sequence[str]
         for name, text in _PICTURES.items()
         if (image := path.with_name(f"{name}.png")).exists()
     ]
-    told, about = (
-        "".join(f"<li>{escape(printable(line))}</li>" for line in lines) for lines in (str(found).splitlines(), facts)
-    )
-    table = f"{found._repr_html_()}<p>By {escape(found.detector)}.</p>"
-    write_html(path, f"Leaders in {title}", f"<ul>{told}</ul>{''.join(pictures)}{table}<ul>{about}</ul>")
+    found, about = ("".join(f"<li>{escape(printable(line))}</li>" for line in lines) for lines in (sentences, facts))
+    write_html(path, f"Leaders in {title}", f"<ul>{found}</ul>{''.join(pictures)}{table}<ul>{about}</ul>")

@@ -8,7 +8,6 @@ from itertools import chain
 
 import numpy as np
 
-from usnet_env.arrays import Floats
 from usnet_env.config import format_count, format_number
 from usnet_env.tracks.resample import JUMP, Jumps, find_jumps, typical_intervals
 from usnet_env.tracks.samples import Samples
@@ -34,28 +33,30 @@ class TrackReport:
         return "\n".join([*self.facts, *(f"Warning: {sentence}" for sentence in self.warnings)])
 
 
-def find_problems(tracks: Samples) -> TrackReport:
-    """Describe tracks and find what is doubtful about them."""
-    ids = len(tracks.ids)
-    typical = typical_intervals(tracks)
+def describe_samples(tracks: Samples) -> tuple[str, ...]:
+    """Two sentences: what the tracks hold, and how many ids are always there."""
+    ids, typical = len(tracks.ids), typical_intervals(tracks)
     usual = float(np.median(typical[np.isfinite(typical)])) if np.isfinite(typical).any() else 0.0
     filled = np.flatnonzero(np.diff(tracks.offsets) > 0)
     first, last = tracks.time[tracks.offsets[filled]], tracks.time[tracks.offsets[filled + 1] - 1]
     slack = 0.01 * tracks.duration
-    whole = int(((first <= slack) & (last >= tracks.duration - slack)).sum())
-    facts = (
+    always = int(((first <= slack) & (last >= tracks.duration - slack)).sum())
+    return (
         f"{ids} ids, {tracks.samples} samples from {tracks.file_time(0.0)} to {tracks.file_time(tracks.duration)} "
         f"({format_number(tracks.duration)} s), one every {format_number(usual)} s; {tracks.dimensions}-D, "
         f"{tracks.frame}.",
-        f"{whole} of {ids} ids are there from the beginning to the end.",
-        *tracks.notes,
+        f"{always} of {ids} ids are there from the beginning to the end.",
     )
+
+
+def find_problems(tracks: Samples) -> TrackReport:
+    """Describe tracks and find what is doubtful about them."""
     jumps = find_jumps(tracks)
-    doubts = _doubt_units(tracks, jumps.usual), _doubt_gaps(tracks, typical), _doubt_jumps(tracks, jumps)
-    return TrackReport(facts, tuple(chain(*doubts)))
+    doubts = _doubt_units(tracks, jumps.usual), _doubt_gaps(tracks), _doubt_jumps(tracks, jumps)
+    return TrackReport((*describe_samples(tracks), *tracks.notes), tuple(chain(*doubts)))
 
 
-def _place(tracks: Samples, sample: int) -> str:
+def _locate(tracks: Samples, sample: int) -> str:
     owner = int(np.searchsorted(tracks.offsets, sample, side="right")) - 1
     return f"{tracks.file_time(tracks.time[sample])} (id {tracks.ids[owner]})"
 
@@ -69,15 +70,15 @@ def _doubt_units(tracks: Samples, usual: float) -> Iterator[str]:
         yield "Columns x and y are read as metres, but may be degrees (--column lon=NAME --column lat=NAME reads them)."
 
 
-def _doubt_gaps(tracks: Samples, typical: Floats) -> Iterator[str]:
+def _doubt_gaps(tracks: Samples) -> Iterator[str]:
     interval, inner = np.diff(tracks.time), tracks.inner_steps
-    expected = np.repeat(typical, np.diff(tracks.offsets))[:-1]
+    expected = np.repeat(typical_intervals(tracks), np.diff(tracks.offsets))[:-1]
     number = np.searchsorted([begin for begin, _ in tracks.recordings], tracks.time, side="right")
     inner = inner & (np.diff(number) == 0)  # between two recordings is no gap
     gaps = np.flatnonzero(inner & (interval > _GAP * expected))
     if len(gaps):
         longest = int(gaps[interval[gaps].argmax()])
-        worst = f"the longest takes {format_number(interval[longest])} s, after {_place(tracks, longest)}"
+        worst = f"the longest takes {format_number(interval[longest])} s, after {_locate(tracks, longest)}"
         yield f"{format_count(len(gaps), 'gap')} longer than {_GAP:g} typical intervals; {worst}."
     share = (inner & (np.abs(interval - expected) > _UNEVEN * expected)).sum() / max(int(inner.sum()), 1)
     if share > _UNEVEN:
@@ -87,10 +88,10 @@ def _doubt_gaps(tracks: Samples, typical: Floats) -> Iterator[str]:
 def _doubt_jumps(tracks: Samples, jumps: Jumps) -> Iterator[str]:
     fast = f"more than {JUMP:g} times as fast as 95 % of the steps ({format_number(jumps.usual, 3)} m/s)"
     if count := len(jumps.spikes):
-        where = _place(tracks, int(jumps.spikes[0]))
+        where = _locate(tracks, int(jumps.spikes[0]))
         yield f"{format_count(count, 'spike')}, samples to and from which tracks move {fast}; the first is at {where}."
     steps = np.setdiff1d(jumps.steps, np.concatenate([jumps.spikes, jumps.spikes - 1]))
     if count := len(steps):
         fastest = int(steps[jumps.speed[steps].argmax()])
         speed = format_number(jumps.speed[fastest], 3)
-        yield f"{format_count(count, 'jump')}, {fast}; the fastest has {speed} m/s, after {_place(tracks, fastest)}."
+        yield f"{format_count(count, 'jump')}, {fast}; the fastest has {speed} m/s, after {_locate(tracks, fastest)}."

@@ -68,6 +68,7 @@ class Samples:
     notes: tuple[str, ...] = ()
     step: float | None = None
     source: Any = None
+    sampled: tuple[str, ...] = ()
     max_gap: float | None = None
 
     def __post_init__(self) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from usnet_env.arrays import Floats, Indices
 from usnet_env.config import ArgumentError, format_count, quote, real_number, whole_number
-from usnet_env.tracks.report import TrackReport, find_problems
+from usnet_env.tracks.report import TrackReport, describe_samples, find_problems
 from usnet_env.tracks.resample import (
     choose_step,
     close_jumps,
@@ -62,6 +62,14 @@ class TrackWindow:
     def __repr__(self) -> str:
         return f"<TrackWindow of {len(self.ids)} ids from {self.start:g} s to {self.end:g} s, {self.window!r}>"
 
+    def among(self, ids: int) -> Window:
+        """The window of all ids of the tracks, so many, in their coordinates; those that it lacks are not seen."""
+        seen = np.zeros((len(self.window.seen), ids), bool)
+        position, velocity = np.zeros((*seen.shape, 3), np.float32), np.zeros((len(seen) - 1, ids, 3), np.float32)
+        seen[:, self.rows], velocity[:, self.rows] = self.window.seen, self.window.velocity
+        position[:, self.rows] = np.where(self.window.seen[..., None], self.window.position + self.origin, 0.0)
+        return Window(position, velocity, seen, np.ones(ids, bool), step=self.step)
+
 
 class Tracks(Samples):
     """The tracks of N ids: S samples, sorted by id and then by time. All arrays are read-only.
@@ -82,6 +90,7 @@ class Tracks(Samples):
         notes: what the reader decided or found, a sentence each.
         step: seconds between the samples if they lie on the common grid of :meth:`resample`, otherwise ``None``.
         source: the tracks of which :attr:`other_steps` are made, if the step was chosen.
+        sampled: of resampled tracks, sentences about them before.
         max_gap: longest time in seconds that was interpolated, as :meth:`resample` got it.
     """
 
@@ -102,14 +111,14 @@ class Tracks(Samples):
             ArgumentError: lengths differ, values are not finite numbers, or an id has two samples at one time.
         """
         shape = as_array("position", position).shape
-        places = frozen_array("position", position, np.float64, (None, 2 if shape[1:] == (2,) else 3))
-        seconds = frozen_array("time", time, np.float64, (len(places),))
-        codes, names = _read_ids("ids", ids, len(places))
+        points = frozen_array("position", position, np.float64, (None, 2 if shape[1:] == (2,) else 3))
+        seconds = frozen_array("time", time, np.float64, (len(points),))
+        codes, names = _read_ids("ids", ids, len(points))
         leaders: Indices | None = None
         notes: list[str] = []
         if leader is not None:
-            leaders, notes = match_leaders(*_read_ids("leader", leader, len(places)), codes, names)
-        return cls(**sort_samples(names, codes, seconds, list(places.T), leader=leaders, notes=notes))
+            leaders, notes = match_leaders(*_read_ids("leader", leader, len(points)), codes, names)
+        return cls(**sort_samples(names, codes, seconds, list(points.T), leader=leaders, notes=notes))
 
     def __repr__(self) -> str:
         step = f", one every {self.step:g} s" if self.step else ""
@@ -118,6 +127,11 @@ class Tracks(Samples):
     def report(self) -> TrackReport:
         """What the tracks hold, and what is doubtful about them: nothing of it is repaired."""
         return find_problems(self)
+
+    @property
+    def facts(self) -> tuple[str, ...]:
+        """Sentences about the tracks, before they were resampled, and what was decided since they were read."""
+        return (*(self.sampled or describe_samples(self)), *self.notes)
 
     def resample(
         self, step: float | None = None, *, max_gap: float | None = None, keep_spikes: bool = False, length: int = 0
@@ -160,24 +174,26 @@ class Tracks(Samples):
             notes.append(why)
         if spikes := self.samples - tracks.samples:
             notes.append(f"{format_count(spikes, 'spike')} left out, unless keep_spikes (--keep-spikes) is given.")
-        even = resample_positions(tracks, step, max_gap)
-        if not even.inner_steps.any():
+        resampled = resample_positions(tracks, step, max_gap)
+        if not resampled.inner_steps.any():
             got = f"{step:g} s for tracks of {self.duration:g} s"
             raise ArgumentError(f"step must be so short that an id is seen at two times, got {got} (--step sets it).")
-        return replace(even, notes=tuple(notes), source=source, max_gap=max_gap)
+        sampled = self.sampled or describe_samples(self)
+        return replace(resampled, notes=tuple(notes), source=source, sampled=sampled, max_gap=max_gap)
 
     @cached_property
     def other_steps(self) -> tuple[Tracks, ...]:
         """The tracks at a quarter and a half of a chosen step, if samples are so near; else none."""
         return resample_others(self.source, self.step, self.max_gap) if self.source and self.step else ()
 
-    def cut_like(self, cut: TrackWindow) -> TrackWindow | None:
-        """The window with the ids and times of ``cut`` in tracks with another step, or ``None`` if it is of no use."""
+    def cut_like(self, track_window: TrackWindow) -> TrackWindow | None:
+        """The window with the same ids and times in tracks with another step, or ``None`` if it is of no use."""
         step = float(self.step or 1.0)
-        first, last = int(np.ceil(cut.start / step - 1e-6)), int(np.floor(cut.end / step + 1e-6))
+        first = int(np.ceil(track_window.start / step - 1e-6))
+        last = int(np.floor(track_window.end / step + 1e-6))
         if last - first > _MOST_STEPS:
             return None
-        return _cut(self, np.round(self.time / step).astype(np.int64), first, last - first, 0, cut.rows)
+        return _cut(self, np.round(self.time / step).astype(np.int64), first, last - first, 0, track_window.rows)
 
     def windows(
         self, length: int | None = None, stride: int | None = None, *, least_steps: int | None = None
@@ -194,19 +210,19 @@ class Tracks(Samples):
         Raises:
             ArgumentError: an argument is out of range, or the tracks are shorter than one window.
         """
-        even = self if self.step is not None else self.resample()
-        length = even.choose_length() if length is None else whole_number("length", length, 1, 10**7)
+        resampled = self if self.step is not None else self.resample()
+        length = resampled.choose_length() if length is None else whole_number("length", length, 1, 10**7)
         stride = length if stride is None else whole_number("stride", stride, 1, 10**9)
         least_steps = -(-length // 2) if least_steps is None else whole_number("least_steps", least_steps, 1, length)
-        starts, step = even._window_starts(length, stride), float(even.step or 1.0)
+        starts, step = resampled._window_starts(length, stride), float(resampled.step or 1.0)
         if not len(starts):
-            most = f"{round(even.duration / step)}, the steps of {step:g} s in the tracks"
+            most = f"{round(resampled.duration / step)}, the steps of {step:g} s in the tracks"
             raise ArgumentError(f"length must be at most {most}, got {length} (--window sets it).")
-        number = np.round(even.time / step).astype(np.int64)
+        number = np.round(resampled.time / step).astype(np.int64)
         known = np.unique(number)
         filled = np.searchsorted(known, starts + length, side="right") > np.searchsorted(known, starts)
-        cuts = (_cut(even, number, int(first), length, least_steps) for first in starts[filled])
-        return (cut for cut in cuts if cut is not None)
+        windows = (_cut(resampled, number, int(first), length, least_steps) for first in starts[filled])
+        return (track_window for track_window in windows if track_window is not None)
 
     def choose_length(self) -> int:
         """Steps of windows that fit resampled tracks: 100 to 199, or fewer if ids typically stay for fewer steps."""
@@ -222,15 +238,15 @@ class Tracks(Samples):
 
     def _window_starts(self, length: int, stride: int) -> Indices:
         """First steps of the windows. The last one ends at the last step: one more, or the last, moved by a little."""
-        found = []
+        all_starts = []
         for begin, end in self.recordings:
             last = round(end / (self.step or 1.0)) - length
             starts = np.arange(np.ceil(round(begin / (self.step or 1.0), 6)), last + 1, stride).astype(np.int64)
             if len(starts) and last - starts[-1] > length * _LITTLE:
                 starts = np.append(starts, last)
             starts[-1:] = last
-            found.append(starts)
-        return np.concatenate(found)
+            all_starts.append(starts)
+        return np.concatenate(all_starts)
 
 
 def _read_ids(name: str, value: Any, samples: int) -> tuple[Indices, tuple[str | int, ...]]:
@@ -267,11 +283,11 @@ def _cut(
     position = np.zeros((length + 1, len(rows), 3))
     position[number[inside] - first, column] = tracks.position[inside] - origin
     velocity = np.where((seen[1:] & seen[:-1])[..., None], np.diff(position, axis=0), 0.0)
-    places, moves, alive = position.astype(np.float32), velocity.astype(np.float32), np.ones(len(rows), bool)
     leader = None
     if tracks.leader is not None:
         pairs = pd.DataFrame({"column": column, "leader": tracks.leader[inside]}).groupby(["column", "leader"]).size()
         often = pairs.sort_values(ascending=False, kind="stable").reset_index().drop_duplicates("column")
         leader = pd.Index(rows).get_indexer(often.sort_values("column")["leader"]).astype(np.int64)
-    window, ids = Window(places, moves, seen, alive, step=step), tuple(tracks.ids[i] for i in rows)
+    singles, ids = (values.astype(np.float32) for values in (position, velocity)), tuple(tracks.ids[i] for i in rows)
+    window = Window(*singles, seen, np.ones(len(rows), bool), step=step)
     return TrackWindow(window, ids, rows, first * step, (first + length) * step, step, origin, leader, left_out)

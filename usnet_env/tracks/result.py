@@ -1,0 +1,253 @@
+"""The leaders of recorded tracks: as sentences, tables, pictures, an episode, and a folder of all of them."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import warnings
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from functools import partial
+from html import escape
+from itertools import cycle
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from usnet_env.config import ArgumentError, MissingExtraError, format_count
+from usnet_env.detection import Detection
+from usnet_env.drawing import CLUSTER_COLORS, write_figure
+from usnet_env.files import as_path, replace_files, reserve_folder, write_text
+from usnet_env.tracks import draw
+from usnet_env.tracks.events import Event, find_events
+from usnet_env.tracks.found import CONFOUNDS, DetectedWindow, Leader
+from usnet_env.tracks.page import write_page
+from usnet_env.tracks.tracks import Tracks, TrackWindow
+from usnet_env.window import Window
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from usnet_env.replay import EpisodeRecord
+
+_COLUMNS = {  # of the tables
+    "windows": "start end group id probability score followers reason not_confirmed left_out confound alike",
+    "leaders": "id probability followers reason group score share",
+    "rows": "start end id leader head delay probability group",
+    "links": "start end follower leader head delay",
+}
+_OPTIONAL = ("episode.npz", "replay.rrd", "network.png", "delays.png", "timeline.png", "picture.png")  # files
+
+
+@dataclass(frozen=True, eq=False)
+class FoundLeaders:
+    """The leaders of each window, and over the file.
+
+    Args:
+        windows: in the order of time.
+        leaders: an entry for each id that leads a group in a window, the one with the most windows first.
+        detector: label of the detector.
+        ids: all ids of the tracks.
+        facts: sentences about the tracks, and how they were resampled.
+        tracks: the resampled tracks; it, the windows of them and the answers are needed for maps and an episode only.
+        track_windows: the windows of the tracks.
+        answers: the detector's answer to each window.
+        seed: that of the detector.
+    """
+
+    windows: tuple[DetectedWindow, ...]
+    leaders: tuple[Leader, ...]
+    detector: str
+    ids: tuple[str | int, ...] = ()
+    facts: tuple[str, ...] = ()
+    tracks: Tracks | None = None
+    track_windows: tuple[TrackWindow, ...] = ()
+    answers: tuple[Detection, ...] = ()
+    seed: int = 0
+
+    def __repr__(self) -> str:
+        names = ", ".join(str(leader.id) for leader in self.leaders[:6]) + ", …" * (len(self.leaders) > 6)
+        return f"<FoundLeaders in {format_count(len(self.windows), 'window')} by {self.detector}: {names or 'nobody'}>"
+
+    def __str__(self) -> str:
+        said = [(each.id, format_count(len(each.followers), "id"), each.share or 0.0) for each in self.leaders]
+        lines = [f"{name} leads {count} in {share:.0%} of the windows." for name, count, share in said]
+        return "\n".join([*(lines or ["No leader was found."]), *self.confounds, *map(str, self.events)])
+
+    def _repr_html_(self) -> str:
+        rows = [[each.id, each.probability, ", ".join(map(str, each.followers)), each.reason] for each in self.leaders]
+        table = pd.DataFrame(rows, columns=["leader", "p", "followers", "why"]).astype({"p": float})
+        html = table.to_html(index=False, na_rep="", float_format="{:.2f}".format)
+        return str(html) if rows else "<p>No leader was found.</p>"
+
+    @property
+    def confounds(self) -> list[str]:
+        """A sentence about what ids follow instead of a leader, if they do so in at least half of the windows."""
+        sentences, all_windows = [], format_count(len(self.windows), "window")
+        for kind, words in CONFOUNDS.items():
+            counts = [len(window.alike) for window in self.windows if window.confound == kind]
+            if 2 * len(counts) >= len(self.windows):
+                ids = format_count(round(np.mean(counts)), "id")
+                sentences.append(f"In {len(counts)} of {all_windows} nobody leads, and {ids} {words}.")
+        return sentences
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """Who leads, joins, leaves and takes over when, from window to window."""
+        return find_events(self.windows)
+
+    @property
+    def colors(self) -> dict[str | int, str]:
+        """The colour of each id that leads, in all pictures and in the replay."""
+        leading = {leader.id for window in self.windows for leader in window.leaders}
+        return dict(zip((name for name in self.ids if name in leading), cycle(CLUSTER_COLORS), strict=False))
+
+    def to_frame(self) -> pd.DataFrame:
+        """A row for each window and each id that leads or follows in it.
+
+        The columns are ``start``, ``end``, ``id``, ``leader`` (the id that it follows directly, missing for a head),
+        ``head``, ``delay`` in seconds, and ``probability`` and ``group`` of the head.
+        """
+        rows = []
+        for window in self.windows:
+            of = {leader.id: {"probability": leader.probability, "group": leader.group} for leader in window.leaders}
+            found: list[Any] = [{"id": leader.id, "head": leader.id} for leader in window.leaders]
+            found += [vars(link) | {"id": link.follower} for link in window.links]
+            rows += [{"start": window.start, "end": window.end} | each | of[each["head"]] for each in found]
+        return pd.DataFrame(rows, columns=[*_COLUMNS["rows"].split()])
+
+    def plot(self) -> Figure:
+        """Draw who follows whom: an arrow leads to the one that is followed; see :mod:`usnet_env.tracks.draw`."""
+        return draw.draw_network(self.to_frame(), len(self.windows), self.colors)
+
+    def plot_delays(self) -> Figure:
+        """Draw the median delay in seconds of each id behind each one that it follows."""
+        return draw.draw_delays(self.to_frame())
+
+    def plot_timeline(self) -> Figure:
+        """Draw which head each id follows in each window."""
+        return draw.draw_timeline(self.to_frame(), self.ids, [window.start for window in self.windows], self.colors)
+
+    def plot_maps(self, title: str = "tracks") -> Figure:
+        """Draw up to six windows from above, in the coordinates of the file; ``title`` is what the tracks are."""
+        return draw.draw_maps(self._resampled, self.track_windows, self.windows, [*self.colors], title, self.detector)
+
+    @property
+    def _resampled(self) -> Tracks:
+        if self.tracks is None:
+            raise ArgumentError("tracks must be given for maps and episodes, got leaders without them.")
+        return self.tracks
+
+    def as_dict(self) -> dict[str, Any]:
+        """The windows and the leaders over the file as plain values for JSON."""
+        values = {"windows": [asdict(window) for window in self.windows], "leaders": [*map(asdict, self.leaders)]}
+        for window in values["windows"]:
+            for leader in window["leaders"]:
+                del leader["share"]
+        return values
+
+    def tables(self) -> dict[str, pd.DataFrame]:
+        """Three tables, as they are written to CSV: ``windows``, ``leaders`` and ``links``.
+
+        A window without leaders has one row without an id. Ids are joined by semicolons; in them, a semicolon or a
+        backslash has a backslash before it.
+        """
+        rows: dict[str, list[dict[str, Any]]] = {"leaders": [vars(leader) for leader in self.leaders]}
+        rows["windows"] = [
+            vars(window) | (vars(leader) if leader else {})
+            for window in self.windows
+            for leader in window.leaders or (None,)
+        ]
+        rows["links"] = [vars(window) | vars(link) for window in self.windows for link in window.links]
+        return {
+            name: pd.DataFrame(rows[name], columns=names.split(), dtype=object).map(_cell)
+            for name, names in _COLUMNS.items()
+            if name in rows
+        }
+
+    def to_episode(self, title: str = "tracks") -> EpisodeRecord:
+        """A record with a round for each window, without truth and destroyed UAVs; ``title`` is what the tracks are."""
+        from usnet_env.replay import EpisodeRecord
+
+        tracks, windows, answers = self._resampled, list[Window](), list[Detection]()
+        for track_window, answer, detected in zip(self.track_windows, self.answers, self.windows, strict=True):
+            windows.append(track_window.among(len(tracks.ids)))
+            answers.append(_answer_among(len(tracks.ids), track_window, answer, detected))
+        config: dict[str, Any] = {"ids": [*tracks.ids], "step": tracks.step, "frame": tracks.frame}
+        config |= {"origin": tracks.origin.tolist()}
+        config |= {end: [getattr(window, end) for window in self.windows] for end in ("start", "end")}
+        about: dict[str, Any] = {"env_id": title, "detector": self.detector, "detector_seed": self.seed}
+        return EpisodeRecord.from_rounds(windows, answers, config=config, **about)
+
+    def write(self, folder: str | os.PathLike[str], title: str = "tracks", *, record: bool = False) -> list[Path]:
+        """Write the files of ``usnet detect --out``: a page, tables, JSON, and pictures.
+
+        They appear together, in place of those of an earlier run. A warning says which ones need an extra that is not
+        installed.
+
+        Args:
+            folder: where to; it is created if it is missing.
+            title: what the tracks are, in the page and the pictures.
+            record: whether to write an episode file and a replay, too.
+
+        Returns:
+            The paths of the files.
+
+        Raises:
+            ArgumentError: the folder can't be written to, or the leaders are not those of :func:`find_leaders`.
+
+        >>> import tempfile
+        >>> found = find_leaders(Tracks.from_samples([*"abc"] * 50, np.repeat(np.arange(50), 3), np.zeros((150, 2))))
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     print(*(path.name for path in found.write(folder)))
+        """
+        place = reserve_folder(as_path("folder", folder), "folder")
+        with replace_files(place, _OPTIONAL) as aside:
+            self._write_files(aside, title, record)
+            names = sorted(path.name for path in aside.iterdir())
+        return [place / name for name in names]
+
+    def _write_files(self, folder: Path, title: str, record: bool) -> None:
+        write_text(folder / "leaders.json", json.dumps(self.as_dict(), indent=2, allow_nan=False) + "\n")
+        for name, table in self.tables().items():
+            write_text(folder / f"{name}.csv", table.to_csv(index=False))
+        plots = {"network": self.plot, "delays": self.plot_delays, "timeline": self.plot_timeline}
+        plots["picture"] = partial(self.plot_maps, title)
+        writers = {f"{name}.png": partial(_write_plot, plot) for name, plot in plots.items()}
+        if record:
+            from usnet_env.replay import write_recording
+
+            episode = self.to_episode(title)
+            episode.save(folder / "episode.npz")
+            writers["replay.rrd"] = partial(write_recording, episode)
+        for name, write in writers.items():
+            try:
+                write(folder / name)
+            except MissingExtraError as error:
+                warnings.warn(f"{name} is left out. {error}", stacklevel=3)
+        table = f"{self._repr_html_()}<p>By {escape(self.detector)}.</p>"
+        write_page(folder / "page.html", title, str(self).splitlines(), table, self.facts)
+
+
+def _write_plot(plot: Callable[[], Figure], path: Path) -> Path:
+    return write_figure(plot(), path)
+
+
+def _answer_among(ids: int, track_window: TrackWindow, answer: Detection, detected: DetectedWindow) -> Detection:
+    """The answer to a window, with confirmed leaders only, for all ids of the tracks."""
+    rows, roots = track_window.rows, detected.roots(track_window.ids)
+    leader, scores, probability = np.full(ids, -1), np.zeros(ids), np.zeros(ids)
+    leader[rows], scores[rows] = np.where(roots >= 0, rows[roots], -1), answer.scores
+    extras: dict[str, Any] = {"heads": [rows[track_window.ids.index(each.id)] for each in detected.leaders]}
+    extras["reasons"] = [each.reason for each in detected.leaders]
+    if "probability" in answer.extras:
+        probability[rows] = answer.extras["probability"]
+        extras["probability"] = probability
+    return Detection(leader == np.arange(ids), scores, leader=leader, extras=extras)
+
+
+def _cell(value: Any) -> Any:
+    return ";".join(re.sub(r"([;\\])", r"\\\1", str(name)) for name in value) if isinstance(value, tuple) else value
