@@ -8,7 +8,7 @@ from small_episode import MIND, ROUNDS, UAVS, large_episode, small_episode
 
 from usnet_env import ArgumentError
 from usnet_env.replay import EpisodeRecord, draw_episode, write_picture
-from usnet_env.replay.story import describe_outcome, describe_round, explain_replay, list_marked, tell_round
+from usnet_env.replay.story import annotated_uavs, describe_outcome, describe_round, explain_replay, tell_round
 
 pytest.importorskip("matplotlib")
 
@@ -68,14 +68,14 @@ def test_a_round_is_told_as_it_happens():
 
 def test_reasons_are_the_detectors():
     episode = small_episode()
-    marked = {i: (word, why) for i, word, why in list_marked(episode, 1)}
+    marked = {i: (word, why) for i, word, why in annotated_uavs(episode, 1)}
     assert list(marked) == [i for i in np.argsort(-episode.scores[0]) if i in (0, 3, 5)]
     assert {i: word for i, (word, _) in marked.items()} == {0: "hit", 3: "redundant", 5: "missed"}
     assert marked[3][1].endswith(": Adds 2 nats.")
     assert marked[5][1] == f"p 0.90, score {episode.scores[0, 5]:.3g}"
     together = small_episode(clusters=np.zeros((ROUNDS, UAVS), int))
-    assert {i: why for i, _, why in list_marked(together, 1)}[5].endswith(": found in the group of UAV 0, UAV 3")
-    assert list_marked(small_episode(reasons=None, probability=None), 2)[0][2].startswith("score ")
+    assert {i: why for i, _, why in annotated_uavs(together, 1)}[5].endswith(": found in the group of UAV 0, UAV 3")
+    assert annotated_uavs(small_episode(reasons=None, probability=None), 2)[0][2].startswith("score ")
     assert "… and 30 more" in tell(large_episode(candidates=np.ones((1, 60), bool)))
 
 

@@ -53,14 +53,14 @@ def _parse_names(context: click.Context, option: click.Parameter, words: str | N
     return None if words is None else [name.strip() for name in words.split(",")]
 
 
-def _parse_place(context: click.Context, option: click.Parameter, words: str | None) -> tuple[float, ...] | None:
+def _parse_position(context: click.Context, option: click.Parameter, words: str | None) -> tuple[float, ...] | None:
     try:
-        place = None if words is None else tuple(map(float, words.split(",")))
+        position = None if words is None else tuple(map(float, words.split(",")))
     except ValueError:
-        place = ()
-    if place is not None and len(place) != 2:
+        position = ()
+    if position is not None and len(position) != 2:
         raise click.BadParameter("must be two numbers, such as 0,0.", context, option)
-    return place
+    return position
 
 
 @click.command(short_help="Find the leaders in recorded tracks.", epilog=_EXAMPLES)
@@ -82,7 +82,7 @@ def _parse_place(context: click.Context, option: click.Parameter, words: str | N
 @click.option("--length-unit", type=click.Choice(["m", "cm", "mm", "km", "ft", "px"]), help=_LENGTH)
 @click.option("--duplicates", type=click.Choice(["error", "first", "mean"]), default="error", help=_DUPLICATES)
 @click.option("--skip-missing", "missing", flag_value="skip", default="refuse", help="Skip rows that can't be read.")
-@click.option("--missing", "missing_place", callback=_parse_place, metavar="X,Y", help="A place that means none.")
+@click.option("--missing", "missing_place", callback=_parse_position, metavar="X,Y", help="A place that means none.")
 @click.option("--min-confidence", type=float, help="Skip rows with a smaller confidence, likelihood or score.")
 @click.option("--split-gap", type=PositiveNumber(), help="Seconds; after a longer gap, an id is another one.")
 @click.option("--pool", is_flag=True, help="Files are recordings of the same ids, each with its own time.")

@@ -45,7 +45,7 @@ Examples:
 @click.option("--clusters", type=int, metavar="N", help="Number of clusters.  [default: 5]")
 @click.option("--uavs", type=int, metavar="N", help="Number of UAVs.  [default: 60]")
 @click.option("--open", "open_viewer", is_flag=True, help="Open the replay in the Rerun viewer.")
-def demo(out: str, open_viewer: bool, **given: Any) -> None:
+def demo(out: str, open_viewer: bool, **options: Any) -> None:
     """Play one episode of USNET/MultiCluster-v0 with UAVs that fly smoothly, and keep it.
 
     The detector errs in round 1 and recovers. The folder gets an episode file, a replay, a page and a picture.
@@ -53,7 +53,7 @@ def demo(out: str, open_viewer: bool, **given: Any) -> None:
     from usnet_env.replay.demo import run_demo
     from usnet_env.replay.rerun import open_replay
 
-    files = run_demo(out, **{name: value for name, value in given.items() if value is not None})
+    files = run_demo(out, **{name: value for name, value in options.items() if value is not None})
     if open_viewer and "replay" in files:
         open_replay(files["replay"])
 
@@ -76,16 +76,16 @@ def replay(path: Path, episode: int | None, rrd: Path | None, open_viewer: bool,
     from usnet_env.replay.rerun import find_viewer, open_replay
     from usnet_env.replay.story import describe_outcome, describe_round, name_game
 
-    found = _choose_episodes(path, episode)
-    if len(found) > 1:
-        _list_episodes(found)
+    episodes = _choose_episodes(path, episode)
+    if len(episodes) > 1:
+        _list_episodes(episodes)
         return
-    record = EpisodeRecord.load(found[0])
+    record = EpisodeRecord.load(episodes[0])
     rounds = [f"  {number}: {describe_round(record, number)}" for number in range(1, record.rounds + 1)]
     _say([name_game(record), *rounds, describe_outcome(record)])
     if _write_files(record, **files) and rrd is None and not open_viewer:
         return
-    written = write_recording(record, rrd or found[0].with_suffix(".rrd"))
+    written = write_recording(record, rrd or episodes[0].with_suffix(".rrd"))
     click.echo(f"replay     {written}" + ("" if open_viewer else f"  (open: {find_viewer()} {written})"))
     if open_viewer:
         open_replay(written)
@@ -96,19 +96,19 @@ def _say(lines: Iterable[str]) -> None:
     click.echo("\n".join(map(printable, lines)))
 
 
-def _choose_episodes(place: Path, episode: int | None) -> list[Path]:
+def _choose_episodes(path: Path, episode: int | None) -> list[Path]:
     """The episode files of a path: itself, or those of a folder or of a run; only that of a number if one is given."""
-    if not place.is_dir():
-        return [place]
-    found = [*place.glob("*.npz")] or [*(place / EPISODES).glob("*.npz")]
-    found.sort(key=lambda path: [int(n) for n in re.findall(r"\d+", path.stem)][-1:])
+    if not path.is_dir():
+        return [path]
+    files = [*path.glob("*.npz")] or [*(path / EPISODES).glob("*.npz")]
+    files.sort(key=lambda file: [int(n) for n in re.findall(r"\d+", file.stem)][-1:])
     if episode is not None:
-        found = [path for path in found if re.search(rf"(?:\D|\A)0*{episode}\Z", path.stem)]
-    if not found:
+        files = [file for file in files if re.search(rf"(?:\D|\A)0*{episode}\Z", file.stem)]
+    if not files:
         number = "" if episode is None else f" of number {episode}"
         hint = "`usnet evaluate --out DIR --record every=10` writes such files"
-        raise ArgumentError(f"path must be an episode file{number} or their folder, got {quote(str(place))}; {hint}.")
-    return found
+        raise ArgumentError(f"path must be an episode file{number} or their folder, got {quote(str(path))}; {hint}.")
+    return files
 
 
 def _list_episodes(files: Sequence[Path]) -> None:

@@ -57,8 +57,8 @@ class Painter:
         self.figure = drawing.new_figure(_WIDTH, _HEIGHT, dpi)
         bottom = self.figure.add_axes((0, 0, 1, 0.1))
         bottom.axis("off")
-        places = [(left, 0.11, 0.45, 0.45 * _WIDTH / _HEIGHT) for left in (0.04, 0.04 + BESIDE)]
-        self.observed, self.truth = map(self.figure.add_axes, places)
+        boxes = [(left, 0.11, 0.45, 0.45 * _WIDTH / _HEIGHT) for left in (0.04, 0.04 + BESIDE)]
+        self.observed, self.truth = map(self.figure.add_axes, boxes)
         known = record.position[record.seen & record.alive[:, None]]
         self.limits = drawing.limits_around(known, 0.08, find_least_side(record))
         self.header = self.figure.text(0.02, 0.985, "", fontsize=13, va="top", wrap=True)
@@ -66,8 +66,8 @@ class Painter:
         marks += [drawing.REDUNDANT_MARK, drawing.MISSED_MARK, *[drawing.DECOY_MARK] * bool(record.decoys.any())]
         marks += [drawing.DESTROYED_MARK] * (not record.recorded)
         names = {mark: mark for mark in marks} if record.labelled else drawing.TRACK_WORDS
-        place = {"loc": "center", "bbox_to_anchor": (0.5, 0.35), "ncols": 4, "labelspacing": 0.5, "markerscale": 0.6}
-        drawing.draw_legend(bottom, names, **place)
+        layout = {"loc": "center", "bbox_to_anchor": (0.5, 0.35), "ncols": 4, "labelspacing": 0.5, "markerscale": 0.6}
+        drawing.draw_legend(bottom, names, **layout)
         self._draw_once(bottom)
 
     def _draw_once(self, bottom: Any) -> None:
@@ -92,8 +92,8 @@ class Painter:
     def locate(self, scene: Scene) -> Floats:
         """Where UAVs stand in the left map of a scene, ``(N, 2)``: parts of the picture, from below. One was drawn."""
         window = self._describe(scene)
-        place = drawing.last_seen_position(window["position"], window["seen"] & window["alive"])[:, :2]
-        return self.figure.transFigure.inverted().transform(self.observed.transData.transform(place))
+        position = drawing.last_seen_position(window["position"], window["seen"] & window["alive"])[:, :2]
+        return self.figure.transFigure.inverted().transform(self.observed.transData.transform(position))
 
     def draw(self, scene: Scene) -> None:
         """Draw a scene in place of the one before."""
@@ -142,20 +142,20 @@ def animate(record: EpisodeRecord, path: str | os.PathLike[str], *, frames: int 
         MissingExtraError: matplotlib is not installed.
     """
     instance_of("record", record, EpisodeRecord)
-    place = check_ending(path, ".gif", ".mp4")
+    file = check_ending(path, ".gif", ".mp4")
     scenes = list_scenes(record, whole_number("frames", frames, 2))
     drawing.new_figure(1, 1)  # refuses without matplotlib
     from matplotlib import rc_context
     from matplotlib.animation import FFMpegWriter, PillowWriter
 
-    kind, program = PillowWriter if place.suffix.lower() == ".gif" else FFMpegWriter, "ffmpeg"
+    kind, program = PillowWriter if file.suffix.lower() == ".gif" else FFMpegWriter, "ffmpeg"
     with suppress(ImportError, RuntimeError):
         from imageio_ffmpeg import get_ffmpeg_exe  # moviepy brings it
 
         program = get_ffmpeg_exe()
     with rc_context({"animation.ffmpeg_path": program}):
         if not kind.isAvailable():
-            raise ArgumentError(f"path must end in .gif where ffmpeg is not installed, got {quote(str(place))}.")
-        with atomic_write(place) as aside:
+            raise ArgumentError(f"path must end in .gif where ffmpeg is not installed, got {quote(str(file))}.")
+        with atomic_write(file) as aside:
             write_frames(record, scenes, kind(fps=_RATE), aside, 100, _RATE)
-    return place
+    return file

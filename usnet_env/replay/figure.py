@@ -42,10 +42,10 @@ def find_least_side(record: EpisodeRecord) -> float:
 
 def check_ending(path: str | os.PathLike[str], *endings: str) -> Path:
     """The argument ``path``, which must have one of these endings."""
-    place = as_path("path", path)
-    if place.suffix.lower() not in endings:
-        raise ArgumentError(f"path must end in {' or '.join(endings)}, got {quote(str(place))}.")
-    return place
+    file = as_path("path", path)
+    if file.suffix.lower() not in endings:
+        raise ArgumentError(f"path must end in {' or '.join(endings)}, got {quote(str(file))}.")
+    return file
 
 
 def draw_episode(record: EpisodeRecord) -> Figure:
@@ -67,16 +67,16 @@ def draw_episode(record: EpisodeRecord) -> Figure:
     grid = figure.subplots(rows, columns, squeeze=False).ravel()
     scenes = [describe_scene(record, number) for number in numbers]
     shown = [scene["position"][scene["seen"] & scene["alive"]] for scene in scenes]
-    squares = [drawing.limits_around(place, least=find_least_side(record)) for place in shown]
+    squares = [drawing.limits_around(position, least=find_least_side(record)) for position in shown]
     marks: dict[str, Any] = {}
     for axes, number, scene, (x, y, _) in zip(grid, numbers, scenes, squares, strict=False):
         title = drawing.escape_math(f"{name_round(record)} {number}: {describe_round(record, number)}")
         scene["candidates"] = record.candidates[number - 1] if record.labelled else None
         limits = x, y, max(half for *_, half in squares)
         drawing.draw_round(**scene, axes=axes, title=title, legend=False, limits=limits)
-        place = drawing.last_seen_position(scene.pop("position"), scene.pop("seen"))
+        position = drawing.last_seen_position(scene.pop("position"), scene.pop("seen"))
         marks |= {drawing.INTRUDER_MARK: drawing.INTRUDER_MARK} if scene.pop("intruders") is not None else {}
-        marks |= {mark: mark for mark, who in drawing.round_marks(place, **scene).items() if who.any()}
+        marks |= {mark: mark for mark, who in drawing.round_marks(position, **scene).items() if who.any()}
     for axes in grid[len(numbers) :]:
         axes.remove()
     words = {} if record.labelled else drawing.TRACK_WORDS

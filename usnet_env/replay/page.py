@@ -14,7 +14,7 @@ from usnet_env.config import format_count, instance_of
 from usnet_env.files import write_html
 from usnet_env.replay.animate import BESIDE, list_scenes, write_frames
 from usnet_env.replay.episode import EpisodeRecord
-from usnet_env.replay.story import describe_outcome, describe_round, list_marked, name_game, name_round, name_uav
+from usnet_env.replay.story import annotated_uavs, describe_outcome, describe_round, name_game, name_round, name_uav
 
 _FRAMES, _DPI = 3, 75  # frames of a growing window, pixels per inch
 _MOST_ROUNDS = 12  # of the animation; the text has all of them
@@ -60,8 +60,8 @@ def _animate(record: EpisodeRecord) -> tuple[str, dict[int, str]]:
     numbers = [scene.round for scene in scenes]
     show = ' <button onclick="{0}.pause_animation(); {0}.set_frame({1}); return false">show</button>'
     names = json.dumps([name_uav(record, i) for i in range(record.uavs)]).replace("<", r"\u003c")
-    places = [painter.locate(scene).round(3).tolist() for scene in scenes]
-    values = {"NAMES": names, "FRAMES": json.dumps(places), "PLAYER": player, "BESIDE": str(BESIDE)}
+    positions = [painter.locate(scene).round(3).tolist() for scene in scenes]
+    values = {"NAMES": names, "FRAMES": json.dumps(positions), "PLAYER": player, "BESIDE": str(BESIDE)}
     text += re.sub("|".join(values), lambda word: values[word[0]], _POINTER)
     return text, {number: show.format(player, numbers.index(number)) for number in numbers}
 
@@ -78,7 +78,7 @@ def write_page(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path:
     animation, shows = _animate(record)
     rounds = []
     for number in range(1, record.rounds + 1):
-        marked = [(name_uav(record, i), word, why) for i, word, why in list_marked(record, number)]
+        marked = [(name_uav(record, i), word, why) for i, word, why in annotated_uavs(record, number)]
         lines = "".join(f"<li><b>{escape(uav)}</b> {word}, {escape(why)}</li>" for uav, word, why in marked)
         title = escape(f"{name_round(record)} {number}: {describe_round(record, number)}") + shows.get(number, "")
         rounds.append(f"<details{' open' * (number == 1)}><summary>{title}</summary><ul>{lines}</ul></details>")

@@ -143,27 +143,27 @@ class EpisodeWriter:
             strips = [position[seen[:, i], i] for i in np.flatnonzero(alive)]
             colors = _fade(self.colors[r][alive], 0.6)
             self.log("world/swarm/tracks", self.rr.LineStrips3D(strips, colors=colors, radii=0.9 * self.scale))
-            place = last_seen_position(record.position[r, : instant + 1], record.seen[r, : instant + 1])
-            self._log_links(place, np.where(alive, record.root[r], -1), self.colors[r])
+            last = last_seen_position(record.position[r, : instant + 1], record.seen[r, : instant + 1])
+            self._log_links(last, np.where(alive, record.root[r], -1), self.colors[r])
 
-    def _log_uavs(self, r: int, place: Singles, shown: Mask, colors: NDArray[np.uint8]) -> None:
+    def _log_uavs(self, r: int, position: Singles, shown: Mask, colors: NDArray[np.uint8]) -> None:
         decoys = self.record.decoys[r]
         colors = np.where(decoys[:, None], lighten([_DECOY]), colors)[shown]
         radii = np.where(self.record.head | decoys, _LARGE, _SMALL)[shown] * self.scale
         look: dict[str, Any] = {"labels": [self.names[i] for i in np.flatnonzero(shown)], "show_labels": False}
-        self.log("world/swarm/uavs", self.rr.Points3D(place[shown], colors=colors, radii=radii, **look))
+        self.log("world/swarm/uavs", self.rr.Points3D(position[shown], colors=colors, radii=radii, **look))
 
-    def _log_links(self, place: Singles, root: Indices, colors: NDArray[np.uint8]) -> None:
-        both = np.isfinite(place[:, 0] + place[root, 0])
+    def _log_links(self, position: Singles, root: Indices, colors: NDArray[np.uint8]) -> None:
+        both = np.isfinite(position[:, 0] + position[root, 0])
         linked = np.flatnonzero((root >= 0) & (root != np.arange(len(root))) & both)
-        strips = place[np.stack([linked, root[linked]], axis=1)]
+        strips = position[np.stack([linked, root[linked]], axis=1)]
         links = self.rr.LineStrips3D(strips, colors=_fade(colors[linked], 0.3), radii=0.5 * self.scale)
         self.log("world/swarm/links", links)
 
     def _write_answer(self, r: int) -> None:
-        record, rr, place = self.record, self.rr, self.last[r]
+        record, rr, position = self.record, self.rr, self.last[r]
         self.at(r, self.answer)
-        seen = np.isfinite(place[:, 0])
+        seen = np.isfinite(position[:, 0])
         groups, living = find_groups(record, r), np.flatnonzero(record.alive[r] & seen)
         palette = np.array([*CLUSTER_COLORS, NO_CLUSTER_COLOR])
         colors = lighten(palette[np.where(groups < 0, len(CLUSTER_COLORS), groups % len(CLUSTER_COLORS))])
@@ -172,11 +172,11 @@ class EpisodeWriter:
         radii = _SMALL * self.scale * (0.9 + 1.8 * sure)
         labels = [f"{name}: score {score:.3g}" for name, score in zip(self.names, record.scores[r], strict=True)]
         look: dict[str, Any] = {"radii": radii[living], "labels": [labels[i] for i in living], "show_labels": False}
-        self.log("world/found/uavs", rr.Points3D(place[living], colors=colors[living], **look))
+        self.log("world/found/uavs", rr.Points3D(position[living], colors=colors[living], **look))
         pairs = record.hierarchy(r + 1)
         if pairs is not None:
             pairs = pairs[seen[pairs].all(axis=1)]
-            links = rr.LineStrips3D(place[pairs], colors=_fade(colors[pairs[:, 0]], 0.35), radii=0.6 * self.scale)
+            links = rr.LineStrips3D(position[pairs], colors=_fade(colors[pairs[:, 0]], 0.35), radii=0.6 * self.scale)
             self.log("world/found/links", links)
         self._log_rings("world/found/candidates", r, record.candidates[r] & seen, _NAMED, labels)
         words = mark_words(record, r + 1)
@@ -211,8 +211,8 @@ class EpisodeWriter:
             self._log_uavs(r, self.last[r], left & np.isfinite(self.last[r, :, 0]), colors)
             self._log_links(self.last[r], np.where(left & (root >= 0) & left[root], root, -1), colors)
         self.at(r, self.destroy)
-        place = record.last_position(r + 1)[~left]
-        gone = rr.Points3D(place[np.isfinite(place[:, 0])], colors=_GONE, radii=_SMALL * self.scale)
+        position = record.last_position(r + 1)[~left]
+        gone = rr.Points3D(position[np.isfinite(position[:, 0])], colors=_GONE, radii=_SMALL * self.scale)
         self.log("world/swarm/destroyed", gone)
         if not record.recorded:
             for name, value in (("J", record.objective[r]), ("heads_left", record.heads_left[r])):
@@ -223,12 +223,12 @@ class EpisodeWriter:
     def _write_observers(self) -> None:
         if self.record.observers is None:
             return
-        place, ranges = self.record.observers[:, None, :3], self.record.observers[:, 3]
+        position, ranges = self.record.observers[:, None, :3], self.record.observers[:, 3]
         angle = np.linspace(0, 2 * np.pi, 65)
         circle = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
         names = [f"observer {k}, range {each:g} m" for k, each in enumerate(ranges)]
         look: dict[str, Any] = {"colors": _OBSERVER, "labels": names, "radii": 1.2 * self.scale}
-        rings = self.rr.LineStrips3D((place + ranges[:, None, None] * circle).astype(np.float32), **look)
+        rings = self.rr.LineStrips3D((position + ranges[:, None, None] * circle).astype(np.float32), **look)
         self.log("world/observers", rings, static=True)
 
 
@@ -271,7 +271,7 @@ def _arrange(writer: EpisodeWriter) -> rrb.Blueprint:
     views = [_space(writer, "the truth" if record.labelled else "tracks", truth=True)]
     if record.labelled:
         views.insert(0, _space(writer, "what it sees and answers", truth=False))
-    told = rrb.TextDocumentView(origin="/this_round", name=f"this {name_round(record).lower()}")
+    texts = rrb.TextDocumentView(origin="/this_round", name=f"this {name_round(record).lower()}")
     charts: list[Any] = [rrb.BarChartView(origin="/scores", name="scores by index")]
     if record.attention is not None:
         charts.append(rrb.Spatial2DView(origin="/mind/attention", name="Attention of a UAV (row)"))
@@ -279,7 +279,7 @@ def _arrange(writer: EpisodeWriter) -> rrb.Blueprint:
         title, contents = name.replace("_", " "), [f"/game/{name}"]
         charts.append(rrb.TimeSeriesView(origin="/", contents=contents, name=title, time_ranges=[past]))
     about = rrb.TextDocumentView(origin="/about", name="What you see")
-    above = rrb.Horizontal(*views, told, about, column_shares=[4] * len(views) + [2, 2])
+    above = rrb.Horizontal(*views, texts, about, column_shares=[4] * len(views) + [2, 2])
     panel = rrb.TimePanel(state="collapsed", timeline="time", play_state="paused", loop_mode="off")
     return rrb.Blueprint(rrb.Vertical(above, rrb.Horizontal(*charts), row_shares=[3, 1.4]), panel, collapse_panels=True)
 
@@ -297,7 +297,7 @@ def write_recording(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path
     ``time``, seconds of the replay with a pause after each answer, destruction and re-merge, and ``round``.
 
     Raises:
-        ArgumentError: the place can't be written to.
+        ArgumentError: the position can't be written to.
         MissingExtraError: rerun-sdk is not installed.
     """
     instance_of("record", record, EpisodeRecord)
@@ -305,7 +305,7 @@ def write_recording(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path
         import rerun as rr
     except ImportError:
         raise MissingExtraError(f"Replays need rerun-sdk; {how_to_install('replay')}.") from None
-    place, label = as_path("path", path), record.detector or "A detector"
+    file, label = as_path("path", path), record.detector or "A detector"
     name = str(uuid4())  # recordings with the same application id share one camera and one layout in the viewer
     stream = rr.RecordingStream(f"usnet {name}", recording_id=name)
     stream.set_log_time_enabled(False)
@@ -316,9 +316,9 @@ def write_recording(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path
     stream.send_recording_name(f"{label} on {record.env_id}, seed {record.seed}")
     stream.log("about", rr.TextDocument(explain_replay(record), media_type="text/markdown"), static=True)
     writer.write()
-    with atomic_write(place) as aside:
+    with atomic_write(file) as aside:
         aside.write_bytes(memory.drain_as_bytes())
-    return place
+    return file
 
 
 def find_viewer() -> str:

@@ -69,8 +69,8 @@ def describe_outcome(record: EpisodeRecord) -> str:
         groups = group_leader_accuracy(record.root[0], record.scores[0])
         score = f"F1 = {name_score(record)[1]:.3f} (1 is best), group leaders {groups:.2f}"
     redundant = format_count(int(record.redundant.sum()), "redundant candidate")
-    found = f"{heads - left} of {format_count(heads, 'head')} found" if heads else "No head to find"
-    return f"{found} in {rounds} with {redundant}: {score}."
+    named = f"{heads - left} of {format_count(heads, 'head')} found" if heads else "No head to find"
+    return f"{named} in {rounds} with {redundant}: {score}."
 
 
 def mark_words(record: EpisodeRecord, number: int) -> NDArray[np.object_]:
@@ -95,7 +95,7 @@ def _find_reason(record: EpisodeRecord, r: int, uav: int) -> str:
     return f"found in the group of {', '.join(name_uav(record, i) for i in named)}" if named else ""
 
 
-def list_marked(record: EpisodeRecord, number: int) -> list[tuple[int, str, str]]:
+def annotated_uavs(record: EpisodeRecord, number: int) -> list[tuple[int, str, str]]:
     """The candidates and missed heads of a round (from 1), highest score first: index, mark, and the reason."""
     r, words = number - 1, mark_words(record, number)
     marked = []
@@ -112,7 +112,7 @@ def tell_round(record: EpisodeRecord, number: int, names: Sequence[str]) -> tupl
     if record.choices is not None and record.choices[number - 1]:
         lines = [f"- {agent}, {text}" for agent, text in record.choices[number - 1].items()]
         start = "\n".join([start, "", "What the heads chose for this window:", "", *lines])
-    lines = [f"- **{names[i]}** {word}, {reason}" for i, word, reason in list_marked(record, number)]
+    lines = [f"- **{names[i]}** {word}, {reason}" for i, word, reason in annotated_uavs(record, number)]
     hidden = int((mark_words(record, number) != OTHER).sum()) - len(lines)
     lines += [f"- … and {hidden} more"] * (hidden > 0)
     return start, f"{start}\n\n{describe_round(record, number)}.\n\n" + "\n".join(lines)
