@@ -23,8 +23,8 @@ from usnet_env import make_detector
 from usnet_env.objectives import find_roots, group_leader_accuracy
 from usnet_env.plugins import detector_label
 from usnet_env.tracks import Tracks, read_tracks
-from usnet_env.tracks.answers import answer_window
 from usnet_env.tracks.confirm import confirm_leaders
+from usnet_env.tracks.leaders import answer_window
 
 LENGTH, MOST, STEP = 100, 12, 0.5
 DETECTORS = (

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from usnet_env.tracks.events import Event
-from usnet_env.tracks.found import DetectedWindow, Leader, Link
+from usnet_env.tracks.found import DetectedWindow, Event, Leader, Link
 from usnet_env.tracks.leaders import find_leaders
 from usnet_env.tracks.read import read_tracks
 from usnet_env.tracks.report import TrackReport

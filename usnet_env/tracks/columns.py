@@ -1,11 +1,11 @@
-"""Columns of files: which one has which role, mapped by the caller or guessed by its name, and the values in it."""
+"""Tables of files: which column has which role, mapped by the caller or guessed by its name, and the values in it."""
 
 from __future__ import annotations
 
 import math
 import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, NoReturn
 
 import numpy as np
@@ -16,6 +16,8 @@ from usnet_env.arrays import Floats
 from usnet_env.config import ArgumentError, quote
 from usnet_env.tracks.samples import is_none
 
+#: The names of the columns, and what reads some of them: it takes names by role, and its columns are the roles.
+Table = tuple[list[str], Callable[[Mapping[str, str]], pd.DataFrame]]
 Role = Literal["id", "t", "frame", "lon", "lat", "x", "y", "z", "leader", "confidence"]
 #: The roles of columns, with the names that are guessed, the preferred one first; a unit may follow (``time_ms``).
 ROLES: dict[str, tuple[str, ...]] = {
@@ -43,7 +45,8 @@ ROLES: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 TIME_UNITS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # seconds
 LENGTH_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "ft": 0.3048, "px": 1.0}  # metres
-LABELS = ("id", "leader")  # all others are numbers
+LABELS = ("id", "leader")
+NUMBERS = ROLES.keys() - set(LABELS)
 TIMES = ("t", "frame")
 MOVEBANK = {"individual-local-identifier", "tag-local-identifier"}  # one of these is in each of its files
 _LARGEST = 1e15  # of a number in a file: float64 has no fractions beyond
@@ -58,6 +61,35 @@ _AXIS = re.compile(r"(?P<axis>[xyz])_?(?P<id>\w+)|(?P<name>\w+?)_(?P<last>[xyz])
 _COMMA = re.compile(r"\s*[+-]?(\d*,\d+|\d+,)([eE][+-]?\d+)?\s*")
 
 
+def as_table(frame: pd.DataFrame) -> Table:
+    """The columns of a data frame."""
+    return list(frame), lambda names: frame[list(names.values())].set_axis(list(names), axis=1)
+
+
+def as_long(table: Table) -> Table:
+    """A table with a row for each time, such as ``t, x1, y1, x2, y2``, as one with a row for each sample of an id."""
+    header, read = table
+    plain, wide = {split_unit(name)[0] for name in header}, find_wide(header)
+    if len(wide) < 2 or {"x", "y"} <= plain or plain & {name.replace("-", "_") for name in ROLES["id"]}:
+        return table
+    rest = [name for name in header if not any(name in axes.values() for axes in wide.values())]
+    if not plain & {*ROLES["t"], *ROLES["frame"]}:
+        rest.append("frame")  # the number of the row
+
+    def read_long(names: Mapping[str, str]) -> pd.DataFrame:
+        of_ids = {f"{axis}:{label}": axes[axis] for label, axes in wide.items() for axis in names if axis in axes}
+        times = {role: name for role, name in names.items() if name in header}
+        rows = read(times | of_ids)
+        frame = rows[list(times)] if times else pd.DataFrame({"frame": np.arange(len(rows))})
+        parts = [
+            frame.assign(id=label, **{axis: rows[f"{axis}:{label}"] for axis in axes if f"{axis}:{label}" in rows})
+            for label, axes in wide.items()
+        ]
+        return pd.concat(parts, ignore_index=True).dropna(subset=["x", "y"], ignore_index=True)
+
+    return ["id", *rest, "x", "y", *(["z"] if all("z" in axes for axes in wide.values()) else [])], read_long
+
+
 def choose_columns(
     header: Sequence[str], mapping: Mapping[Any, str], where: str, *, one_id: bool = False, confidence: bool = False
 ) -> dict[str, str]:
@@ -66,33 +98,33 @@ def choose_columns(
     Degrees, which name their datum, go before x and y, unless the caller's ``mapping`` has these. ``one_id``: the file
     may have no id, as all of it is one track. ``confidence``: it must have that column, which is otherwise left out.
     """
-    found = {role: name for role, name in mapping.items() if name}
-    given = set(found)
+    chosen = {role: name for role, name in mapping.items() if name}
+    mapped = set(chosen)
     plain = {split_unit(name)[0]: name for name in reversed(header)}
-    for role, names in ROLES.items():
-        guess = next((plain[name] for name in map(_normalise, names) if name in plain), None)
-        if role not in mapping and guess is not None and guess not in found.values():
-            found[role] = guess
-    degrees = bool(given & {"lon", "lat"}) or {"lon", "lat"} <= found.keys()
-    plane = ("lon", "lat") if degrees and not given & {"x", "y"} else ("x", "y")
-    time = "frame" if "frame" in found and ("frame" in given or "t" not in found) else "t"
+    for role, usual in ROLES.items():
+        guess = next((plain[name] for name in map(_normalise, usual) if name in plain), None)
+        if role not in mapping and guess is not None and guess not in chosen.values():
+            chosen[role] = guess
+    degrees = bool(mapped & {"lon", "lat"}) or {"lon", "lat"} <= chosen.keys()
+    plane = ("lon", "lat") if degrees and not mapped & {"x", "y"} else ("x", "y")
+    time = "frame" if "frame" in chosen and ("frame" in mapped or "t" not in chosen) else "t"
     needed = ["id", time, *plane, *["confidence"] * confidence]
-    found = {role: name for role, name in found.items() if role in (*needed, "z", "leader")}
-    must, chosen = "", list(found.values())
-    if missing := [role for role in needed if role not in found and not (one_id and role == "id")]:
+    chosen = {role: name for role, name in chosen.items() if role in (*needed, "z", "leader")}
+    must, names = "", list(chosen.values())
+    if missing := [role for role in needed if role not in chosen and not (one_id and role == "id")]:
         must = f"name those of {where} for {', '.join(missing)}" + " (min_confidence)" * ("confidence" in missing)
         if any(_is_number(name) for name in header):
             first = quote(" ".join(header)[:80])
             hint = "header=, or --columns, names them in their order, such as frame,id,x,y"
             raise ArgumentError(f"row 1 of {where} must name its columns, got values: {first} ({hint}).")
-    elif len(set(chosen)) < len(chosen) or any(header.count(name) != 1 for name in chosen):
+    elif len(set(names)) < len(names) or any(header.count(name) != 1 for name in names):
         must = f"give each role a column that {where} has once"
     hint = " (several files may be the tracks of one id each)" * (missing == ["id"])
     if must:
         raise ArgumentError(
-            f"columns (--column) must {must}, got {quote(found)}; row 1 names {quote(list(header))}{hint}."
+            f"columns (--column) must {must}, got {quote(chosen)}; row 1 names {quote(list(header))}{hint}."
         )
-    return found
+    return chosen
 
 
 def _normalise(name: str) -> str:
@@ -107,11 +139,11 @@ def split_unit(name: str) -> tuple[str, str]:
 
 def find_wide(header: Sequence[str]) -> dict[str, dict[str, str]]:
     """The columns x, y and perhaps z of each id of a table with a row for each time, such as ``x1, y1, x2, y2``."""
-    found: dict[str, dict[str, str]] = {}
+    wide: dict[str, dict[str, str]] = {}
     for name in header:
         if match := _AXIS.fullmatch(_normalise(name)):
-            found.setdefault(match["id"] or match["name"], {})[match["axis"] or match["last"]] = name
-    return {label: axes for label, axes in found.items() if {"x", "y"} <= axes.keys()}
+            wide.setdefault(match["id"] or match["name"], {})[match["axis"] or match["last"]] = name
+    return {label: axes for label, axes in wide.items() if {"x", "y"} <= axes.keys()}
 
 
 def _is_number(cell: str) -> bool:
@@ -214,8 +246,8 @@ def read_labels(column: pd.Series[Any]) -> NDArray[np.object_]:
         number = isinstance(cell, int | float) and not isinstance(cell, bool) and float(cell).is_integer()
         labels.append(int(cell) if number else to_text(cell))
     matches = [_WHOLE.fullmatch(label) for label in labels if isinstance(label, str) and not is_none(label)]
-    whole = [label if isinstance(label, int) else label.partition(".")[0] for label in labels]
-    labels = whole if matches and all(matches) and len(set(whole)) == len(set(labels)) else labels
+    integers = [label if isinstance(label, int) else label.partition(".")[0] for label in labels]
+    labels = integers if matches and all(matches) and len(set(integers)) == len(set(labels)) else labels
     return np.array([*labels, ""], object)[codes]
 
 

@@ -83,7 +83,7 @@ class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
         if not self.windows:
             raise ArgumentError(f"path must hold 2 ids that are seen together in a window, got {arguments.path!r}.")
         uavs = len(self.tracks.ids)
-        far = float(max(np.abs(cut.window.position).max() for cut in self.windows)) + 1.0
+        far = float(max(np.abs(track_window.window.position).max() for track_window in self.windows)) + 1.0
         step = spaces.Box(0, 2 * float(self.tracks.step or 1.0), (1,), np.float32)
         shown = {**window_spaces(arguments.window, uavs, 2, far, 2 * far), "step": step}
         self.observation_space = spaces.Dict(shown)  # type: ignore[assignment]  # Dict is invariant
@@ -121,16 +121,16 @@ class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
     @property
     def swarm(self) -> SwarmState:
         """The truth of the present window for an evaluation, N ids; a detector must not use it."""
-        cut, uavs = self.windows[self._number], len(self.tracks.ids)
+        track_window, uavs = self.windows[self._number], len(self.tracks.ids)
         alive, direct = np.zeros(uavs, bool), np.full(uavs, -1)
-        alive[cut.rows] = True
-        if cut.leader is not None:
-            direct[cut.rows] = np.where(cut.leader >= 0, cut.rows[cut.leader], -1)
+        alive[track_window.rows] = True
+        if track_window.leader is not None:
+            direct[track_window.rows] = np.where(track_window.leader >= 0, track_window.rows[track_window.leader], -1)
         roots = find_roots(direct)
         follows = (roots >= 0) & (roots != np.arange(uavs))
         head = np.isin(np.arange(uavs), roots[follows])
         last, none = np.zeros((1, uavs, 3), np.float32), np.zeros((0, uavs, 3), np.float32)
-        last[0, cut.rows] = cut.window.position[-1]
+        last[0, track_window.rows] = track_window.window.position[-1]
         free, root = np.flatnonzero(alive & ~follows), np.where(alive, roots, -1)
         return SwarmState(
             head=head,
@@ -157,13 +157,14 @@ class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
         return {"group_leader_first": group_leader_accuracy(truth.root, scores) if truth.head.any() else None}
 
     def _observe(self, round: int) -> Observation:
-        cut = self.windows[self._number]
+        track_window = self.windows[self._number]
         spaces = self.observation_space.items()  # type: ignore[attr-defined]  # a Dict
-        whole: Observation = {name: np.zeros(space.shape, space.dtype) for name, space in spaces}
+        observation: Observation = {name: np.zeros(space.shape, space.dtype) for name, space in spaces}
         for name in ("position", "velocity", "seen"):
-            whole[name][:, cut.rows] = getattr(cut.window, name)
-        whole["alive"][cut.rows], whole["round"][:], whole["step"][:] = 1, round, cut.step
-        return whole
+            observation[name][:, track_window.rows] = getattr(track_window.window, name)
+        observation["alive"][track_window.rows] = 1
+        observation["round"][:], observation["step"][:] = round, track_window.step
+        return observation
 
     def _info(self, hits: int, redundant: int, round: int, *, success: bool) -> dict[str, Any]:
         return {

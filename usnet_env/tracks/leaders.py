@@ -7,19 +7,18 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from usnet_env.arrays import Indices
 from usnet_env.config import ArgumentError, format_count, quote, whole_number
-from usnet_env.detection import Detection
+from usnet_env.detection import Detection, ask
 from usnet_env.objectives import list_followers
 from usnet_env.parts import describe_error
 from usnet_env.plugins import DetectorLike, detector_label, find_detector
 from usnet_env.series import centre_columns, correlate_at_lag
-from usnet_env.tracks.answers import Answer, answer_window
 from usnet_env.tracks.confirm import LEAST_STEPS, LEVEL, confirm_leaders, find_confound
 from usnet_env.tracks.found import DetectedWindow, Leader, Link
 from usnet_env.tracks.read import read_tracks
@@ -90,6 +89,40 @@ def find_leaders(
         facts.append(f"Windows of fewer than {LEAST_STEPS} steps are too short for the test that confirms leaders.")
     kept = tuple(facts), resampled, tuple(track_windows), tuple(answers), seed
     return FoundLeaders(tuple(windows), leaders, detector_label(player), tracks.ids, *kept)
+
+
+class Answer(NamedTuple):
+    """A detector's answer to a window, and the window with the shortest step that it was asked for."""
+
+    detection: Detection
+    shortest_step_window: TrackWindow
+
+
+def answer_window(player: DetectorLike, resampled: Tracks, track_window: TrackWindow, seed: int) -> Answer:
+    """Ask a detector for a window.
+
+    If it tells the probability that nobody leads, it is also asked at :attr:`Tracks.other_steps`. A step that doesn't
+    show who follows hides a leader, so only those count at which somebody probably leads. Of their answers, the one
+    that names most nearly what all of them name is returned, or of several the one that is surest that somebody leads.
+    """
+
+    def answer(each: TrackWindow) -> Detection:
+        player.reset(seed)
+        return ask(player, each.window)[0]
+
+    def tell_silence(each: Detection) -> float:
+        return float(each.extras.get("silent", 0.0))
+
+    track_windows, answers = [track_window], [answer(track_window)]
+    if "silent" in answers[0].extras:
+        others = (other.cut_like(track_window) for other in resampled.other_steps)
+        track_windows += filter(None, others)
+        answers += map(answer, track_windows[1:])
+    answers.sort(key=tell_silence)
+    answers = [each for each in answers if tell_silence(each) < 0.5] or answers[:1]
+    usual = np.mean([each.candidates for each in answers], axis=0)
+    detection = min(answers, key=lambda each: round(float(np.abs(each.candidates - usual).sum()), 6))
+    return Answer(detection, min(track_windows, key=lambda each: each.step))
 
 
 def _try_answer(

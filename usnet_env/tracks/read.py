@@ -23,16 +23,14 @@ from usnet_env.arrays import Floats
 from usnet_env.config import ArgumentError, Config, how_to_install, quote
 from usnet_env.files import as_path, read_csv
 from usnet_env.tracks import columns as roles
-from usnet_env.tracks import formats
 from usnet_env.tracks.readers import READERS, check_archive, unpack
 from usnet_env.tracks.samples import Clock, match_leaders, number_labels, sort_samples, split_gaps
 from usnet_env.tracks.tracks import Tracks
+from usnet_env.tracks.units import guess_time_unit, project_positions, scale_lengths
 
 _DELIMITERS = ",;\t|"
 _FOR_ITSELF = ("gpx", "ulg")  # formats in whose files a name is that of a track
 _TIME_OF_DAY = r"\d{1,2}:\d\d"
-_RECORDED = (315_532_800, 4_102_444_800)  # seconds from 1970 to 1980 and to 2100
-_SHORT = 0.05  # seconds between samples, or 72 minutes in days
 _SKIPPED = {
     "skipped": "without a time, place or id that can be read",
     "marked": "marked as outliers in the file",
@@ -123,13 +121,13 @@ def read_tracks(
     try:
         if isinstance(path, pd.DataFrame):
             plain = path.reset_index() if any(path.index.names) else path
-            part = _read_part(_split_wide(formats.as_table(plain.rename(columns=str)), options), options, where, None)
-            return _make_tracks([Path(where)], [part], options, where)
-        given = path if isinstance(path, list | tuple) else [path]
-        if not given or not isinstance(given[0], str | os.PathLike):
+            table = _split_wide(roles.as_table(plain.rename(columns=str)), options)
+            return _make_tracks([Path(where)], [_read_rows(table, options, where, None)], options, where)
+        listed = path if isinstance(path, list | tuple) else [path]
+        if not listed or not isinstance(listed[0], str | os.PathLike):
             what = "a file of tracks, a list of such files, or a pandas.DataFrame"
             raise ArgumentError(f"path must be {what}, got {quote(path)}.")
-        files = [as_path("path", file) for file in given]
+        files = [as_path("path", file) for file in listed]
         paths = list({file.resolve(): file for file in reversed(files)}.values())[::-1]  # two paths may be of one file
         where = ", ".join(quote(os.fspath(file)) for file in paths[:3])
         return _make_tracks(paths, [_read_file(file, options, len(paths) > 1) for file in paths], options, where)
@@ -139,7 +137,7 @@ def read_tracks(
 
 
 @dataclass
-class _Part:
+class _FileRows:
     """The rows of a file: columns of numbers by role, and the labels in ``id`` and ``leader``, where ``""`` is none."""
 
     names: dict[str, str]  # of the columns by role
@@ -149,13 +147,13 @@ class _Part:
     for_itself: bool  # an id means nothing in another file
 
 
-def _read_file(path: Path, options: _Options, several: bool) -> _Part:
+def _read_file(path: Path, options: _Options, several: bool) -> _FileRows:
     """Read a file; one of several may be the track of one id, that of its name."""
     where = quote(os.fspath(path))
     try:
         table, for_itself = _open_table(path, options)
-        part = _read_part(table, options, where, path.stem if several else None)
-        return replace(part, for_itself=part.for_itself or for_itself)
+        rows = _read_rows(table, options, where, path.stem if several else None)
+        return replace(rows, for_itself=rows.for_itself or for_itself)
     except (ArgumentError, ImportError, MemoryError):
         raise
     except Exception as error:  # libraries raise many kinds for damaged files
@@ -164,7 +162,7 @@ def _read_file(path: Path, options: _Options, several: bool) -> _Part:
         raise ArgumentError(f"path must be an intact file of tracks, got {where}: {reason}{hint}.") from error
 
 
-def _read_part(table_of_file: formats.Table, options: _Options, where: str, stem: str | None) -> _Part:
+def _read_rows(table_of_file: roles.Table, options: _Options, where: str, stem: str | None) -> _FileRows:
     """Read the columns of a table; ``stem`` is its id if it has none."""
     (header, read_columns), mapping, for_itself = table_of_file, options.columns or {}, False
     sure = {"confidence": options.min_confidence is not None}
@@ -205,8 +203,8 @@ def _read_part(table_of_file: formats.Table, options: _Options, where: str, stem
             roles.refuse_cell(role, column, "", where)
         good &= ~none
     if options.missing_place is not None:
-        place = [role for role in names if role in ("lon", "lat", "x", "y")]
-        good &= (rows[place].to_numpy() != options.missing_place).any(axis=1)
+        plane = [role for role in names if role in ("lon", "lat", "x", "y")]
+        good &= (rows[plane].to_numpy() != options.missing_place).any(axis=1)
     unsure = np.zeros(len(rows), bool)
     if "confidence" in names:
         unsure = good & ~(rows["confidence"] >= options.min_confidence).to_numpy()
@@ -214,7 +212,7 @@ def _read_part(table_of_file: formats.Table, options: _Options, where: str, stem
     timestamps = dated or options.time_format is not None
     counts = Counter(rows=count, marked=count - len(rows), skipped=int((~good).sum()), unsure=int(unsure.sum()))
     kept = good & ~unsure
-    return _Part(names, rows if kept.all() else rows[kept], counts, timestamps, for_itself)
+    return _FileRows(names, rows if kept.all() else rows[kept], counts, timestamps, for_itself)
 
 
 def _join_date(clock: pd.Series[Any], date: pd.Series[Any] | None) -> pd.Series[Any]:
@@ -225,7 +223,7 @@ def _join_date(clock: pd.Series[Any], date: pd.Series[Any] | None) -> pd.Series[
     return seconds if seconds.notna().all() else clock
 
 
-def _open_table(path: Path, options: _Options) -> tuple[formats.Table, bool]:
+def _open_table(path: Path, options: _Options) -> tuple[roles.Table, bool]:
     """The table of a file, and whether its ids, such as the names of tracks, mean nothing in other files."""
     packed = path.suffix.lower() in (".gz", ".zip")
     data, name = unpack(path, options.max_size) if packed else (b"", path.name)
@@ -241,16 +239,16 @@ def _open_table(path: Path, options: _Options) -> tuple[formats.Table, bool]:
             frame = reader(path)
         if not isinstance(frame, pd.DataFrame):
             raise ArgumentError(f"reader {kind!r} must return a pandas.DataFrame, got {quote(frame)}.")
-        return formats.as_table(frame), kind in _FOR_ITSELF
+        return roles.as_table(frame), kind in _FOR_ITSELF
     return _split_wide(_read_csv(data if packed else unpack(path, options.max_size)[0], options), options), False
 
 
-def _split_wide(table: formats.Table, options: _Options) -> formats.Table:
+def _split_wide(table: roles.Table, options: _Options) -> roles.Table:
     """The table with a row for each sample, if it has columns for each id and no argument names others."""
-    return table if {"id", "x", "lon"} & (options.columns or {}).keys() else formats.as_long(table)
+    return table if {"id", "x", "lon"} & (options.columns or {}).keys() else roles.as_long(table)
 
 
-def _read_csv(data: bytes, options: _Options) -> formats.Table:
+def _read_csv(data: bytes, options: _Options) -> roles.Table:
     """Read a CSV file with names in row 1, separated by commas, semicolons, tabs, bars or blanks."""
     encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else options.encoding
     if encoding == "utf-8" and b"\0" in data[:1024]:
@@ -270,9 +268,9 @@ def _read_csv(data: bytes, options: _Options) -> formats.Table:
         raise ValueError(f"row 1 has {len(cells)} cells for {len(header)} names in header (--columns)")
 
     def read(names: Mapping[str, str]) -> pd.DataFrame:
-        places = {header.index(name): role for role, name in names.items()}
-        plain = formats.NUMBERS - set(roles.TIMES if options.time_format is not None else ())  # others are texts
-        numbers = [place for place, role in places.items() if role.partition(":")[0] in plain]
+        role_of = {header.index(name): role for role, name in names.items()}
+        plain = roles.NUMBERS - set(roles.TIMES if options.time_format is not None else ())  # others are texts
+        numbers = [number for number, role in role_of.items() if role.partition(":")[0] in plain]
         with warnings.catch_warnings():
             warnings.simplefilter("error", ParserWarning)  # a row has more cells than the header
             warnings.simplefilter("ignore", DtypeWarning)  # texts among numbers are read, or refused by name, later
@@ -285,27 +283,27 @@ def _read_csv(data: bytes, options: _Options) -> formats.Table:
                 skiprows=comments,
                 names=list(range(len(header))),
                 index_col=False,
-                dtype={place: object for place in range(len(header)) if place not in numbers},  # the text, also of 007
+                dtype={k: object for k in range(len(header)) if k not in numbers},  # the text, also of 007
                 skipinitialspace=True,
                 keep_default_na=False,
                 na_values=dict.fromkeys(numbers, _NO_NUMBER),
             )
-        return rows[list(places)].rename(columns=places)
+        return rows[list(role_of)].rename(columns=role_of)
 
     return header, read
 
 
-def _make_tracks(paths: list[Path], parts: list[_Part], options: _Options, where: str) -> Tracks:
-    names, timestamps = dict(parts[-1].names), parts[0].timestamps
-    if any(part.names.keys() != names.keys() or part.timestamps != timestamps for part in parts if part.counts["rows"]):
-        found = ", ".join(quote(part.names) for part in parts)
-        raise ArgumentError(f"path must be files with the same columns and kind of times, got {found} in {where}.")
-    count = Counter(label for part in parts for label in part.rows["id"].unique())
-    for path, part in zip(paths, parts, strict=True):
-        if part.for_itself and not options.pool:
-            part.rows["id"] = [f"{name} ({path})" if count[name] > 1 else name for name in part.rows["id"]]
-    rows = pd.concat([part.rows for part in parts], ignore_index=True)
-    counts = sum((part.counts for part in parts), Counter())
+def _make_tracks(paths: list[Path], read: list[_FileRows], options: _Options, where: str) -> Tracks:
+    names, timestamps = dict(read[-1].names), read[0].timestamps
+    if any(file.names.keys() != names.keys() or file.timestamps != timestamps for file in read if file.counts["rows"]):
+        named = ", ".join(quote(file.names) for file in read)
+        raise ArgumentError(f"path must be files with the same columns and kind of times, got {named} in {where}.")
+    count = Counter(label for file in read for label in file.rows["id"].unique())
+    for path, file in zip(paths, read, strict=True):
+        if file.for_itself and not options.pool:
+            file.rows["id"] = [f"{name} ({path})" if count[name] > 1 else name for name in file.rows["id"]]
+    rows = pd.concat([file.rows for file in read], ignore_index=True)
+    counts = sum((file.counts for file in read), Counter())
     notes = []
     if empty := int(rows["z"].isna().sum()) if "z" in names else 0:
         notes.append(f"Column {names.pop('z')} (z) has no value in {empty} of {len(rows)} rows and is left out.")
@@ -318,12 +316,12 @@ def _make_tracks(paths: list[Path], parts: list[_Part], options: _Options, where
         notes.append("Times are numbers of frames; one frame counts as 1 s (a time unit gives its seconds).")
     codes, ids = number_labels(rows["id"])
     if len(ids) < 2:
-        found = f"{counts['rows']} rows of {', '.join(map(quote, ids)) or 'no id'}"
-        raise ArgumentError(f"path must hold the tracks of at least 2 ids, got {where} with {found}.")
+        got = f"{where} with {counts['rows']} rows of {', '.join(map(quote, ids)) or 'no id'}"
+        raise ArgumentError(f"path must hold the tracks of at least 2 ids, got {got}.")
     time = rows["frame" if "frame" in names else "t"].to_numpy()
-    unit, why = (
-        _guess_time_unit(time, names) if options.time_unit is None and not timestamps else (options.time_unit, "")
-    )
+    unit, why = options.time_unit, ""
+    if unit is None and not timestamps:
+        unit, why = guess_time_unit(time, names)
     whole = bool((time == np.floor(time)).all())
     clock = Clock(unit=unit or 1.0, timestamps=timestamps, whole=whole, guessed=why)
     if timestamps:
@@ -332,15 +330,15 @@ def _make_tracks(paths: list[Path], parts: list[_Part], options: _Options, where
         start = float(time.min())  # whole microseconds: their differences are exact
         time, clock = (time - start) / 1e6, replace(clock, origin=start / 1e6)
     if options.pool:
-        time, clock = _pool(time, clock, [(path.name, len(part.rows)) for path, part in zip(paths, parts, strict=True)])
-    axes, origin, frame = _place(_scale(rows, names, options))
+        time, clock = _pool(time, clock, [(path.name, len(file.rows)) for path, file in zip(paths, read, strict=True)])
+    axes, origin, frame = project_positions(scale_lengths(rows, names, options.length_unit))
     leader = None
     if "leader" in rows:
         leader, sentences = match_leaders(*number_labels(rows["leader"]), codes, ids, f" in column {names['leader']}")
         notes += sentences
-    given: Any = {"clock": clock, "origin": origin, "leader": leader, "notes": notes, "duplicates": options.duplicates}
+    others: Any = {"clock": clock, "origin": origin, "leader": leader, "notes": notes, "duplicates": options.duplicates}
     frame = "pixels" if options.length_unit == "px" and frame == "metres" else frame
-    tracks = Tracks(**sort_samples(ids, codes, time, axes, **given), frame=frame)
+    tracks = Tracks(**sort_samples(ids, codes, time, axes, **others), frame=frame)
     return tracks if options.split_gap is None else split_gaps(tracks, options.split_gap)
 
 
@@ -350,59 +348,12 @@ def _pool(time: Floats, clock: Clock, files: Sequence[tuple[str, int]]) -> tuple
     Between two, there is as much time as in the longest, which is no gap that could be interpolated.
     """
     parts = np.split(time, np.cumsum([rows for _, rows in files])[:-1])
-    filled = [(name, part) for (name, _), part in zip(files, parts, strict=True) if len(part)]
-    pause, begin, pooled, recordings = max(float(np.ptp(part)) for _, part in filled) or 1.0, 0.0, [], []
-    for name, part in filled:
-        start, length = float(part.min()), float(np.ptp(part))
-        pooled.append(part - start + begin)
-        own = replace(clock, origin=clock.origin + start)
-        recordings.append((name, begin * clock.unit, (begin + length) * clock.unit, own))
+    filled = [(name, times) for (name, _), times in zip(files, parts, strict=True) if len(times)]
+    pause, begin, pooled, recordings = max(float(np.ptp(times)) for _, times in filled) or 1.0, 0.0, [], []
+    for name, times in filled:
+        start, length = float(times.min()), float(np.ptp(times))
+        pooled.append(times - start + begin)
+        of_file = replace(clock, origin=clock.origin + start)
+        recordings.append((name, begin * clock.unit, (begin + length) * clock.unit, of_file))
         begin += length + pause
     return np.concatenate(pooled), replace(clock, origin=0.0, recordings=tuple(recordings))
-
-
-def _guess_time_unit(time: Floats, names: Mapping[str, str]) -> tuple[float, str]:
-    """Seconds in one unit of times that are numbers, and what they seem to be if the column's name doesn't say it."""
-    if named := roles.split_unit(names["frame" if "frame" in names else "t"])[1]:
-        return roles.TIME_UNITS.get(named, 1.0), ""
-    first = float(np.min(time))
-    for unit, words in ((1e-3, "milliseconds"), (1e-6, "microseconds"), (1e-9, "nanoseconds")):
-        if _RECORDED[0] <= first * unit <= _RECORDED[1]:
-            return unit, f"{words} since 1970"
-    steps = np.diff(np.unique(time))
-    if 25_569 <= first <= 73_050 and len(steps) and np.median(steps) < _SHORT and (time != np.floor(time)).any():
-        return 86_400.0, "days of a spreadsheet"
-    return 1.0, ""
-
-
-def _scale(rows: pd.DataFrame, names: Mapping[str, str], options: _Options) -> pd.DataFrame:
-    """The rows with lengths in metres."""
-    for axis in ("x", "y", "z"):
-        unit = options.length_unit or roles.split_unit(names.get(axis, ""))[1]
-        if axis in rows and unit in roles.LENGTH_UNITS:
-            rows[axis] *= roles.LENGTH_UNITS[unit]
-    return rows
-
-
-def _place(rows: pd.DataFrame) -> tuple[list[Floats], Floats | None, str]:
-    """The two or three coordinates, ``(S,)`` metres each, their origin if it is known, and what they are.
-
-    Degrees (WGS 84) are projected to metres east and north of the middle of the tracks by the azimuthal equidistant
-    projection. The middle is that of the 1st and the 99th percentiles, so that a wrong fix far away doesn't move it.
-    """
-    if "lon" not in rows:
-        return [rows[axis].to_numpy() for axis in ("x", "y", "z") if axis in rows], None, "metres"
-    import pyproj
-
-    longitude, latitude = rows["lon"].to_numpy(), rows["lat"].to_numpy()
-    east = (longitude - longitude[0] + 180.0) % 360.0 - 180.0  # tracks may cross the 180th meridian
-    middle = [float(np.quantile(degrees, (0.01, 0.99)).mean()) for degrees in (east, latitude)]
-    middle[0] = (float(longitude[0]) + middle[0] + 180.0) % 360.0 - 180.0
-    local = f"+proj=aeqd +lon_0={middle[0]!r} +lat_0={middle[1]!r} +datum=WGS84 +units=m"
-    axes = list(pyproj.Transformer.from_crs("EPSG:4326", local, always_xy=True).transform(longitude, latitude))
-    height = 0.0
-    if "z" in rows:
-        height = float(np.round(rows["z"].mean()))
-        axes.append(rows["z"].to_numpy() - height)
-    frame = "metres in a local azimuthal equidistant frame (pyproj), from degrees"
-    return axes, np.array([*middle, height]), frame

@@ -15,6 +15,7 @@ import warnings
 import zipfile
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -39,7 +40,7 @@ _MESSAGES = {  # of MAVLink and of ArduPilot's logs: the fields, and units in a 
     "POS": ("Lng", "Lat", "Alt", 1.0, 1.0),
 }
 _POSITION = "{0}.x {0}.y {0}.z"
-_PLACES = {  # in messages of ROS: the columns, and where they are
+_POSITIONS = {  # in messages of ROS: the columns, and where they are
     "nav_msgs/msg/Odometry": ("x y z", _POSITION.format("pose.pose.position")),
     "geometry_msgs/msg/PoseStamped": ("x y z", _POSITION.format("pose.position")),
     "geometry_msgs/msg/PoseWithCovarianceStamped": ("x y z", _POSITION.format("pose.pose.position")),
@@ -120,10 +121,9 @@ def read_npz(path: Path) -> pd.DataFrame:
     with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
         arrays: dict[str, NDArray[Any]] = {name: file[name] for name in file.files}
     if arrays.get("position", np.empty(0)).ndim == 3:
-        place = arrays.pop("position").astype(np.float64)
-        place[~arrays.pop("seen", np.ones((), bool)).astype(bool) & np.ones(place.shape[:2], bool)] = np.nan
-        names = arrays.pop("ids", None)
-        return _list_samples(place, arrays, names)
+        position = arrays.pop("position").astype(np.float64)
+        position[~arrays.pop("seen", np.ones((), bool)).astype(bool) & np.ones(position.shape[:2], bool)] = np.nan
+        return _list_samples(position, arrays, arrays.pop("ids", None))
     length = max((values.size for values in arrays.values() if values.ndim == 1), default=0)
     alike = {name: values for name, values in arrays.items() if values.size == 1 or values.shape == (length,)}
     return pd.DataFrame({k: v.item() if v.size == 1 else v for k, v in alike.items()}, index=range(length))
@@ -138,23 +138,24 @@ def read_hdf5(path: Path) -> pd.DataFrame:
 
     with h5py.File(path) as file:
         if "trajectories" in file:
-            place, rate = file["trajectories"][()], file.attrs.get("frames_per_second")
-            found = {} if rate is None else {"t": np.arange(len(place)) / float(rate)}
+            position, rate = file["trajectories"][()], file.attrs.get("frames_per_second")
+            arrays = {} if rate is None else {"t": np.arange(len(position)) / float(rate)}
             if "id_probabilities" in file:
-                found["confidence"] = file["id_probabilities"][()].reshape(place.shape[:2])
-            return _list_samples(place, found)
+                arrays["confidence"] = file["id_probabilities"][()].reshape(position.shape[:2])
+            return _list_samples(position, arrays)
         if "tracks" in file:
             axes = {name: json.loads(file[name].attrs.get("dims", _SLEAP[name])) for name in _SLEAP if name in file}
-            found = {name: _arrange(file[name], axes[name], ("frame", "track", "xy")) for name in axes}
+            arrays = {name: _arrange(file[name], axes[name], ("frame", "track", "xy")) for name in axes}
             names = file["track_names"]
-            return _list_samples(found.pop("tracks"), found, names.asstr()[()] if len(names) else None)
+            return _list_samples(arrays.pop("tracks"), arrays, names.asstr()[()] if len(names) else None)
         if "position" not in file:
             raise ValueError(f"it has neither trajectories, tracks nor position, but {', '.join(file) or 'nothing'}")
         axes = {name: [scales[0].name.strip("/") for scales in file[name].dims] for name in _MOVEMENT if name in file}
-        who = next(name for name in axes["position"] if name.startswith("individual"))
-        found = {name: _arrange(file[name], axes[name], ("time", who, "space")) for name in axes}
-        place, frames = found.pop("position"), file.attrs.get("time_unit") in ("frames", b"frames")
-        return _list_samples(place, found | {"frame" if frames else "t": file["time"][()]}, file[who].asstr()[()])
+        individuals = next(name for name in axes["position"] if name.startswith("individual"))
+        arrays = {name: _arrange(file[name], axes[name], ("time", individuals, "space")) for name in axes}
+        time = "frame" if file.attrs.get("time_unit") in ("frames", b"frames") else "t"
+        position, names = arrays.pop("position"), file[individuals].asstr()[()]
+        return _list_samples(position, arrays | {time: file["time"][()]}, names)
 
 
 def _arrange(values: Any, axes: Sequence[str], order: Sequence[str]) -> Floats:
@@ -166,15 +167,15 @@ def _arrange(values: Any, axes: Sequence[str], order: Sequence[str]) -> Floats:
     return np.transpose(mean, [left.index(name) for name in order if name in left])
 
 
-def _list_samples(place: NDArray[Any], columns: Mapping[str, Any], names: Any = None) -> pd.DataFrame:
-    """A row for each place ``(T, N, 2 or 3)`` that is seen; other columns are ``(T,)``, ``(N,)`` or ``(T, N)``."""
-    times, ids = place.shape[:2]
-    who, when = np.nonzero(np.isfinite(place).all(axis=2).T)
-    found: dict[str, Any] = {"id": (np.arange(ids) if names is None else np.asarray(names))[who], "frame": when}
+def _list_samples(position: NDArray[Any], columns: Mapping[str, Any], names: Any = None) -> pd.DataFrame:
+    """A row for each seen position ``(time, individuals, space)``; others are over time, individuals or both."""
+    times, ids, axes = position.shape
+    who, when = np.nonzero(np.isfinite(position).all(axis=2).T)
+    rows: dict[str, Any] = {"id": (np.arange(ids) if names is None else np.asarray(names))[who], "frame": when}
     for name, values in columns.items():
         of_times = values.shape == (times,) and name not in ("id", "leader")
-        found[name] = np.broadcast_to(values[:, None] if of_times else values, (times, ids))[when, who]
-    return pd.DataFrame(found | {"xyz"[axis]: place[when, who, axis] for axis in range(place.shape[2])})
+        rows[name] = np.broadcast_to(values[:, None] if of_times else values, (times, ids))[when, who]
+    return pd.DataFrame(rows | {"xyz"[axis]: position[when, who, axis] for axis in range(axes)})
 
 
 def read_deeplabcut(path: Path) -> pd.DataFrame:
@@ -192,8 +193,8 @@ def read_mot(path: Path) -> pd.DataFrame:
     """Boxes of the MOT challenge: frame, id, left, top, width, height, confidence; a place is the middle of a box."""
     rows = read_csv(path, header=None).iloc[:, :7]
     frame, name, left, top, width, height, sure = (rows[k] for k in rows)
-    places = {"x": left + width / 2, "y": top + height / 2}
-    return pd.DataFrame({"frame": frame, "id": name, **places, "confidence": sure})
+    middle = {"x": left + width / 2, "y": top + height / 2}
+    return pd.DataFrame({"frame": frame, "id": name, **middle, "confidence": sure})
 
 
 def read_gpx(path: Path) -> pd.DataFrame:
@@ -218,9 +219,9 @@ def read_ulog(path: Path) -> pd.DataFrame:
     import pyulog
 
     log = pyulog.ULog(io.BytesIO(path.read_bytes()), list(_TOPICS))
-    found = {dataset.name: dataset.data for dataset in reversed(log.data_list)}
-    topic = next((name for name in _TOPICS if name in found), "")
-    data = found.get(topic, {"timestamp": []})
+    datasets = {dataset.name: dataset.data for dataset in reversed(log.data_list)}
+    topic = next((name for name in _TOPICS if name in datasets), "")
+    data = datasets.get(topic, {"timestamp": []})
     frame = pd.DataFrame({role: np.asarray(data[name], float) for role, name in _TOPICS.get(topic, {}).items()})
     if topic == "vehicle_local_position":
         frame["z"] *= -1
@@ -231,12 +232,13 @@ def read_mavlink(path: Path) -> pd.DataFrame:
     """Estimated positions in a MAVLink or ArduPilot log; the ids are the numbers of the systems, or the file's name."""
     from pymavlink import mavutil
 
-    log, rows = mavutil.mavlink_connection(os.fspath(path)), []
-    while (message := log.recv_match(type=list(_MESSAGES))) is not None:
-        *fields, degree, metre = _MESSAGES[message.get_type()]
-        lon, lat, z = (getattr(message, str(name)) for name in fields)
-        who = message.get_srcSystem() if hasattr(message, "get_srcSystem") else path.stem
-        rows.append((who, message._timestamp, lon / degree, lat / degree, z / metre))
+    rows = []
+    with closing(mavutil.mavlink_connection(os.fspath(path))) as log:
+        while (message := log.recv_match(type=list(_MESSAGES))) is not None:
+            *fields, degree, metre = _MESSAGES[message.get_type()]
+            lon, lat, z = (getattr(message, str(name)) for name in fields)
+            who = message.get_srcSystem() if hasattr(message, "get_srcSystem") else path.stem
+            rows.append((who, message._timestamp, lon / degree, lat / degree, z / metre))
     return pd.DataFrame(rows, columns=["id", "t", "lon", "lat", "z"])
 
 
@@ -250,10 +252,10 @@ def read_ros(path: Path) -> pd.DataFrame:
 
     with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as bag:
         kinds = dict.fromkeys(topic.msgtype for topic in bag.connections)
-        kind = next((kind for kind in _PLACES if kind in kinds), "")
+        kind = next((kind for kind in _POSITIONS if kind in kinds), "")
         if not kind:
-            raise ValueError(f"it has no places in {', '.join(_PLACES)}, but {', '.join(kinds) or 'nothing'}")
-        names, fields = _PLACES[kind]
+            raise ValueError(f"it has no places in {', '.join(_POSITIONS)}, but {', '.join(kinds) or 'nothing'}")
+        names, fields = _POSITIONS[kind]
         find = attrgetter(*fields.split())
         recorded = bag.messages([topic for topic in bag.connections if topic.msgtype == kind])
         rows = [(topic.topic, time / 1e9, *find(bag.deserialize(raw, kind))) for topic, time, raw in recorded]

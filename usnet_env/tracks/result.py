@@ -6,6 +6,7 @@ import json
 import os
 import re
 import warnings
+from base64 import b64encode
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -17,14 +18,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from usnet_env.config import ArgumentError, MissingExtraError, format_count
+from usnet_env.config import ArgumentError, MissingExtraError, format_count, printable
 from usnet_env.detection import Detection
 from usnet_env.drawing import CLUSTER_COLORS, write_figure
-from usnet_env.files import as_path, replace_files, reserve_folder, write_text
+from usnet_env.files import as_path, replace_files, reserve_folder, write_html, write_text
 from usnet_env.tracks import draw
-from usnet_env.tracks.events import Event, find_events
-from usnet_env.tracks.found import CONFOUNDS, DetectedWindow, Leader
-from usnet_env.tracks.page import write_page
+from usnet_env.tracks.found import CONFOUNDS, DetectedWindow, Event, Leader, find_events
 from usnet_env.tracks.tracks import Tracks, TrackWindow
 from usnet_env.window import Window
 
@@ -39,7 +38,13 @@ _COLUMNS = {  # of the tables
     "rows": "start end id leader head delay probability group",
     "links": "start end follower leader head delay",
 }
-_OPTIONAL = ("episode.npz", "replay.rrd", "network.png", "delays.png", "timeline.png", "picture.png")  # files
+_PICTURES = {
+    "network.png": "Who follows whom: an arrow leads to the one that is followed",
+    "timeline.png": "Whom each id follows in each window",
+    "picture.png": "Windows from above",
+    "delays.png": "The delay of each follower",
+}
+_OPTIONAL = ("episode.npz", "replay.rrd", *_PICTURES)  # files
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,8 +78,8 @@ class FoundLeaders:
         return f"<FoundLeaders in {format_count(len(self.windows), 'window')} by {self.detector}: {names or 'nobody'}>"
 
     def __str__(self) -> str:
-        said = [(each.id, format_count(len(each.followers), "id"), each.share or 0.0) for each in self.leaders]
-        lines = [f"{name} leads {count} in {share:.0%} of the windows." for name, count, share in said]
+        leading = [(each.id, format_count(len(each.followers), "id"), each.share or 0.0) for each in self.leaders]
+        lines = [f"{name} leads {count} in {share:.0%} of the windows." for name, count, share in leading]
         return "\n".join([*(lines or ["No leader was found."]), *self.confounds, *map(str, self.events)])
 
     def _repr_html_(self) -> str:
@@ -114,9 +119,9 @@ class FoundLeaders:
         rows = []
         for window in self.windows:
             of = {leader.id: {"probability": leader.probability, "group": leader.group} for leader in window.leaders}
-            found: list[Any] = [{"id": leader.id, "head": leader.id} for leader in window.leaders]
-            found += [vars(link) | {"id": link.follower} for link in window.links]
-            rows += [{"start": window.start, "end": window.end} | each | of[each["head"]] for each in found]
+            roles: list[Any] = [{"id": leader.id, "head": leader.id} for leader in window.leaders]
+            roles += [vars(link) | {"id": link.follower} for link in window.links]
+            rows += [{"start": window.start, "end": window.end} | role | of[role["head"]] for role in roles]
         return pd.DataFrame(rows, columns=[*_COLUMNS["rows"].split()])
 
     def plot(self) -> Figure:
@@ -199,24 +204,26 @@ class FoundLeaders:
         Raises:
             ArgumentError: the folder can't be written to, or the leaders are not those of :func:`find_leaders`.
 
-        >>> import tempfile
-        >>> found = find_leaders(Tracks.from_samples([*"abc"] * 50, np.repeat(np.arange(50), 3), np.zeros((150, 2))))
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     print(*(path.name for path in found.write(folder)))
+        >>> from tempfile import TemporaryDirectory
+        >>> found = FoundLeaders((DetectedWindow(0, 9, ()),), (), "none")
+        >>> with TemporaryDirectory() as folder:
+        ...     names = [file.name for file in found.write(folder)]
+        >>> names[:3]
+        ['delays.png', 'leaders.csv', 'leaders.json']
         """
-        place = reserve_folder(as_path("folder", folder), "folder")
-        with replace_files(place, _OPTIONAL) as aside:
+        final = reserve_folder(as_path("folder", folder), "folder")
+        with replace_files(final, _OPTIONAL) as aside:
             self._write_files(aside, title, record)
             names = sorted(path.name for path in aside.iterdir())
-        return [place / name for name in names]
+        return [final / name for name in names]
 
     def _write_files(self, folder: Path, title: str, record: bool) -> None:
         write_text(folder / "leaders.json", json.dumps(self.as_dict(), indent=2, allow_nan=False) + "\n")
         for name, table in self.tables().items():
             write_text(folder / f"{name}.csv", table.to_csv(index=False))
-        plots = {"network": self.plot, "delays": self.plot_delays, "timeline": self.plot_timeline}
-        plots["picture"] = partial(self.plot_maps, title)
-        writers = {f"{name}.png": partial(_write_plot, plot) for name, plot in plots.items()}
+        plots: list[Callable[[], Figure]] = [self.plot, self.plot_timeline, partial(self.plot_maps, title)]
+        plots.append(self.plot_delays)
+        writers = {name: partial(_write_plot, plot) for name, plot in zip(_PICTURES, plots, strict=True)}
         if record:
             from usnet_env.replay import write_recording
 
@@ -228,8 +235,21 @@ class FoundLeaders:
                 write(folder / name)
             except MissingExtraError as error:
                 warnings.warn(f"{name} is left out. {error}", stacklevel=3)
+        self._write_page(folder / "page.html", title)
+
+    def _write_page(self, path: Path, title: str) -> None:
+        """Write a page that any browser opens without a network; pictures beside it become parts of it."""
+        pictures = [
+            f'<figure><img alt="{text}" src="data:image/png;base64,{b64encode(image.read_bytes()).decode()}"></figure>'
+            for name, text in _PICTURES.items()
+            if (image := path.with_name(name)).exists()
+        ]
+        leaders, tracks = (
+            "".join(f"<li>{escape(printable(line))}</li>" for line in lines)
+            for lines in (str(self).splitlines(), self.facts)
+        )
         table = f"{self._repr_html_()}<p>By {escape(self.detector)}.</p>"
-        write_page(folder / "page.html", title, str(self).splitlines(), table, self.facts)
+        write_html(path, f"Leaders in {title}", f"<ul>{leaders}</ul>{''.join(pictures)}{table}<ul>{tracks}</ul>")
 
 
 def _write_plot(plot: Callable[[], Figure], path: Path) -> Path:

@@ -43,8 +43,8 @@ class Clock:
     def file_time(self, seconds: float) -> float | int | str:
         """Write ``seconds`` after the start as a time of the file."""
         if self.recordings:
-            name, begin, _, own = min(self.recordings, key=lambda each: max(each[1] - seconds, seconds - each[2]))
-            return f"{name}: {own.file_time(max(0.0, seconds - begin))}"
+            name, begin, _, clock = min(self.recordings, key=lambda each: max(each[1] - seconds, seconds - each[2]))
+            return f"{name}: {clock.file_time(max(0.0, seconds - begin))}"
         if self.timestamps:
             moment = _EPOCH + timedelta(milliseconds=round(1000 * (self.origin + seconds)))
             return moment.isoformat(timespec="milliseconds") + "Z"

@@ -288,6 +288,6 @@ def _cut(
         pairs = pd.DataFrame({"column": column, "leader": tracks.leader[inside]}).groupby(["column", "leader"]).size()
         often = pairs.sort_values(ascending=False, kind="stable").reset_index().drop_duplicates("column")
         leader = pd.Index(rows).get_indexer(often.sort_values("column")["leader"]).astype(np.int64)
-    singles, ids = (values.astype(np.float32) for values in (position, velocity)), tuple(tracks.ids[i] for i in rows)
-    window = Window(*singles, seen, np.ones(len(rows), bool), step=step)
+    ids, alive = tuple(tracks.ids[i] for i in rows), np.ones(len(rows), bool)
+    window = Window(position.astype(np.float32), velocity.astype(np.float32), seen, alive, step=step)
     return TrackWindow(window, ids, rows, first * step, (first + length) * step, step, origin, leader, left_out)
