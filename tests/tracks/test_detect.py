@@ -146,7 +146,9 @@ def test_out_and_record_write_all_files(run, folder, tmp_path):
     assert {ids[i] for i in np.flatnonzero(behind)} == {"bird-0", *(f"bird-{k}" for k in range(2, 14, 2))}
     tracks = read_tracks(folder / "merging.csv")
     np.testing.assert_allclose(record.position[1, 0, 0], tracks.position[114], atol=1e-3)
-    assert run("detect", folder / "leaderless.csv", *QUICK, "--out", out)[0] == 0
+    files = find_leaders(folder / "leaderless.csv", "lagged-correlation").write(out, "leaderless.csv")
+    assert " ids are there from the beginning to the end.</li>" in (out / "page.html").read_text(encoding="utf-8")
+    assert set(files) == set(out.iterdir())
     assert {path.name for path in out.iterdir()} == (
         names | {"links.csv", "network.png", "delays.png", "timeline.png"}
     ) - {"episode.npz", "replay.rrd"}

@@ -70,6 +70,8 @@ def test_pictures_show_links_delays_and_heads():
     assert [each.get_text() for each in delays.texts] == ["2"] * 3
     assert sum(bar.get_width() > 0 for bar in timeline.patches) == 5 + 3 + 2
     assert len(timeline.lines) == 4  # stars
+    with pytest.raises(ArgumentError, match=r"^tracks must be given for maps and episodes, got "):
+        found.plot_maps()
     for draw in (found_in("").plot, found_in("").plot_delays, found_in("").plot_timeline):
         assert draw().axes[0].get_title() == "No leader was found."
 

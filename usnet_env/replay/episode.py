@@ -113,6 +113,9 @@ class EpisodeRecord:
         versions: version of Python and of each package that computed the episode.
         labelled: whether the truth is known. In recorded tracks it is not: then ``head`` and ``root`` hold what the
             detector found, the UAVs that are candidates in a round and the candidate that each UAV follows.
+
+    Raises:
+        ArgumentError: an array has another shape, or JSON can't hold a value.
     """
 
     position: Singles

@@ -85,7 +85,11 @@ def draw_episode(record: EpisodeRecord) -> Figure:
 
 
 def write_picture(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path:
-    """Write the picture of :func:`draw_episode`, ``.png`` or ``.pdf``; the file appears whole.
+    """Write the picture of :func:`draw_episode`; the file appears whole.
+
+    Args:
+        record: the episode.
+        path: where to; the suffix ``.png`` or ``.pdf`` chooses the format. An existing file is replaced.
 
     Raises:
         ArgumentError: the name has another ending, or the place can't be written to.

@@ -296,6 +296,10 @@ def write_recording(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path
     One view shows what the detector sees and answers, another one the truth and the verdict. The timelines are
     ``time``, seconds of the replay with a pause after each answer, destruction and re-merge, and ``round``.
 
+    Args:
+        record: the episode.
+        path: where to, such as ``replay.rrd``; an existing file is replaced.
+
     Raises:
         ArgumentError: the position can't be written to.
         MissingExtraError: rerun-sdk is not installed.

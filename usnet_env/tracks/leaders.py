@@ -63,6 +63,14 @@ def find_leaders(
 
     Raises:
         ArgumentError: an argument is refused, the tracks hold no window, or the detector fails in one.
+
+    Example:
+        >>> steps = np.random.default_rng(0).normal(size=(200, 2))
+        >>> followers = [np.roll(steps, lag, axis=0).cumsum(axis=0) for lag in (0, 1, 2)]
+        >>> time, position = np.repeat(np.arange(200), 3), np.stack(followers, axis=1).reshape(-1, 2)
+        >>> print(find_leaders(Tracks.from_samples([*"abc"] * 200, time, position), "lagged-correlation"))
+        a leads 2 ids in 100% of the windows.
+        From 0.0: a leads b, c.
     """
     tracks = tracks if isinstance(tracks, Tracks) else read_tracks(tracks)
     player = find_detector(detector)

@@ -115,6 +115,11 @@ def read_tracks(
     Raises:
         ArgumentError: an argument is refused, a file is damaged or empty, a column is missing, a value is no number,
             an id has two places at one time, or there are fewer than two ids.
+
+    Example:
+        >>> frame = pd.DataFrame({"id": [*"abab"], "t": [0, 0, 1, 1], "x": [0.0, 5.0, 1.0, 6.0], "y": 0.0})
+        >>> read_tracks(frame)
+        <Tracks: 2 ids, 4 samples, 1 s, 2-D>
     """
     asked = {name: value for name, value in locals().items() if name != "path"}
     where, options = "the frame", _Options(**asked)

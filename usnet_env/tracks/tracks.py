@@ -92,6 +92,12 @@ class Tracks(Samples):
         source: the tracks of which :attr:`other_steps` are made, if the step was chosen.
         sampled: of resampled tracks, sentences about them before.
         max_gap: longest time in seconds that was interpolated, as :meth:`resample` got it.
+
+    Example:
+        >>> position = np.random.default_rng(0).normal(size=(200, 2)).cumsum(axis=0)
+        >>> tracks = Tracks.from_samples(["a", "b"] * 100, np.repeat(np.arange(100), 2), position)
+        >>> [track_window.start for track_window in tracks.resample(0.5).windows(length=60)]
+        [0.0, 30.0, 60.0, 69.0]
     """
 
     @classmethod
