@@ -15,7 +15,7 @@ from usnet_env.tracks.confirm import (
     find_alike,
     find_confound,
     find_followers,
-    follow_places,
+    keep_path_followers,
 )
 
 STEPS, UAVS = 200, 6
@@ -84,10 +84,10 @@ def test_ids_that_set_off_later_on_the_same_way_follow_the_places_of_the_first()
         confirmed_ones, kept = confirm_leaders(set_off(order, 0.5), [first], [rest])
         assert (confirmed_ones.tolist(), kept) == ([True], [rest])
         second = order.index(1)
-        assert follow_places(set_off(order, 0.5), second, [k for k in range(4) if order[k] > 1]) == []
-    assert follow_places(set_off([0, 1, 2, 3], 40.0), 0, [1, 2, 3]) == [1, 2, 3]  # side by side
-    assert follow_places(set_off([0, 3, 3.1, 3.2], 0.5), 0, [1, 2, 3]) == []  # later than 30 s
-    assert follow_places(set_off([0, 0.02, 0.01, 0.03], 0.5), 0, [1, 2, 3]) == []  # at once
+        assert keep_path_followers(set_off(order, 0.5), second, [k for k in range(4) if order[k] > 1]) == []
+    assert keep_path_followers(set_off([0, 1, 2, 3], 40.0), 0, [1, 2, 3]) == [1, 2, 3]  # side by side
+    assert keep_path_followers(set_off([0, 3, 3.1, 3.2], 0.5), 0, [1, 2, 3]) == []  # later than 30 s
+    assert keep_path_followers(set_off([0, 0.02, 0.01, 0.03], 0.5), 0, [1, 2, 3]) == []  # at once
 
 
 def test_straight_ways_at_one_speed_tell_nothing_of_a_leader():
@@ -100,7 +100,7 @@ def test_straight_ways_at_one_speed_tell_nothing_of_a_leader():
         seen = np.ones(position.shape[:2], bool)
         window = Window(position, np.diff(position, axis=0), seen, seen[0], step=1.0)
         for leader in range(6):
-            assert follow_places(window, leader, [k for k in range(6) if k != leader]) == []
+            assert keep_path_followers(window, leader, [k for k in range(6) if k != leader]) == []
 
 
 def test_leaders_of_short_windows_are_confirmed():

@@ -22,10 +22,10 @@ _LEVEL_OUTSIDE = 0.5
 _NEAREST, _SHIFTS, _DEVIATIONS = 5, 9, 3.0
 _LEAST_SHIFT = 3 * LAGS  # a smaller shift leaves a part of the likeness at some lag
 _DEVIATION_OF_BOTH = 1.8  # of the sum of two scores: 1.7 by their correlation of 0.45; 1.9 in tracks without leaders
-_LONGEST, _THIRD = 30.0, 3  # seconds, and part of a window, in which a place is reached later
-_SAME_HEADING = 0.8  # the cosine of headings at one place
+_LONGEST, _THIRD = 30.0, 3  # seconds, and part of a window, in which a position is reached later
+_SAME_HEADING = 0.8  # the cosine of headings at one position
 _SAME_WAY = 0.03  # squared distances to the way of a leader, as a share of those to where it is
-_ROUNDED = 1e-9  # of the variance of all places: what the rounding of numbers may be
+_ROUNDED = 1e-9  # of the variance of all positions: what the rounding of numbers may be
 _MOST_OF = 0.75  # of a group
 _MOST_COMPARED = 20  # UAVs
 _MOST_ALIKE = 0.999  # the logarithm of equal tracks is infinite
@@ -40,25 +40,25 @@ def confirm_leaders(
     """Which of c leaders are confirmed, ``(c,)`` bool, and the followers that each keeps.
 
     Its followers copy its velocity later (:func:`keep_group`, :func:`confirm_lead`) and it doesn't follow another
-    (:func:`find_followers`); or else they go on its way later (:func:`follow_places`), by the window with the shortest
-    step, if there are several.
+    (:func:`find_followers`); or else they go on its way later (:func:`keep_path_followers`), by the window with the
+    shortest step, if there are several.
     """
     kept = [keep_group(window, int(leader), members) for leader, members in zip(leaders, followers, strict=True)]
     leads = [confirm_lead(window, int(leader), members) for leader, members in zip(leaders, kept, strict=True)]
     confirmed = np.array(leads, bool) & ~find_followers(window, leaders, followers)
     for c in np.flatnonzero(~confirmed).tolist():
-        if behind := follow_places(shortest_step_window or window, int(leaders[c]), followers[c]):
+        if behind := keep_path_followers(shortest_step_window or window, int(leaders[c]), followers[c]):
             confirmed[c], kept[c] = True, behind
     return confirmed, kept
 
 
-def follow_places(window: Window, leader: int, followers: Sequence[int]) -> list[int]:
+def keep_path_followers(window: Window, leader: int, followers: Sequence[int]) -> list[int]:
     """The followers that go later on the way of their leader, or of a follower that does so, or beside it.
 
-    UAV i follows the way of UAV j if the mean square of the vector between its places and those of j some time before,
-    up to 30 s and a third of the window, is at most 3 % of the least one between its places and those of j now or
-    later; beside it, if the variance of the vector is. Empty if fewer than three quarters of the followers do, if the
-    leader follows the way of any UAV, or in a window of fewer than 16 steps.
+    UAV i follows the way of UAV j if the mean square of the vector between its positions and those of j some time
+    before, up to 30 s and a third of the window, is at most 3 % of the least one between its positions and those of j
+    now or later; beside it, if the variance of the vector is. Empty if fewer than three quarters of the followers do,
+    if the leader follows the way of any UAV, or in a window of fewer than 16 steps.
     """
     most = int(min(_LONGEST / (window.step or 1.0), window.observation_steps / _THIRD))
     if not followers or most < 1 or window.observation_steps < LEAST_STEPS:
@@ -74,10 +74,10 @@ def follow_places(window: Window, leader: int, followers: Sequence[int]) -> list
 
 
 def _compare_ways(window: Window, behind: Indices, ahead: Indices, most: int) -> Floats:
-    """``(b, a)`` mean square of the vector to a UAV's places up to ``most`` steps before, as a share of that to others.
+    """``(b, a)`` mean square of the vector to a UAV up to ``most`` steps before, as a share of that now or later.
 
     The same share of variances counts if it is smaller. It is infinite where both are seen in fewer than half of the
-    window. What is tiny beside the variance of all places counts as equal: on a straight way at one speed, it comes
+    window. What is tiny beside the variance of all positions counts as equal: on a straight way at one speed, it comes
     from rounded numbers.
     """
     seen = window.seen.astype(np.float64)
@@ -131,7 +131,7 @@ def _are_alike(unit: Singles, others: Singles) -> Mask:
 def find_confound(window: Window) -> tuple[str, list[int]]:
     """What UAVs may follow where none of them leads: ``"one path"``, ``"one signal"`` or ``""``; and which UAVs.
 
-    Two go along one path if the squared distances of the places of each to the nearest place of the other at any time
+    Two go along one path if the squared distances of the positions of each to the nearest one of the other at any time
     have a median of at most 3 % of that of the squared distances at the same time, and the cosine of their headings
     there has a median of at least 0.8. UAVs follow one signal, or each other, if their velocities and the changes of
     these are alike, as in :func:`keep_group`, to those of the UAV that is most like all. It must be more than half of
@@ -155,7 +155,7 @@ def find_confound(window: Window) -> tuple[str, list[int]]:
 
 
 def _is_on_way(window: Window, uav: int, other: int) -> bool:
-    """Whether the places of one UAV are near to some of the other's, at whatever time, and headed in the same way."""
+    """Whether a UAV is near to positions of the other at whatever time, and headed there in the same way."""
     seen = window.seen[1:] & window.velocity_seen
     both = seen[:, [uav, other]].all(axis=1)
     if both.sum() < LEAST_STEPS:
