@@ -9,7 +9,6 @@ import warnings
 from base64 import b64encode
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from functools import partial
 from html import escape
 from itertools import cycle
 from pathlib import Path
@@ -217,15 +216,18 @@ class FoundLeaders:
         write_text(folder / "leaders.json", json.dumps(self.as_dict(), indent=2, allow_nan=False) + "\n")
         for name, table in self.tables().items():
             write_text(folder / f"{name}.csv", table.to_csv(index=False))
-        plots: list[Callable[[], Figure]] = [self.plot, self.plot_timeline, partial(self.plot_maps, title)]
-        plots.append(self.plot_delays)
-        writers = {name: partial(_write_plot, plot) for name, plot in zip(_PICTURES, plots, strict=True)}
+        writers: dict[str, Callable[[Path], Path]] = {
+            "network.png": lambda path: write_figure(self.plot(), path),
+            "timeline.png": lambda path: write_figure(self.plot_timeline(), path),
+            "picture.png": lambda path: write_figure(self.plot_maps(title), path),
+            "delays.png": lambda path: write_figure(self.plot_delays(), path),
+        }
         if record:
             from usnet_env.replay import write_recording
 
             episode = self.to_episode(title)
             episode.save(folder / "episode.npz")
-            writers["replay.rrd"] = partial(write_recording, episode)
+            writers["replay.rrd"] = lambda path: write_recording(episode, path)
         for name, write in writers.items():
             try:
                 write(folder / name)
@@ -246,10 +248,6 @@ class FoundLeaders:
         )
         table = f"{self._repr_html_()}<p>By {escape(self.detector)}.</p>"
         write_html(path, f"Leaders in {title}", f"<ul>{leaders}</ul>{''.join(pictures)}{table}<ul>{tracks}</ul>")
-
-
-def _write_plot(plot: Callable[[], Figure], path: Path) -> Path:
-    return write_figure(plot(), path)
 
 
 def _answer_among(ids: int, track_window: TrackWindow, answer: Detection, detected: DetectedWindow) -> Detection:
