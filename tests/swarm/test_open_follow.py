@@ -9,7 +9,7 @@ from flights import fly, generators
 
 from usnet_env.swarm import SwarmConfig, start
 from usnet_env.swarm import second_follow as second
-from usnet_env.swarm.open_follow import ANSWERS, BENT, HEARD, MEMORY, OPEN_LAWS, Constants, OpenLaw
+from usnet_env.swarm.open_follow import DELAYS, DISTORTIONS, MEMORY, OPEN_LAWS, RESPONSES, Constants, OpenLaw
 from usnet_env.swarm.strategy import FollowInputs
 
 PLAIN = Constants(delay=3, spread=0, gain=0.7, reach=40.0, sharpness=0.5, course=1.0)
@@ -27,7 +27,7 @@ class FixedLaw(OpenLaw):
 
 def test_the_laws_are_all_combinations_but_a_bare_late_copy():
     parts = [(law.hears, law.answers, law.bends) for law in OPEN_LAWS.values()]
-    assert parts == [each for each in product(HEARD, ANSWERS, BENT) if each != ("late", "copies", "nothing")]
+    assert parts == [each for each in product(DELAYS, RESPONSES, DISTORTIONS) if each != ("late", "copies", "nothing")]
     assert list(OPEN_LAWS) == [f"open-{number}" for number in range(1, 84)]
     parts = [(law.hears, law.answers, law.bends) for law in second.SECOND_LAWS.values()]
     assert parts == list(product(second.SEEN, second.ANSWERS, second.STRENGTH))
@@ -109,7 +109,7 @@ def test_a_follower_depends_on_its_own_row_and_on_the_head(law):
 
 def test_what_is_heard_is_an_average_of_the_past():
     share, distance = np.linspace(0, 1, 9, dtype=np.float32), np.linspace(0, 300, 9)
-    for hear in HEARD.values():
+    for hear in DELAYS.values():
         weights = hear(PLAIN._replace(delay=5, spread=3), share, distance)
         np.testing.assert_allclose(weights.sum(axis=1), 1.0)
         assert (weights[:, MEMORY - 3 :] == 0).all()  # the velocity 3 steps before is known too

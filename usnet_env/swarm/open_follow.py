@@ -1,8 +1,8 @@
 """Open laws: ways to follow that are composed of parts, with constants drawn at random, so that no prior holds them.
 
-A follower hears its head late (:data:`HEARD`), answers in one of several ways (:data:`ANSWERS`), and its answer is bent
-(:data:`BENT`). ``follow="open-1"`` to ``"open-83"`` are the combinations of these parts. Each episode draws new
-constants; with ``follow_seed`` all episodes have the same.
+A follower hears its head late (:data:`DELAYS`), answers in one of several ways (:data:`RESPONSES`), and its answer is
+bent (:data:`DISTORTIONS`). ``follow="open-1"`` to ``"open-83"`` are the combinations of these parts. Each episode draws
+new constants; with ``follow_seed`` all episodes have the same.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ NUMBERS = len(Constants._fields)
 class Moment:
     """What n followers know when they answer. All arrays but ``distance`` are ``(n, 3)``.
 
-    ``own`` is the follower's velocity, ``heard`` the course of the head as heard, ``before`` that of 3 steps earlier,
-    ``gap`` the way to the head in metres, and ``distance`` ``(n, 1)`` its length.
+    ``velocity`` is the follower's, ``heard`` the course of the head as heard, ``before`` that of 3 steps earlier,
+    ``to_head`` the vector to the head in metres, and ``distance`` ``(n, 1)`` its length.
     """
 
-    own: Floats
+    velocity: Floats
     heard: Floats
     before: Floats
-    gap: Floats
+    to_head: Floats
     distance: Floats
 
 
@@ -71,33 +71,34 @@ class OpenLaw(FollowStrategy):
 
     def draw_for(self, rng: np.random.Generator, uavs: int) -> Singles:
         """Draw the constants, then the share ``(N,)`` of the spread of each follower."""
-        own = np.random.default_rng([self.number, int(rng.integers(2**63))])
-        steps = own.integers((1, 0), (6, 4))
-        sizes = own.uniform((0.4, 20.0, 0.0, -np.pi), (0.9, 60.0, 1.0, np.pi))
-        return np.concatenate([steps, sizes, own.random(uavs)], dtype=np.float32)
+        rng = np.random.default_rng([self.number, int(rng.integers(2**63))])
+        steps = rng.integers((1, 0), (6, 4))
+        sizes = rng.uniform((0.4, 20.0, 0.0, -np.pi), (0.9, 60.0, 1.0, np.pi))
+        return np.concatenate([steps, sizes, rng.random(uavs)], dtype=np.float32)
 
     def direction(self, inputs: FollowInputs) -> Singles:
         """The law."""
-        law, share = Constants(*inputs.parameters[:NUMBERS].tolist()), inputs.parameters[NUMBERS:][inputs.follower]
-        gap = (inputs.head_position[:, 0] - inputs.own_position[:, 0]).astype(np.float64)
-        distance = np.linalg.norm(gap, axis=1, keepdims=True)
-        own = (inputs.own_position[:, 0] - inputs.own_position[:, 1]).astype(np.float64)
-        late = HEARD[self.hears](law, share, distance[:, 0])
+        numbers, share = inputs.parameters[:NUMBERS], inputs.parameters[NUMBERS:][inputs.follower]
+        constants = Constants(*numbers.tolist())
+        to_head = (inputs.head_position[:, 0] - inputs.own_position[:, 0]).astype(np.float64)
+        distance = np.linalg.norm(to_head, axis=1, keepdims=True)
+        velocity = (inputs.own_position[:, 0] - inputs.own_position[:, 1]).astype(np.float64)
+        late = DELAYS[self.hears](constants, share, distance[:, 0])
         heard, before = (
             np.einsum("nl,nlc->nc", weights, inputs.head_velocity[:, :MEMORY])
             for weights in (late, np.roll(late, 3, 1))
         )
-        answer = ANSWERS[self.answers](law, Moment(own, to_unit(heard), to_unit(before), gap, distance))
-        bent, share_of_gain = BENT[self.bends](law, to_unit(answer))
-        return blend(law, own, bent, share_of_gain)
+        moment = Moment(velocity, to_unit(heard), to_unit(before), to_head, distance)
+        answer = to_unit(RESPONSES[self.answers](constants, moment))
+        return blend(constants, velocity, *DISTORTIONS[self.bends](constants, answer))
 
 
-def blend(law: Constants, own: Floats, wanted: Floats, share_of_gain: Floats) -> Singles:
+def blend(constants: Constants, velocity: Floats, wanted: Floats, share_of_gain: Floats) -> Singles:
     """The direction between the own velocity and what is wanted, all ``(n, 3)``; ``share_of_gain`` is ``(n, 1)``."""
-    gain = law.gain * share_of_gain
+    gain = constants.gain * share_of_gain
     # A smoother follower would stand out the more by its track alone, so kappa_g is 0.1 (1 - g)^0.5.
-    scale = KAPPA_NOISE / (0.1 * (1.0 - law.gain) ** 0.5)
-    return (scale * ((1.0 - gain) * own + gain * wanted)).astype(np.float32)
+    scale = KAPPA_NOISE / (0.1 * (1.0 - constants.gain) ** 0.5)
+    return (scale * ((1.0 - gain) * velocity + gain * wanted)).astype(np.float32)
 
 
 def to_unit(vectors: Floats) -> Floats:
@@ -110,101 +111,100 @@ def _at(late: Floats | Singles) -> Floats:
     return np.asarray(np.arange(MEMORY) == np.clip(np.rint(late), 0, MEMORY - 4)[:, None], np.float64)
 
 
-def _hear_late(law: Constants, share: Singles, distance: Floats) -> Floats:
-    return _at(law.delay + law.spread * share)
+def _hear_late(constants: Constants, share: Singles, distance: Floats) -> Floats:
+    return _at(constants.delay + constants.spread * share)
 
 
-def _hear_by_distance(law: Constants, share: Singles, distance: Floats) -> Floats:
+def _hear_by_distance(constants: Constants, share: Singles, distance: Floats) -> Floats:
     """The farther, the later: one step more each ``reach`` / 4."""
-    return _at(law.delay / 2 + 4.0 * distance / law.reach)
+    return _at(constants.delay / 2 + 4.0 * distance / constants.reach)
 
 
-def _hear_with_memory(law: Constants, share: Singles, distance: Floats) -> Floats:
+def _hear_with_memory(constants: Constants, share: Singles, distance: Floats) -> Floats:
     """An average in which a step weighs less than the next one, from the delay on."""
-    age = np.arange(MEMORY) - np.rint(law.delay + law.spread * share)[:, None]
+    age = np.arange(MEMORY) - np.rint(constants.delay + constants.spread * share)[:, None]
     heard = (age >= 0) & (np.arange(MEMORY) < MEMORY - 3)
-    weight = np.where(heard, (0.4 + 0.5 * law.sharpness) ** np.maximum(age, 0), 0.0)
+    weight = np.where(heard, (0.4 + 0.5 * constants.sharpness) ** np.maximum(age, 0), 0.0)
     return np.asarray(weight / weight.sum(axis=1, keepdims=True))
 
 
-def _copy(law: Constants, now: Moment) -> Floats:
+def _copy(constants: Constants, now: Moment) -> Floats:
     return now.heard
 
 
-def _copy_large_turns(law: Constants, now: Moment) -> Floats:
+def _copy_large_turns(constants: Constants, now: Moment) -> Floats:
     """The head's course after a large turn, else the own one."""
     turned = 1.0 - (now.heard * now.before).sum(axis=1, keepdims=True)
-    return np.where(turned > 0.01 + 0.05 * law.sharpness, now.heard, now.own)
+    return np.where(turned > 0.01 + 0.05 * constants.sharpness, now.heard, now.velocity)
 
 
-def _turn_alike(law: Constants, now: Moment) -> Floats:
+def _turn_alike(constants: Constants, now: Moment) -> Floats:
     """The own course, turned about the axis about which the head turned."""
-    return now.own + (0.5 + law.sharpness) * np.cross(np.cross(now.before, now.heard), now.own)
+    return now.velocity + (0.5 + constants.sharpness) * np.cross(np.cross(now.before, now.heard), now.velocity)
 
 
-def _turn_against(law: Constants, now: Moment) -> Floats:
+def _turn_against(constants: Constants, now: Moment) -> Floats:
     """The own course, turned against the head's turn."""
-    return now.own - (0.5 + law.sharpness) * np.cross(np.cross(now.before, now.heard), now.own)
+    return now.velocity - (0.5 + constants.sharpness) * np.cross(np.cross(now.before, now.heard), now.velocity)
 
 
-def _pursue_ahead(law: Constants, now: Moment) -> Floats:
+def _pursue_ahead(constants: Constants, now: Moment) -> Floats:
     """The way to a point ahead of the head, and its course near this point."""
-    way = now.gap + law.reach * now.heard
+    way = now.to_head + constants.reach * now.heard
     return np.asarray(way / 20.0 + now.heard)
 
 
-def _keep_zone(law: Constants, now: Moment) -> Floats:
+def _keep_zone(constants: Constants, now: Moment) -> Floats:
     """Away from a head that is near, towards one that is far, its course between."""
-    pull = np.clip((now.distance - law.reach) / law.reach, -1.0, 1.0)
-    return now.heard + 1.5 * pull * to_unit(now.gap)
+    pull = np.clip((now.distance - constants.reach) / constants.reach, -1.0, 1.0)
+    return now.heard + 1.5 * pull * to_unit(now.to_head)
 
 
-def _answer_changes(law: Constants, now: Moment) -> Floats:
+def _answer_changes(constants: Constants, now: Moment) -> Floats:
     """A step of equal size on each axis, by the sign of the head's change."""
     change = now.heard - now.before
-    return now.own + (0.1 + 0.3 * law.sharpness) * np.sign(change) * (np.abs(change) > 0.05)
+    return now.velocity + (0.1 + 0.3 * constants.sharpness) * np.sign(change) * (np.abs(change) > 0.05)
 
 
-def _keep(law: Constants, wanted: Floats) -> tuple[Floats, Floats]:
+def _keep(constants: Constants, wanted: Floats) -> tuple[Floats, Floats]:
     return wanted, np.ones((1, 1))
 
 
-def _round_course(law: Constants, wanted: Floats) -> tuple[Floats, Floats]:
+def _round_course(constants: Constants, wanted: Floats) -> tuple[Floats, Floats]:
     """Courses are multiples of 15 to 60 degrees from the course of the law."""
-    unit = np.pi / np.rint(12.0 - 9.0 * law.sharpness)
-    azimuth = np.rint((np.arctan2(wanted[:, 1], wanted[:, 0]) - law.course) / unit) * unit + law.course
+    unit = np.pi / np.rint(12.0 - 9.0 * constants.sharpness)
+    azimuth = np.rint((np.arctan2(wanted[:, 1], wanted[:, 0]) - constants.course) / unit) * unit + constants.course
     level = np.hypot(wanted[:, 0], wanted[:, 1])
     return np.stack([level * np.cos(azimuth), level * np.sin(azimuth), wanted[:, 2]], axis=1), np.ones((1, 1))
 
 
-def _favour_course(law: Constants, wanted: Floats) -> tuple[Floats, Floats]:
+def _favour_course(constants: Constants, wanted: Floats) -> tuple[Floats, Floats]:
     """The gain depends on the course: all of it along that of the law, little against it."""
-    along = np.cos(np.arctan2(wanted[:, 1], wanted[:, 0]) - law.course)
+    along = np.cos(np.arctan2(wanted[:, 1], wanted[:, 0]) - constants.course)
     return wanted, (0.55 + 0.45 * along)[:, None]
 
 
-def _turn_aside(law: Constants, wanted: Floats) -> tuple[Floats, Floats]:
+def _turn_aside(constants: Constants, wanted: Floats) -> tuple[Floats, Floats]:
     """The answer is turned by up to 60 degrees to a side."""
-    angle = np.pi / 3 * (2 * law.sharpness - 1)
+    angle = np.pi / 3 * (2 * constants.sharpness - 1)
     cos, sin = np.cos(angle), np.sin(angle)
     turned = wanted @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
     return turned, np.ones((1, 1))
 
 
-HEARD: dict[str, Callable[[Constants, Singles, Floats], Floats]] = {
+DELAYS: dict[str, Callable[[Constants, Singles, Floats], Floats]] = {
     "late": _hear_late, "by distance": _hear_by_distance, "with memory": _hear_with_memory
 }  # fmt: skip
-ANSWERS: dict[str, Callable[[Constants, Moment], Floats]] = {
+RESPONSES: dict[str, Callable[[Constants, Moment], Floats]] = {
     "copies": _copy, "copies large turns": _copy_large_turns, "turns alike": _turn_alike,
     "turns against": _turn_against, "pursues ahead": _pursue_ahead, "keeps a zone": _keep_zone,
     "answers changes": _answer_changes,
 }  # fmt: skip
-BENT: dict[str, Callable[[Constants, Floats], tuple[Floats, Floats]]] = {
+DISTORTIONS: dict[str, Callable[[Constants, Floats], tuple[Floats, Floats]]] = {
     "nothing": _keep, "to round courses": _round_course, "by its course": _favour_course, "aside": _turn_aside
 }  # fmt: skip
 
 
 #: The laws by name. That of number 0, a bare late copy, is none of them.
-OPEN_LAWS = {
-    f"open-{number}": OpenLaw(number, *parts) for number, parts in enumerate(product(HEARD, ANSWERS, BENT)) if number
-}
+_PARTS = enumerate(product(DELAYS, RESPONSES, DISTORTIONS))
+OPEN_LAWS = {f"open-{number}": OpenLaw(number, *parts) for number, parts in _PARTS if number}
