@@ -45,23 +45,16 @@ class ObservationBatch:
 
 def draw_normals(rngs: Generators, *shape: int) -> Singles:
     """Standard normal numbers ``(B, *shape)`` float32, those of an episode from its own generator."""
-    drawn = np.empty((len(rngs), *shape), np.float32)
-    for row, rng in zip(drawn, rngs, strict=True):
+    normals = np.empty((len(rngs), *shape), np.float32)
+    for row, rng in zip(normals, rngs, strict=True):
         rng.standard_normal(out=row, dtype=np.float32)
-    return drawn
+    return normals
 
 
 def sense(
-    configs: Sequence[SwarmConfig],
-    position: Singles,
-    velocity: Singles,
-    alive: Mask,
-    rngs: Generators,
-    free: Indices,
-    place: Floats | None = None,
-    reach: Floats | None = None,
-    first: int = 0,
-) -> ObservationBatch:
+    configs: Sequence[SwarmConfig], position: Singles, velocity: Singles, alive: Mask, rngs: Generators, free: Indices,
+    observer_position: Floats | None = None, reach: Floats | None = None, first: int = 0,
+) -> ObservationBatch:  # fmt: skip
     """Observe B swarms by R observers, R / B of each swarm, with the same sampling.
 
     If every step is sampled without noise, the observed velocity is the true velocity. Otherwise it is the difference
@@ -81,7 +74,7 @@ def sense(
         alive: ``(B, N)`` bool.
         rngs: one generator per observer; none is used if no sensor has faults.
         free: for each swarm its free UAVs, ``(B, n)`` or ``(B,)`` of arrays; the last are false tracks.
-        place: ``(R, 3)`` metres, where the observers are, if there is a limit of what they see.
+        observer_position: ``(R, 3)`` metres, where the observers are, if there is a limit of what they see.
         reach: ``(R,)`` metres, this limit.
         first: the instant of the flight at which the window begins.
     """
@@ -89,7 +82,7 @@ def sense(
     uavs, alive = alive.shape[1], np.repeat(alive, each, axis=0)
     seen = np.empty((len(alive), len(range(first, position.shape[1], k)), uavs), bool)
     seen[:] = alive[:, None]
-    faults = {number: _has_faults(one) for number, one in dict(zip(map(id, configs), configs, strict=True)).items()}
+    faults = {key: _has_faults(sensor) for key, sensor in dict(zip(map(id, configs), configs, strict=True)).items()}
     faulty = [r for r, sensor in enumerate(configs) if faults[id(sensor)]] if any(faults.values()) else []
     if k == 1 and reach is None and not faulty:
         return ObservationBatch(position[:, first:, :uavs], velocity[:, first:, :uavs], seen, alive)
@@ -121,11 +114,12 @@ def sense(
             sensing_kernels.exchange(np.float32(SWAP_RANGE), swapped, alive[r], position[r, first::k, :uavs], present)
         row &= present
     shown = [np.empty((observers, length, 3 * uavs), np.float32) for length in (instants, instants - 1)]
-    flown = [np.ascontiguousarray(part).reshape(*part.shape[:2], -1) for part in (position, velocity)]
+    flown = [np.ascontiguousarray(track).reshape(*track.shape[:2], -1) for track in (position, velocity)]
     if reach is None:
-        place, reach = np.zeros((observers, 3)), np.full(observers, np.inf)
-    sensing_kernels.observe(first, k, sensors, noisy, noise, differs, place, reach, *flown, seen, *shown)
-    seen_position, seen_velocity = (part.reshape(observers, -1, uavs, 3) for part in shown)
+        observer_position, reach = np.zeros((observers, 3)), np.full(observers, np.inf)
+    limits = observer_position, reach
+    sensing_kernels.observe(first, k, sensors, noisy, noise, differs, *limits, *flown, seen, *shown)
+    seen_position, seen_velocity = (track.reshape(observers, -1, uavs, 3) for track in shown)
     return ObservationBatch(seen_position, seen_velocity, seen, alive)
 
 
@@ -145,19 +139,17 @@ def shift_tracks(position: Singles, velocity: Singles, source: Indices, rngs: Ge
     for b, rng in enumerate(rngs):
         for first in np.unique(source[b]):
             members = np.flatnonzero(source[b] == first)
-            places = (rng.permutation(len(members)) + rng.random()) / len(members)
-            shift[b, members] = places * steps
+            shift[b, members] = (rng.permutation(len(members)) + rng.random()) / len(members) * steps
     when = (np.arange(steps)[:, None] - shift[:, None]) % steps
     velocity = np.take_along_axis(velocity, when[..., None], axis=1)
     return np.cumsum(np.concatenate([position[:, :1], velocity], axis=1), axis=1, dtype=np.float32), velocity
 
 
-def _detect(drawn: Singles, rate: float, burst: float) -> Mask:
+def _detect(uniform: Singles, rate: float, burst: float) -> Mask:
     """Which UAVs are detected, ``(T_ob + 1, N)``, from uniform numbers of this shape."""
-    if burst == 0:
-        return drawn >= rate
-    detected = drawn >= rate
-    sensing_kernels.miss_in_bursts(rate / (burst * (1.0 - rate)), 1.0 - 1.0 / burst, drawn, detected)
+    detected = uniform >= rate
+    if burst > 0:
+        sensing_kernels.miss_in_bursts(rate / (burst * (1.0 - rate)), 1.0 - 1.0 / burst, uniform, detected)
     return detected
 
 
