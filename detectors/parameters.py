@@ -12,9 +12,9 @@ from typing import Annotated, Any, ClassVar, Self, dataclass_transform
 from pydantic import Field, create_model
 
 from usnet_env.config import ArgumentError, Config
+from usnet_env.config import Count as Count  # for the detectors
 from usnet_env.window import Window
 
-Count = Annotated[int, Field(ge=1, le=100_000)]  # a number of UAVs, clusters or steps
 Lags = Annotated[int, Field(ge=1, le=1000)]  # a number of samples of the past
 
 

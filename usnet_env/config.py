@@ -10,16 +10,19 @@ from difflib import get_close_matches
 from functools import update_wrapper
 from inspect import Parameter, Signature, signature
 from pathlib import PurePath
-from typing import Any, ClassVar, Concatenate, ParamSpec, TypeVar
+from typing import Annotated, Any, ClassVar, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic.fields import FieldInfo
 
 P = ParamSpec("P")
 OwnerT = TypeVar("OwnerT")
 ConfigT = TypeVar("ConfigT", bound="Config")
 ClassT = TypeVar("ClassT", bound=type)
+
+Count = Annotated[int, Field(ge=1, le=100_000)]  # a number of UAVs, clusters or steps
+Positive = Annotated[float, Field(gt=0)]
 
 _LONGEST_VALUE = 80
 _SHORT_REPR = reprlib.Repr()  # looks at the first items of a long value only, and a few levels deep

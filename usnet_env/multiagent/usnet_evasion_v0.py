@@ -63,7 +63,7 @@ class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
         mask, choices = spaces.MultiBinary(uavs), self.manoeuvres.choices
         head_spaces = {
             "position": spaces.Box(-far, far, (uavs, 3), np.float32),
-            "velocity": spaces.Box(-config.speed_bound, config.speed_bound, (uavs, 3), np.float32),
+            "velocity": spaces.Box(-config.speed_bound(), config.speed_bound(), (uavs, 3), np.float32),
             **dict.fromkeys(("alive", "self", "heads", "followers", "named"), mask),
             "round": spaces.Box(0, rules.max_rounds, (1,), np.float32),
             "legal": spaces.MultiBinary(int(choices.sum())),

@@ -8,6 +8,7 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from usnet_env.config import ArgumentError, Config, quote
+from usnet_env.config import Count as Count  # for the other configurations
 from usnet_env.swarm.follow import FOLLOW_STRATEGIES
 from usnet_env.swarm.formation import FARTHEST, FORMATIONS
 from usnet_env.swarm.kinematics import KINEMATICS, Kinematics
@@ -18,7 +19,6 @@ SWAP_RANGE = 20.0  # metres, the largest distance of two UAVs that exchange thei
 NOISE_BOUND = 8.0  # observation noise is clipped at 8 standard deviations (one in 10^15 draws), so bounds are finite
 
 # The bounds of arguments that several configurations have.
-Count = Annotated[int, Field(ge=1, le=100_000)]
 Few = Annotated[int, Field(ge=0, le=100_000)]
 Sizes = Sequence[Annotated[int, Field(ge=2, le=100_000)]]
 Steps = Annotated[int, Field(ge=1, le=1000)]
@@ -102,6 +102,10 @@ class SwarmConfig(SensorArguments, SizeArguments, BystanderArguments, MobilityAr
 
     Raises:
         ArgumentError: an argument has the wrong type or is out of range.
+
+    >>> config = SwarmConfig(follow="pigeons", clusters=2, uavs=12)
+    >>> config.followers, config.follow_strategy.noise, config.kinematics_model.top_speed
+    (10, 0.05, 1.0)
     """
 
     absent: Few = Field(0, description="how many of the N indices have no UAV, as in the smaller swarms of a batch")
@@ -170,7 +174,6 @@ class SwarmConfig(SensorArguments, SizeArguments, BystanderArguments, MobilityAr
         """The kinematics as an object."""
         return self.kinematics if isinstance(self.kinematics, Kinematics) else KINEMATICS.find(self.kinematics)
 
-    @property
     def noise_bound(self) -> float:
         """An upper bound in metres of the position noise on each axis."""
         return NOISE_BOUND * max(1.0, self.course_noise) * self.position_noise
@@ -178,14 +181,13 @@ class SwarmConfig(SensorArguments, SizeArguments, BystanderArguments, MobilityAr
     def position_bound(self, rounds: int) -> float:
         """An upper bound in metres of all observed coordinates within ``rounds`` rounds."""
         travelled = self.memory + rounds * self.steps
-        return FARTHEST + max(1.0, self.kinematics_model.top_speed) * travelled + self.noise_bound
+        return FARTHEST + max(1.0, self.kinematics_model.top_speed) * travelled + self.noise_bound()
 
-    @property
     def speed_bound(self) -> float:
         """An upper bound in metres per step of all true velocity coordinates."""
         return 1.001 * max(1.0, self.kinematics_model.top_speed)  # before the first window all UAVs fly 1 m per step
 
     def velocity_bound(self) -> float:
         """An upper bound in metres per step of all observed velocity coordinates."""
-        jump = (2.0 * self.noise_bound + SWAP_RANGE * (self.swap_rate > 0)) / self.sample_every
-        return self.speed_bound + jump
+        jump = (2.0 * self.noise_bound() + SWAP_RANGE * (self.swap_rate > 0)) / self.sample_every
+        return self.speed_bound() + jump
