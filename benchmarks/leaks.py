@@ -68,7 +68,7 @@ def fly(env: Any, seed: int, swarms: int) -> Flown:
     for swarm in range(swarms):
         windows.append(Window.from_observation(env.reset(seed=episode_seeds(seed, swarm)[0])[0]))
         states.append(env.swarm)
-    roles = ("head", "decoy", "bystander", "root")
+    roles = ("head", "decoy", "not_led", "root")
     head, decoy, other, root = (np.stack([getattr(state, name) for state in states]) for name in roles)
     return Flown(windows, head, head + 2 * decoy + 3 * other, root)
 

@@ -93,10 +93,10 @@ def test_what_cannot_be_loaded_says_why(numbers, installed, value, reason):
 SOURCE = """
 import numpy as np
 from detectors.clustering import KMeans as Groups
-from usnet_env.swarm.follow import Lags
+from usnet_env.swarm.follow import LaggedSum
 from usnet_env.swarm.mobility import CompiledMobility
 
-class Backwards(Lags):
+class Backwards(LaggedSum):
     kappa = -1.0
 
 onwards = CompiledMobility(5, 1)

@@ -19,7 +19,7 @@ from usnet_env.multiagent.evasion import (
     select_decoys,
 )
 from usnet_env.swarm import FollowInputs, SwarmConfig, start
-from usnet_env.swarm.follow import FollowFunction, Lags, StayInRange
+from usnet_env.swarm.follow import FollowFunction, LaggedSum, StayInRange
 
 OBSERVER = "observer_0"
 TRUTHFUL = [0, 0, 0, 0]
@@ -85,7 +85,7 @@ def pull_from_afar(inputs):
 @pytest.mark.parametrize(
     ("strategy", "direct"),
     [
-        (Lags(3, square=True, noise=0.0), lambda one: (one.head_velocity[:, :3] ** 2).sum(axis=1)),
+        (LaggedSum(3, square=True, noise=0.0), lambda one: (one.head_velocity[:, :3] ** 2).sum(axis=1)),
         (StayInRange(noise=0.0), pull_from_afar),
         (FollowFunction(lambda one: one.head_velocity[:, 1], noise=0.0), lambda one: one.head_velocity[:, 1]),
     ],
@@ -111,7 +111,7 @@ def test_delayed_followers_see_the_past_of_their_head(strategy, direct):
 
 
 def test_decoys_fly_by_themselves_and_leave_their_head_a_follower():
-    config, state, rngs = a_swarm(cluster_sizes=(2, 16), follow=Lags(1, noise=0.0))
+    config, state, rngs = a_swarm(cluster_sizes=(2, 16), follow=LaggedSum(1, noise=0.0))
     uavs, taken = select_decoys(state, plan_of(2, decoys=[5, 5]))
     who, rows = uavs[taken], np.nonzero(taken)[1]
     assert sorted(np.bincount(rows)) == [1, 5]  # the head with 2 followers keeps one

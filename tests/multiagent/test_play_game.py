@@ -16,7 +16,7 @@ from usnet_env.multiagent.policies import (
     TruthfulHead,
 )
 from usnet_env.replay import EpisodeRecord
-from usnet_env.swarm.follow import Lags
+from usnet_env.swarm.follow import LaggedSum
 
 HEADS = {"truthful": TruthfulHead(), "camouflaged": CamouflagedHead(), "random": RandomHead()}
 
@@ -133,14 +133,14 @@ def test_the_error_names_the_agent_without_a_policy():
 
 @pytest.mark.parametrize("game", ["observers", "evasion"])
 def test_a_game_is_kept(game, tmp_path):
-    env = small(game, max_rounds=3, follow=Lags(1))
+    env = small(game, max_rounds=3, follow=LaggedSum(1))
     played = play_game(env, {"observer": RandomObserver(2), "head": CamouflagedHead()}, 1, label="random pair")
     record = EpisodeRecord(**played.record)
     assert record.rounds == played.rounds
     assert record.redundant.sum() == played.redundant
     assert record.objective[-1] == played.J
     assert (record.env_id, record.detector) == (f"usnet_{game}_v0", "random pair")
-    assert record.config["follow"].startswith("Lags(")
+    assert record.config["follow"].startswith("LaggedSum(")
     assert EpisodeRecord.load(record.save(tmp_path / "episode.npz")).rounds == record.rounds
     words = " ".join(text for chosen in record.choices or [] for text in chosen.values())
     assert ("followers delayed by 4 steps; price" in words) == (game == "evasion")

@@ -3,13 +3,13 @@
 import numpy as np
 
 from usnet_env.swarm import follow_kernels
-from usnet_env.swarm.follow import FollowFunction, Lags, Network
+from usnet_env.swarm.follow import FollowFunction, LaggedSum, TanhNetworkStrategy
 
 
 def slow(strategy, parameters):
     """The strategy without its compiled loop, for one swarm with these parameters."""
-    direct = {Lags: sum_lags, Network: read_network}.get(type(strategy), stay_in_range)
-    if parameters.size == follow_kernels.LAW:
+    direct = {LaggedSum: sum_lags, TanhNetworkStrategy: read_network}.get(type(strategy), stay_in_range)
+    if parameters.size == follow_kernels.COEFFICIENTS:
         direct = obey_law
     return FollowFunction(lambda inputs: direct(strategy, inputs), strategy.lags, strategy.noise)
 
@@ -40,8 +40,8 @@ def read_network(strategy, inputs):
 
 def obey_law(strategy, inputs):
     """A random law as numbers."""
-    law, end = inputs.parameters[: -follow_kernels.LAW_END], inputs.parameters[-follow_kernels.LAW_END :]
-    total = sum(_evaluate(term, inputs.head_velocity) for term in law.reshape(-1, follow_kernels.LAW_TERM))
+    law, end = inputs.parameters[: -follow_kernels.OUTPUT_SIZE], inputs.parameters[-follow_kernels.OUTPUT_SIZE :]
+    total = sum(_evaluate(term, inputs.head_velocity) for term in law.reshape(-1, follow_kernels.TERM_SIZE))
     total = (np.tanh(end[9] * total) / end[9] if end[9] else total) @ end[:9].reshape(3, 3).T
     gap = inputs.head_position[:, 1] + end[10:13] - inputs.own_position[:, 1]
     return total + end[13] * gap / np.maximum(np.linalg.norm(gap, axis=1, keepdims=True), 1)
@@ -57,4 +57,4 @@ def _evaluate(term, head_velocity):
         "product": 3 * v[:, [1, 2, 0]] * v[:, [2, 0, 1]],
         "network": np.tanh(both @ term[3:51].reshape(6, 8)) @ term[51:].reshape(8, 3),
     }
-    return term[2] * kinds[follow_kernels.LAW_KINDS[int(term[0])]]
+    return term[2] * kinds[follow_kernels.TERM_KINDS[int(term[0])]]

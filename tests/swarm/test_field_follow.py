@@ -9,7 +9,7 @@ from flights import flown, fly, unit
 from usnet_env.envs import MultiClusterEnv, SingleClusterEnv
 from usnet_env.swarm import FOLLOW_STRATEGIES, SwarmConfig, advance, destroy, start
 from usnet_env.swarm.field_follow import Chain, Frontness, Shifted
-from usnet_env.swarm.field_kernels import DELAY, GAIN, KINDS, OFFSET, SALT, hash_draw
+from usnet_env.swarm.field_kernels import DELAY, GAIN, MIXED, OFFSET, SALT, hash_draw
 from usnet_env.swarm.flock_follow import Couzin
 from usnet_env.swarm.follow import CONTROLS, FIELD_MODELS
 
@@ -29,7 +29,7 @@ def members_of(state, i):
             a = state.source[a]
         return a
 
-    return [j for j in np.flatnonzero(state.alive & ~state.bystander) if top(j) == top(i)]
+    return [j for j in np.flatnonzero(state.alive & ~state.not_led) if top(j) == top(i)]
 
 
 def best_delay(led, flew, most=20):
@@ -72,7 +72,7 @@ def test_copies_obey_their_equation(name):
         for t in range(max(late), 90):
             clock = int(state.clock) + 12 + t
             asked = {"part_time": state.root[i], "partial_turns": i}.get(name)
-            if asked is not None and hash_draw(salt[asked], clock // model.block) >= model.share:
+            if asked is not None and hash_draw(salt[asked], clock // model.block_steps) >= model.response_probability:
                 wanted = v[t - 1, i]
             elif name == "cucker_smale":
                 late = [1] * len(above)
@@ -118,8 +118,8 @@ def test_followers_fly_by_f1_to_f6(name):
     for i in np.flatnonzero(~state.head)[::2]:
         h = state.root[i]
         for t in range(4, 119):
-            block = (int(state.clock) + 12 + t) // model.block
-            kind = int(KINDS * hash_draw(salt[i], 0) if name == "mixed" else KINDS * hash_draw(salt[h], block))
+            block = (int(state.clock) + 12 + t) // model.block_steps
+            kind = int(MIXED * hash_draw(salt[i], 0) if name == "mixed" else MIXED * hash_draw(salt[h], block))
             kinds.add(kind)
             past = v[t - 3 : t, h][::-1]
             gap = p[t - 1, h] - p[t - 1, i]
@@ -162,8 +162,8 @@ def test_swarms_that_no_uav_leads_have_no_heads_and_one_round(name):
     env = MultiClusterEnv(follow=name, memory=12, clusters=2, uavs=24, reveal_truth=True, observation_steps=20)
     observation, info = env.reset(seed=0)
     assert not info["head"].any()
-    assert (info["root"][~env.swarm.bystander] == -1).all()
-    assert (info["leader"][~env.swarm.bystander] == -1).all()
+    assert (info["root"][~env.swarm.not_led] == -1).all()
+    assert (info["leader"][~env.swarm.not_led] == -1).all()
     assert observation["seen"].all()
     candidates = np.zeros(24, np.int8)
     candidates[:2] = 1
@@ -197,7 +197,7 @@ def flock_direction(model, state, v, p, t, i, members):
         wanted = wanted + model.attract * sum(gap[j] / distance[j] for j in attracted) / max(len(attracted), 1)
     else:
         wanted = unit(p[t, members].mean(axis=0) - p[t, i])
-    for h in np.flatnonzero(state.bystander):
+    for h in np.flatnonzero(state.not_led):
         away = p[t, i] - p[t, h]
         if np.linalg.norm(away) < model.flight:
             wanted = wanted + model.flee * unit(away)
@@ -212,7 +212,7 @@ def test_flocks_obey_their_equation(name, uavs, clusters):
         model, uavs=uavs, clusters=clusters, formation="around", mobility="gauss_markov", observation_steps=25
     )
     v, p = flown(window)
-    for i in np.flatnonzero(~(state.head | state.bystander))[:: uavs // 12]:
+    for i in np.flatnonzero(~(state.head | state.not_led))[:: uavs // 12]:
         members = members_of(state, i)
         for t in range(1, 25, 4):
             wanted = unit(flock_direction(model, state, v, p, t, i, members))
@@ -284,7 +284,7 @@ def test_after_a_destruction_every_follower_has_a_living_leader(name):
         candidates[0, np.flatnonzero((state.head & state.alive)[0])[-1]] = False
         state = destroy(state, candidates)
         one, old = state.episode(), before.episode()
-        for i in np.flatnonzero(one.alive & ~(one.head | one.decoy | one.bystander)):
+        for i in np.flatnonzero(one.alive & ~(one.head | one.decoy | one.not_led)):
             assert one.alive[one.source[i]]
             assert one.head[one.root[i]]
             assert one.alive[one.root[i]]
@@ -300,13 +300,13 @@ def test_bystanders_and_traffic_are_no_heads_and_follow_no_uav():
     state = start(config, rngs)
     _, window = advance(config, state, rngs)
     one, v = state.episode(), window.velocity[0].astype(float)
-    assert one.bystander.sum() == 11
-    assert not (one.bystander & (one.head | one.decoy)).any()
-    np.testing.assert_array_equal(one.root[one.bystander], np.flatnonzero(one.bystander))
-    assert not np.isin(one.root[~one.bystander], np.flatnonzero(one.bystander)).any()
+    assert one.not_led.sum() == 11
+    assert not (one.not_led & (one.head | one.decoy)).any()
+    np.testing.assert_array_equal(one.root[one.not_led], np.flatnonzero(one.not_led))
+    assert not np.isin(one.root[~one.not_led], np.flatnonzero(one.not_led)).any()
     straight = np.ptp(v, axis=0).max(axis=1) < 1e-5
     assert straight.sum() == 6
-    assert one.bystander[straight].all()
+    assert one.not_led[straight].all()
     assert np.abs(v[:, straight, 2]).max() < 1e-6
     courses = {tuple(np.round(np.abs(v[0, i, :2]), 3)) for i in np.flatnonzero(straight)}
     assert len(courses) <= 3  # three corridors, both ways

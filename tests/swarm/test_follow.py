@@ -9,7 +9,7 @@ from numpy_laws import slow
 
 from usnet_env import ArgumentError, register_follow_strategy
 from usnet_env.swarm import FOLLOW_STRATEGIES, FollowStrategy, SwarmConfig, advance, destroy, start
-from usnet_env.swarm.follow import Lags, Network
+from usnet_env.swarm.follow import LaggedSum, TanhNetworkStrategy
 from usnet_env.swarm.random_follow import random_follow_strategy
 from usnet_env.swarm.strategy import FollowInputs, TrajectoryBatch
 
@@ -85,11 +85,11 @@ def test_compiled_flight_equals_the_general_loop(name):
             free = rng.standard_normal((steps, 3, 3)).astype(np.float32)
             velocity[b, memory:, state.free[b]] = (free / np.linalg.norm(free, axis=-1, keepdims=True)).swapaxes(0, 1)
         noise = rng.standard_normal((2, steps, 20, 3), dtype=np.float32)
-        swarm = state.root, state.parameters, state.source, state.bystander, state.clock
+        swarm = state.root, state.parameters, state.source, state.not_led, state.clock
         flights.append(TrajectoryBatch(position, velocity, noise, motion, *swarm))
     strategy.fly(flights[0])
     for b in range(2):  # each swarm has parameters of its own
-        arrays = {name: part[b : b + 1] for name, part in vars(flights[1]).items() if name != "craft"}
+        arrays = {name: part[b : b + 1] for name, part in vars(flights[1]).items() if name != "plan"}
         slow(strategy, state.parameters[b]).fly(TrajectoryBatch(**arrays))
     np.testing.assert_allclose(flights[0].velocity, flights[1].velocity, atol=2e-4)
     np.testing.assert_allclose(flights[0].position, flights[1].position, atol=5e-3)
@@ -139,9 +139,9 @@ def test_a_registered_function_is_used_by_name():
     ("name", "strategy", "arguments", "argument"),
     [
         ("f1", lambda inputs: inputs.head_velocity[:, 0], {}, "name"),
-        ("f1", Lags(2), {"replace": True}, "name"),
-        ("", Lags(1), {}, "name"),
-        ("none", Lags(1), {}, "name"),
+        ("f1", LaggedSum(2), {"replace": True}, "name"),
+        ("", LaggedSum(1), {}, "name"),
+        ("none", LaggedSum(1), {}, "name"),
         ("test-x", 3, {}, "strategy"),
     ],
 )
@@ -174,9 +174,10 @@ def test_random_strategies_are_none_of_the_seven():
 def test_f7_depends_on_its_head():
     inputs = random_inputs(np.random.default_rng(0))
     still = inputs.own_position[:, :1].repeat(5, axis=1)
-    inputs = replace(inputs, own_position=still, parameters=Network().draw(np.random.default_rng(1)))
+    inputs = replace(inputs, own_position=still, parameters=TanhNetworkStrategy().draw(np.random.default_rng(1)))
     turned = replace(inputs, head_velocity=-inputs.head_velocity)
-    network, saturated = (slow(Network(**scale), inputs.parameters) for scale in ({}, {"position_scale": 1.0}))
+    scales = {}, {"position_scale": 1.0}
+    network, saturated = (slow(TanhNetworkStrategy(**scale), inputs.parameters) for scale in scales)
     assert cosine(network.direction(inputs), network.direction(turned)) < 0.2
     assert cosine(saturated.direction(inputs), saturated.direction(turned)) > 0.9
 

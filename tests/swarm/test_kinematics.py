@@ -25,8 +25,8 @@ class SlowVariedSpeed(VariedSpeed):
     fly = Kinematics.fly
 
     def steer(self, wanted, before, position, state, normals):
-        push = self.deviation * np.sqrt(1 - self.keep**2)
-        state[:, 1] = self.keep * state[:, 1] + push * normals[:, 0]
+        push = self.sigma * np.sqrt(1 - self.phi**2)
+        state[:, 1] = self.phi * state[:, 1] + push * normals[:, 0]
         return wanted * np.clip(state[:, 0] * (1 + state[:, 1]), self.slowest, self.fastest)[:, None]
 
 

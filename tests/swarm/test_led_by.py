@@ -6,9 +6,9 @@ from flights import fly, generators
 
 from usnet_env.config import ArgumentError
 from usnet_env.swarm import SwarmConfig, advance, destroy, start
-from usnet_env.swarm.follow import LED_MODELS, FollowFunction, Lags
+from usnet_env.swarm.follow import LED_MODELS, FollowFunction, LaggedSum
 
-COPY = Lags(1, noise=0.0)
+COPY = LaggedSum(1, noise=0.0)
 
 
 def watch_chain(follow, led_by, **arguments):

@@ -63,7 +63,7 @@ def test_false_tracks_begin_and_end_and_are_no_uavs():
     rngs = [np.random.default_rng(1)]
     state = start(config, rngs)
     false = state.free[0, -12:]
-    assert state.bystander[0, false].all()
+    assert state.not_led[0, false].all()
     assert not (state.head | state.decoy)[0, false].any()
     np.testing.assert_array_equal(state.root[0, false], false)
     assert not np.isin(np.delete(state.root[0], false), false).any()

@@ -7,7 +7,7 @@ import pytest
 from flights import flown, fly, generators, unit
 
 from usnet_env.swarm import SwarmConfig, advance, destroy, start
-from usnet_env.swarm.follow import Lags
+from usnet_env.swarm.follow import LaggedSum
 
 
 def test_positions_integrate_velocities_and_speeds_are_one():
@@ -21,7 +21,7 @@ def test_positions_integrate_velocities_and_speeds_are_one():
 
 def test_a_window_holds_one_regime_only():
     """After a re-merge every observed step of an orphan obeys the new head: T_0 steps pass unobserved."""
-    config = SwarmConfig(follow=Lags(3, noise=0.0), clusters=3, uavs=20, observation_steps=20)
+    config = SwarmConfig(follow=LaggedSum(3, noise=0.0), clusters=3, uavs=20, observation_steps=20)
     rngs = generators([3])
     state, _ = advance(config, start(config, rngs), rngs)
     head = np.flatnonzero(state.head[0])[0]

@@ -17,7 +17,7 @@ from usnet_env.config import ArgumentError, Config, format_count, quote
 from usnet_env.objectives import hits_and_redundant, single_cluster_objective
 from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState, destroy, start
 from usnet_env.swarm.config import Count, Price
-from usnet_env.swarm.flight import sort_kinds
+from usnet_env.swarm.flight import group_by_config
 from usnet_env.swarm.simulator import advance_each
 
 Part = Literal["position", "velocity", "seen", "alive", "round"]
@@ -139,7 +139,7 @@ def check_options(options: Any) -> None:
 
 def start_games(configs: Sequence[SwarmConfig], rngs: Sequence[np.random.Generator]) -> GameState:
     """Start B games, each with its configuration and its generator."""
-    kinds = sort_kinds(configs)
+    kinds = group_by_config(configs)
     swarm = SwarmState.join([start(config, [rngs[b] for b in rows]) for config, rows in kinds])
     if len(kinds) > 1:
         swarm = swarm.rows(np.argsort(np.concatenate([rows for _, rows in kinds])))

@@ -68,37 +68,32 @@ class Plan:
 
 @dataclass(frozen=True, eq=False)
 class MixedMobility(Mobility):
-    """Free UAV i of swarm b flies by ``laws[which[b, i]]``, with noise if ``jitter[b, i]``; -1: as the first one does.
+    """Free UAV i of swarm b flies by ``mobilities[which[b, i]]``, with noise if ``jitter[b, i]``; -1: as the first one.
 
     A swarm with fewer free UAVs than another of its batch names its first one again, as often as it lacks.
     """
 
-    laws: tuple[Mobility, ...]
+    mobilities: tuple[Mobility, ...]
     which: Indices
     jitter: Mask
     noise: float
 
-    start = fly = None  # type: ignore[assignment]  # the states are those of the laws, and it flies batches only
+    start = fly = None  # type: ignore[assignment]  # the states are those of the mobilities, and it flies batches only
 
-    def fly_batch(
-        self, state: Floats, position: Singles, chosen: Mask, steps: int, rngs: Sequence[np.random.Generator]
-    ) -> Singles:
-        """Draw the directions of all UAVs, one law after another."""
+    def fly_batch(self, state: Floats, position: Singles, steps: int, rngs: Sequence[np.random.Generator]) -> Singles:
+        """Draw the directions of the UAVs of each swarm, one mobility after another, and then the noise."""
         directions = np.zeros((len(rngs), steps, *position.shape[1:]), np.float32)
-        for number, law in enumerate(self.laws):
-            if (flown := self.which == number).any():
-                part = law.fly_batch(state, position, flown, steps, rngs)
-                np.copyto(directions, part, where=flown[:, None, :, None])
-        present, drawn = self.which >= 0, np.empty_like(directions)
-        for b in np.flatnonzero(self.jitter.any(axis=1)).tolist():
-            count = int(present[b].sum())
-            drawn[b, :, :count] = rngs[b].standard_normal((steps, count, 3), dtype=np.float32)
-        swarms, uavs = np.nonzero(self.jitter)
-        noise = drawn[swarms, :, present.cumsum(axis=1)[swarms, uavs] - 1]
-        # A registered law may return directions of any length, but the noise is relative to length 1.
-        directions[swarms, :, uavs] = normalise(directions[swarms, :, uavs]) + noise * np.float32(self.noise)
-        swarms, uavs = np.nonzero(~present)
-        directions[swarms, :, uavs] = directions[swarms, :, 0]
+        for b, (rng, which, noisy) in enumerate(zip(rngs, self.which, self.jitter, strict=True)):
+            for number in np.unique(which[which >= 0]).tolist():
+                uavs = which == number
+                part = state[b, uavs]
+                directions[b][:, uavs] = self.mobilities[number].fly(part, position[b, uavs], steps, rng)
+                state[b, uavs] = part
+            if noisy.any():
+                noise = rng.standard_normal((steps, int((which >= 0).sum()), 3), dtype=np.float32)[:, noisy[which >= 0]]
+                # A registered mobility may return directions of any length, but the noise is relative to length 1.
+                directions[b][:, noisy] = normalise(directions[b][:, noisy]) + noise * np.float32(self.noise)
+            directions[b][:, which < 0] = directions[b][:, :1]
         return directions
 
 
@@ -146,7 +141,7 @@ class DelayedFollow(FollowStrategy):
 
         position, velocity = add_late(flight.position), add_late(flight.velocity)
         noise, motion = widen(flight.noise, 2), widen(flight.motion, 1, kernels.FREE)
-        swarm = root, flight.parameters, source, widen(flight.bystander, 1), flight.clock
+        swarm = root, flight.parameters, source, widen(flight.not_led, 1), flight.clock
         self.strategy.fly(TrajectoryBatch(position, velocity, noise, motion, *swarm))
         flight.position[...] = position[:, :, :uavs]
         flight.velocity[...] = velocity[:, :, :uavs]
@@ -209,7 +204,7 @@ def fly_windows(
     ``flown`` ``(B, M)`` has the mobility of each head before; a head that changes it gets a new state. ``decoys`` are
     those of :func:`select_decoys`. It returns the state at the end, the windows, and the mobility of each head in them.
     """
-    laws = tuple(MOBILITIES.find(name) for name in manoeuvres.mobilities)
+    mobilities = tuple(MOBILITIES.find(name) for name in manoeuvres.mobilities)
     heads, (uavs, taken) = find_heads(state), decoys
     now = np.where(np.take_along_axis(state.alive, heads, axis=1), plan.mobility, flown)
     obeys = state.free[..., None] == heads[:, None]
@@ -226,7 +221,7 @@ def fly_windows(
     free = np.hstack([state.free, np.where(taken, uavs.reshape(len(heads), -1), state.free[:, :1])])
     mobility_state = np.concatenate([state.mobility_state, np.zeros((*taken.shape, state.mobility_state.shape[2]))], 1)
     for b, i in np.argwhere(np.hstack([~own, taken]) | (which != plan_of(flown))).tolist():
-        mobility_state[b, i] = laws[which[b, i]].start(rngs[b], 1)[0]
+        mobility_state[b, i] = mobilities[which[b, i]].start(rngs[b], 1)[0]
     before = replace(state, free=free, mobility_state=mobility_state)
     mixed = jitter.any(axis=1) | which.any(axis=1)
     kinds = np.where(mixed, -1, taken.sum(axis=1))  # swarms whose UAVs all fly by the swarm's mobility stay as they are
@@ -237,7 +232,7 @@ def fly_windows(
         changes: dict[str, Mobility | FollowStrategy] = {}
         part = before if len(rows) == len(kinds) else before.rows(rows)
         if kind < 0:
-            changes["mobility"] = MixedMobility(laws, np.where(present, which, -1)[rows], jitter[rows], noise)
+            changes["mobility"] = MixedMobility(mobilities, np.where(present, which, -1)[rows], jitter[rows], noise)
         else:
             kept = {name: getattr(part, name)[present[rows]] for name in ("free", "mobility_state")}
             part = replace(part, **{name: kept[name].reshape(len(rows), -1, *kept[name].shape[1:]) for name in kept})

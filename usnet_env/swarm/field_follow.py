@@ -63,7 +63,7 @@ class FieldStrategy(FollowStrategy):
 
 
 @dataclass(frozen=True)
-class Links(FieldStrategy):
+class CopyingStrategy(FieldStrategy):
     """Followers copy UAVs above them in a hierarchy, each link with its delay: base of the models of copying.
 
     v_{i,t+1} = norm((1 - g_i) v_{i,t} + g_i mean_k v_{a_k,t+1-d_k} + kappa_i n), where a_k is k links above i.
@@ -72,10 +72,10 @@ class Links(FieldStrategy):
     links: int = 1  # number of UAVs above it that a follower copies, at most 8
     strength: float = 0.0  # for Cucker-Smale flocks, the weight of a link at distance 0; 0 for copies
     scale: float = 100.0  # for Cucker-Smale flocks, the distance at which a link weakens, metres
-    block: int = 10  # length of a block of steps in which a follower answers or doesn't
-    share: float = 1.0  # probability of an answer in a block
+    block_steps: int = 10  # length of a block of steps in which a follower answers or doesn't
+    response_probability: float = 1.0  # probability of an answer in a block
     idle_noise: float = 0.1  # of a follower that doesn't answer and flies on
-    answers: int = ALWAYS  # or EACH_CLUSTER, EACH_FOLLOWER: it draws for each block whether followers answer
+    response_unit: int = ALWAYS  # or EACH_CLUSTER, EACH_FOLLOWER: it draws for each block whether followers answer
 
     @property
     def lags(self) -> int:  # type: ignore[override]  # follows from the other fields
@@ -85,14 +85,13 @@ class Links(FieldStrategy):
     def fly(self, flight: TrajectoryBatch) -> None:
         """Compiled loop."""
         flock = self.links, np.float32(self.strength), np.float32(self.scale)
-        answer = self.answers, self.block, np.float32(self.share), np.float32(self.idle_noise)
-        field_kernels.fly_links(
-            *flock, *answer, self.table(flight), flight.root, flight.source, flight.clock, *flight.flown
-        )
+        idle = map(np.float32, (self.response_probability, self.idle_noise))
+        swarm = self.table(flight), flight.root, flight.source, flight.clock
+        field_kernels.fly_links(*flock, self.response_unit, self.block_steps, *idle, *swarm, *flight.loop_arguments)
 
 
 @dataclass(frozen=True)
-class Chain(Links):
+class Chain(CopyingStrategy):
     """A chain of command: a tree of ``depth`` links in which each UAV copies the one above it."""
 
     depth: int = 3
@@ -100,46 +99,46 @@ class Chain(Links):
     def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
         """A tree with as many branches at each UAV as the depth needs, filled level by level."""
         source = roles.source.copy()
-        for cluster in range(len(roles.drawn)):
+        for cluster, head in enumerate(roles.initial_heads):
             members = rng.permutation(roles.members(cluster))
             branches = next(
                 b for b in range(1, len(members) + 1) if sum(b**d for d in range(1, self.depth + 1)) >= len(members)
             )
             above = np.arange(len(members)) // branches - 1
-            source[members] = np.where(above < 0, roles.drawn[cluster], members[above])
+            source[members] = np.where(above < 0, head, members[above])
         return roles._replace(source=source)
 
 
 @dataclass(frozen=True)
-class Hierarchy(Links):
+class Hierarchy(CopyingStrategy):
     """A random hierarchy in each cluster."""
 
     def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
         """Order each cluster at random; each follower copies a UAV drawn from those before it, the head included."""
         source = roles.source.copy()
-        for cluster in range(len(roles.drawn)):
-            order = np.concatenate([roles.drawn[cluster : cluster + 1], rng.permutation(roles.members(cluster))])
+        for cluster, head in enumerate(roles.initial_heads):
+            order = np.append(head, rng.permutation(roles.members(cluster)))
             source[order[1:]] = order[rng.integers(np.arange(1, len(order)))]
         return roles._replace(source=source)
 
 
 @dataclass(frozen=True)
-class Kinds(FieldStrategy):
+class MixedStrategies(FieldStrategy):
     """f1 to f6 in one swarm: a strategy of each follower, or with ``EACH_CLUSTER`` one of each cluster and block."""
 
-    block: int = 30
+    block_steps: int = 30
     reach: float = KAPPA_RANGE
-    answers: int = ALWAYS
+    response_unit: int = ALWAYS
     lags = 3  # those of f3 and f5
 
     def fly(self, flight: TrajectoryBatch) -> None:
         """Compiled loop."""
-        answer = self.answers, self.block, np.float32(self.reach)
-        field_kernels.fly_kinds(*answer, self.table(flight), flight.source, flight.clock, *flight.flown)
+        response = self.response_unit, self.block_steps, np.float32(self.reach)
+        field_kernels.fly_mixed(*response, self.table(flight), flight.source, flight.clock, *flight.loop_arguments)
 
 
 @dataclass(frozen=True)
-class Slots(FieldStrategy):
+class FormationSlots(FieldStrategy):
     """Followers keep slots in the frame of a UAV or reference: base of :class:`Frontness` and :class:`Reference`."""
 
     pull: float = 1.0  # weight of the way to the slot
@@ -159,11 +158,11 @@ class Slots(FieldStrategy):
     def fly(self, flight: TrajectoryBatch) -> None:
         """Compiled loop."""
         pull, near = np.float32(self.pull), np.float32(self.near)
-        field_kernels.fly_slots(self.smoothing, pull, near, self.table(flight), flight.source, *flight.flown)
+        field_kernels.fly_slots(self.smoothing, pull, near, self.table(flight), flight.source, *flight.loop_arguments)
 
 
 @dataclass(frozen=True)
-class Frontness(Slots):
+class Frontness(FormationSlots):
     """A formation whose head is in front, in the middle or behind.
 
     At equal speeds followers overtake a head only where it turns.
@@ -181,7 +180,7 @@ class Frontness(Slots):
 
 
 @dataclass(frozen=True)
-class Reference(Slots):
+class Reference(FormationSlots):
     """A formation about a moving reference that no UAV flies: H_0 is empty, and the right answer is the empty set.
 
     The references fly by the swarm's mobility.
@@ -192,7 +191,7 @@ class Reference(Slots):
     def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
         """Every UAV of a cluster keeps a slot about the cluster's reference."""
         source = roles.source.copy()
-        for cluster, head in enumerate(roles.drawn):
+        for cluster, head in enumerate(roles.initial_heads):
             source[np.append(roles.members(cluster), head)] = len(source) + cluster
         return roles.without_heads(source=source)
 
@@ -212,7 +211,7 @@ class Independent(FieldStrategy):
 class Shifted(FieldStrategy):
     """Followers fly by f2, and the observer sees the steps of each UAV's track from another time on; H_0 is empty.
 
-    The velocities of UAV i in a window of T steps are rolled by s_i, and its track begins at its true place. The shifts
+    The velocities of UAV i in a window of T steps are rolled by s_i, and its track begins where it does. The shifts
     of the m UAVs of a cluster are T / m steps apart, in random order. So every track keeps its statistics, and no UAV
     of a cluster repeats another at a lag below T / m.
     """
@@ -227,4 +226,7 @@ class Shifted(FieldStrategy):
     def fly(self, flight: TrajectoryBatch) -> None:
         """Compiled loop of f2."""
         kappa = np.full(self.lags, KAPPA, np.float32)
-        follow_kernels.fly_lags(kappa, False, np.float32(self.noise), flight.source, *flight.flown)
+        follow_kernels.fly_lags(kappa, False, np.float32(self.noise), flight.source, *flight.loop_arguments)
+
+
+Links, Kinds, Slots = CopyingStrategy, MixedStrategies, FormationSlots  # their names in version 0.1.0

@@ -9,12 +9,12 @@ from __future__ import annotations
 import numpy as np
 
 from usnet_env.compiling import compiled
-from usnet_env.swarm.kernels import FOLLOWS, UNIT, begin_step, end_step, finish_step, gap, move, norm
+from usnet_env.swarm.kernels import FOLLOWS, begin_step, displacement, end_step, finish_step, norm
 
 COLUMNS = 7  # of the table: delay, gain, noise, salt of the hashed draws, and the three coordinates of the slot
 DELAY, GAIN, NOISE, SALT, OFFSET = 0, 1, 2, 3, 4
 ALWAYS, EACH_CLUSTER, EACH_FOLLOWER = range(3)  # who draws whether to answer, block by block
-KINDS = 6  # the strategies that `fly_kinds` mixes: f1 to f6
+MIXED = 6  # the strategies that `fly_mixed` mixes: f1 to f6
 MOST_LINKS = 8  # of one follower in `fly_links`
 
 _ONE, _ZERO = np.float32(1.0), np.float32(0.0)
@@ -43,8 +43,8 @@ def find_top(i, motion, source):
 
 @compiled(error_model="numpy")
 def fly_links(
-    links, strength, scale, answers, block, share, idle_noise, table, root, source, clock, motion, start, noise,
-    position, velocity, craft,
+    links, strength, scale, response_unit, block_steps, response_probability, idle_noise, table, root, source, clock,
+    motion, start, noise, position, velocity, plan,
 ):  # fmt: skip
     """Followers copy up to ``links`` UAVs above them in the chain of sources, up to their head.
 
@@ -59,7 +59,6 @@ def fly_links(
     count = np.empty(uavs, np.int64)
     salt = np.empty(uavs, np.float32)
     for b in range(len(motion)):
-        drawn = noise[b]
         for i in range(uavs):
             count[i] = 0
             a, delay = i, 0
@@ -70,26 +69,25 @@ def fly_links(
                 a = source[b, a]
                 above[i, count[i]], late[i, count[i]] = a, delay
                 count[i] += 1
-            shared = answers == EACH_CLUSTER and source[b, i] >= 0  # by all that copy the same UAV
+            shared = response_unit == EACH_CLUSTER and source[b, i] >= 0  # by all that copy the same UAV
             salt[i] = table[b, SALT, source[b, i] % uavs if shared else i]
         for s in range(steps):
             t = start + s
-            if craft.kinematics != UNIT:
-                begin_step(b, s, t, motion, craft, drawn, position, velocity)
-            now = (clock[b] + s) // block
+            begin_step(b, s, t, motion, plan, noise, position, velocity)
+            now = (clock[b] + s) // block_steps
             for i in range(uavs):
                 if motion[b, i] != FOLLOWS:
                     continue
                 x, y, z = velocity[b, t - 1, i, 0], velocity[b, t - 1, i, 1], velocity[b, t - 1, i, 2]
                 noise_scale = table[b, NOISE, i]
-                if count[i] == 0 or (answers != ALWAYS and hash_draw(salt[i], now) >= share):
-                    finish_step(b, s, t, i, x, y, z, idle_noise, drawn, velocity)
+                if count[i] == 0 or (response_unit != ALWAYS and hash_draw(salt[i], now) >= response_probability):
+                    finish_step(b, s, t, i, x, y, z, idle_noise, noise, velocity)
                     continue
                 if strength > _ZERO:
                     vx, vy, vz = x, y, z
                     for k in range(count[i]):
                         a = above[i, k]
-                        dx, dy, dz = gap(position, b, t, a, i)
+                        dx, dy, dz = displacement(position, b, t, a, i)
                         near = (dx * dx + dy * dy + dz * dz) / (scale * scale)
                         weight = strength / (np.float32(count[i]) * np.float32((_ONE + near) ** np.float32(0.4)))
                         v = velocity[b, t - 1, a]
@@ -101,14 +99,12 @@ def fly_links(
                     for k in range(count[i]):
                         v = velocity[b, t - late[i, k], above[i, k]]
                         x, y, z = x + weight * v[0], y + weight * v[1], z + weight * v[2]
-                finish_step(b, s, t, i, x, y, z, noise_scale, drawn, velocity)
-            if craft.kinematics != UNIT:
-                end_step(b, s, t, motion, craft, position, velocity)
-            move(b, t, position, velocity)
+                finish_step(b, s, t, i, x, y, z, noise_scale, noise, velocity)
+            end_step(b, s, t, motion, plan, position, velocity)
 
 
 @compiled(error_model="numpy")
-def fly_kinds(answers, block, reach, table, source, clock, motion, start, noise, position, velocity, craft):
+def fly_mixed(response_unit, block_steps, reach, table, source, clock, motion, start, noise, position, velocity, plan):
     """Each follower flies by one of f1 to f6 at a time, drawn once or, for each cluster, again in every block.
 
     f_k with lags l: norm(sum_{tau<l} v_{iL,t-tau} + kappa_i n), squares for f4 and f5; f6 adds the pull of its row.
@@ -116,20 +112,18 @@ def fly_kinds(answers, block, reach, table, source, clock, motion, start, noise,
     steps, uavs = noise.shape[1], table.shape[2]
     salt = np.empty(uavs, np.float32)
     for b in range(len(motion)):
-        drawn = noise[b]
         for i in range(uavs):
-            shared = answers == EACH_CLUSTER and source[b, i] >= 0  # by all that copy the same UAV
+            shared = response_unit == EACH_CLUSTER and source[b, i] >= 0  # by all that copy the same UAV
             salt[i] = table[b, SALT, source[b, i] % uavs if shared else i]
         for s in range(steps):
             t = start + s
-            if craft.kinematics != UNIT:
-                begin_step(b, s, t, motion, craft, drawn, position, velocity)
-            now = (clock[b] + s) // block if answers == EACH_CLUSTER else 0
+            begin_step(b, s, t, motion, plan, noise, position, velocity)
+            now = (clock[b] + s) // block_steps if response_unit == EACH_CLUSTER else 0
             for i in range(uavs):
                 if motion[b, i] != FOLLOWS:
                     continue
                 h = source[b, i]
-                kind = int(np.float32(KINDS) * hash_draw(salt[i], now))
+                kind = int(np.float32(MIXED) * hash_draw(salt[i], now))
                 x, y, z = _ZERO, _ZERO, _ZERO
                 square = kind == 3 or kind == 4
                 lags = kind - 1 if square else (1 if kind == 5 else kind + 1)
@@ -140,18 +134,16 @@ def fly_kinds(answers, block, reach, table, source, clock, motion, start, noise,
                     else:
                         x, y, z = x + v[0], y + v[1], z + v[2]
                 if kind == 5:
-                    dx, dy, dz = gap(position, b, t - 1, h, i)
+                    dx, dy, dz = displacement(position, b, t - 1, h, i)
                     distance = np.sqrt(dx * dx + dy * dy + dz * dz)
                     if distance > reach:
                         x, y, z = x + dx / distance, y + dy / distance, z + dz / distance
-                finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], drawn, velocity)
-            if craft.kinematics != UNIT:
-                end_step(b, s, t, motion, craft, position, velocity)
-            move(b, t, position, velocity)
+                finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], noise, velocity)
+            end_step(b, s, t, motion, plan, position, velocity)
 
 
 @compiled(error_model="numpy")
-def fly_slots(lags, pull, near, table, source, motion, start, noise, position, velocity, craft):
+def fly_slots(lags, pull, near, table, source, motion, start, noise, position, velocity, plan):
     """Followers keep a slot in the frame of their source, whose course is its mean velocity over ``lags`` steps.
 
     v_{i,t+1} = norm(v_{L,t+1-d_i} + pull g / max(|g|, near) + kappa_i n), g = p_L + R(course) o_i - p_i, where R turns
@@ -161,12 +153,10 @@ def fly_slots(lags, pull, near, table, source, motion, start, noise, position, v
     frame = np.empty((noise.shape[2], 8), np.float32)
     framed = np.empty(noise.shape[2], np.int64)
     for b in range(len(motion)):
-        drawn = noise[b]
         framed[:] = -1
         for s in range(steps):
             t = start + s
-            if craft.kinematics != UNIT:
-                begin_step(b, s, t, motion, craft, drawn, position, velocity)
+            begin_step(b, s, t, motion, plan, noise, position, velocity)
             for i in range(uavs):
                 if motion[b, i] != FOLLOWS:
                     continue
@@ -185,14 +175,12 @@ def fly_slots(lags, pull, near, table, source, motion, start, noise, position, v
                     framed[h] = s
                 row = frame[h]
                 along, across, up = table[b, OFFSET, i], table[b, OFFSET + 1, i], table[b, OFFSET + 2, i]
-                led, place = position[b, t, h], position[b, t, i]
-                gx = along * row[0] + across * row[3] + up * row[5] + led[0] - place[0]
-                gy = along * row[1] + across * row[4] + up * row[6] + led[1] - place[1]
-                gz = along * row[2] + up * row[7] + led[2] - place[2]
+                head, follower = position[b, t, h], position[b, t, i]
+                gx = along * row[0] + across * row[3] + up * row[5] + head[0] - follower[0]
+                gy = along * row[1] + across * row[4] + up * row[6] + head[1] - follower[1]
+                gz = along * row[2] + up * row[7] + head[2] - follower[2]
                 weight = pull / max(np.sqrt(gx * gx + gy * gy + gz * gz), near)
                 v = velocity[b, t - np.int64(table[b, DELAY, i]), h]
                 x, y, z = v[0] + weight * gx, v[1] + weight * gy, v[2] + weight * gz
-                finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], drawn, velocity)
-            if craft.kinematics != UNIT:
-                end_step(b, s, t, motion, craft, position, velocity)
-            move(b, t, position, velocity)
+                finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], noise, velocity)
+            end_step(b, s, t, motion, plan, position, velocity)

@@ -26,12 +26,12 @@ OTHERS = ("smooth_turn", "straight", "gauss_markov")  # the mobilities of bystan
 JITTER = 0.05  # kappa_n of the head jitter with follow="none", which has no follow strategy to define it
 
 
-def sort_kinds(configs: Sequence[SwarmConfig]) -> list[tuple[SwarmConfig, list[int]]]:
+def group_by_config(configs: Sequence[SwarmConfig]) -> list[tuple[SwarmConfig, list[int]]]:
     """Each configuration with the indices of its swarms."""
-    kinds: dict[int, tuple[SwarmConfig, list[int]]] = {}
+    groups: dict[int, tuple[SwarmConfig, list[int]]] = {}
     for b, config in enumerate(configs):
-        kinds.setdefault(id(config), (config, []))[1].append(b)
-    return list(kinds.values())
+        groups.setdefault(id(config), (config, []))[1].append(b)
+    return list(groups.values())
 
 
 def fly_steps(
@@ -39,18 +39,20 @@ def fly_steps(
 ) -> tuple[SwarmState, Singles, Singles]:
     """Fly S steps, unobserved: the state after them, and the flight with its past.
 
-    This is positions ``(B, T_0 + S + 1, N + R, 3)`` and velocities ``(B, T_0 + S, N + R, 3)``. All swarms have as many
-    references as the one with the most; those that a swarm doesn't have stay at 0.
+    This is positions ``(B, T_0 + S + 1, N + R, 3)`` in metres and velocities ``(B, T_0 + S, N + R, 3)`` in metres per
+    step. All swarms have as many references as the one with the most; those that a swarm doesn't have stay at 0.
     """
-    kinds = sort_kinds(configs)
-    if len(kinds) == 1:
+    groups = group_by_config(configs)
+    if len(groups) == 1:
         return _fly(configs[0], state, rngs, steps)
-    parts = [_fly(config, state.rows(rows), [rngs[b] for b in rows], steps) for config, rows in kinds]
-    after = SwarmState.join([part[0] for part in parts]).rows(np.argsort(np.concatenate([rows for _, rows in kinds])))
-    width = max(position.shape[2] for _, position, _ in parts)
-    position, velocity = (np.zeros((len(rngs), flown.shape[1], width, 3), np.float32) for flown in parts[0][1:])
-    for (_, rows), (_, places, speeds) in zip(kinds, parts, strict=True):
-        position[rows, :, : places.shape[2]], velocity[rows, :, : places.shape[2]] = places, speeds
+    flights = [_fly(config, state.rows(rows), [rngs[b] for b in rows], steps) for config, rows in groups]
+    order = np.argsort(np.concatenate([rows for _, rows in groups]))
+    after = SwarmState.join([flight[0] for flight in flights]).rows(order)
+    width = max(position.shape[2] for _, position, _ in flights)
+    position, velocity = (np.zeros((len(rngs), track.shape[1], width, 3), np.float32) for track in flights[0][1:])
+    for (_, rows), (_, *tracks) in zip(groups, flights, strict=True):
+        for joined, track in zip((position, velocity), tracks, strict=True):
+            joined[rows, :, : track.shape[2]] = track
     return after, position, velocity
 
 
@@ -66,19 +68,17 @@ def _fly(config: SwarmConfig, state: SwarmState, rngs: Generators, steps: int) -
     noisy = strategy is not None or config.head_jitter
     shape = steps, all_uavs
     noise = draw_normals(rngs, *shape, 3) if noisy else np.empty((episodes, *shape, 3), np.float32)
-    craft = draw_craft(config, state.free, state.mobility_state.copy(), steps, rngs)._replace(
-        pushes=draw_normals(rngs, *shape, kinematics.normals),
-        kept=state.kinematic_state.copy(),
-        rows=np.empty((10, all_uavs), np.float32),
+    plan = draw_plan(config, state.free, state.mobility_state.copy(), steps, rngs)._replace(
+        kinematic_noise=draw_normals(rngs, *shape, kinematics.normals),
+        kinematic_state=state.kinematic_state.copy(),
     )
     source = np.concatenate([state.source, state.reference_source], axis=1)
-    swarm = state.root, state.parameters, source, state.bystander, state.clock
-    flight = TrajectoryBatch(position, velocity, noise, _find_motion(state, all_uavs), *swarm, craft)
+    swarm = state.root, state.parameters, source, state.not_led, state.clock
+    flight = TrajectoryBatch(position, velocity, noise, _find_motion(state, all_uavs), *swarm, plan)
     mobility_compiled = isinstance(config.head_mobility, CompiledMobility)
     leading_compiled = strategy is None or not strategy.has_followers or strategy.compiled
     if isinstance(kinematics, Unit):
-        first, tracks = flight.start, (flight.motion, noise, position, velocity, rngs)
-        fly_free(config, first, first, craft, *tracks)
+        fly_free(config, flight.start, flight.start, plan, flight.motion, noise, position, velocity, rngs)
         _fly_followers(config, flight)
     elif isinstance(kinematics, CompiledKinematics) and mobility_compiled and leading_compiled:
         _fly_followers(config, flight)
@@ -89,8 +89,8 @@ def _fly(config: SwarmConfig, state: SwarmState, rngs: Generators, steps: int) -
         past_position=position[:, steps:, :uavs].copy(),
         past_velocity=velocity[:, steps:, :uavs].copy(),
         clock=state.clock + steps,
-        mobility_state=craft.state,
-        kinematic_state=craft.kept,
+        mobility_state=plan.mobility_state,
+        kinematic_state=plan.kinematic_state,
         reference_position=position[:, steps:, uavs:].copy(),
         reference_velocity=velocity[:, steps:, uavs:].copy(),
     )
@@ -105,81 +105,81 @@ def _find_motion(state: SwarmState, all_uavs: int) -> NDArray[np.int8]:
     return motion
 
 
-def draw_craft(config: SwarmConfig, free: Indices, state: Floats, steps: int, rngs: Generators) -> kernels.Craft:
-    """How swarms fly. The state and draws of the kinematics are left empty."""
-    strategy, kinematics = config.follow_strategy, config.kinematics_model
+def find_mobilities(config: SwarmConfig, free: int) -> list[tuple[Mobility, slice]]:
+    """The mobilities of n free UAVs and their columns: of heads, decoys and references, of bystanders, of traffic, ….
+
+    The columns are those of :attr:`SwarmState.free`.
+    """
     groups = config.bystanders, config.traffic, config.clutter
-    laws, constants = np.zeros((4, 3), np.int64), np.zeros((4, 6))
-    for law, (mobility, count) in enumerate(
-        zip(find_mobilities(config), (free.shape[1] - sum(groups), *groups), strict=True)
-    ):
-        laws[law] = kernels.NOT_COMPILED, count, 0
+    ends = np.cumsum([free - sum(groups), *groups]).tolist()
+    mobilities = config.head_mobility, *(MOBILITIES[name] for name in OTHERS)
+    each = zip(mobilities, [0, *ends], ends, strict=False)
+    return [(mobility, slice(first, end)) for mobility, first, end in each if first < end]
+
+
+def draw_plan(
+    config: SwarmConfig, free: Indices, mobility_state: Floats, steps: int, rngs: Generators
+) -> kernels.FlightPlan:
+    """How swarms fly. The noise and state of the kinematics are left empty."""
+    strategy, kinematics, (swarms, uavs) = config.follow_strategy, config.kinematics_model, free.shape
+    codes, constants = np.full(uavs, kernels.NOT_COMPILED), np.zeros((uavs, 6))
+    noise = np.empty((swarms, steps, uavs, kernels.NORMALS), np.float32)
+    mobilities, jitter = find_mobilities(config, uavs), np.zeros(uavs, np.float32)
+    for mobility, columns in mobilities:
         if isinstance(mobility, CompiledMobility):
-            laws[law], constants[law] = (mobility.code, count, mobility.normals), mobility.constants
-    jitter = 0.0 if not config.head_jitter else JITTER if strategy is None else strategy.noise
-    normals = draw_normals(rngs, steps * int((laws[:, 1] * laws[:, 2]).sum()))
-    craft = kernels.Craft(free, laws, constants, steps, normals, state, np.float32(jitter))
+            codes[columns], constants[columns] = mobility.code, mobility.constants
+            shape = steps, columns.stop - columns.start, mobility.normals
+            noise[:, :, columns, : mobility.normals] = draw_normals(rngs, *shape)
+    if config.head_jitter:
+        jitter[mobilities[0][1]] = JITTER if strategy is None else strategy.noise
+    plan = kernels.FlightPlan(free, codes, constants, noise, mobility_state, jitter)
     if isinstance(kinematics, CompiledKinematics):
-        return craft._replace(kinematics=kinematics.code, numbers=np.asarray(kinematics.numbers, np.float32))
-    return craft
+        return plan._replace(kinematics=kinematics.code, kinematic_constants=kinematics.constants)
+    return plan
 
 
 def _fly_followers(config: SwarmConfig, flight: TrajectoryBatch) -> None:
     """Fly the UAVs that follow, in place."""
     strategy = config.follow_strategy
     if strategy is None or not strategy.has_followers:
-        kernels.fly_alone(*flight.flown)
+        kernels.fly_without_followers(*flight.loop_arguments)
     else:
         strategy.fly(flight)
 
 
 def _fly_step_by_step(config: SwarmConfig, flight: TrajectoryBatch, rngs: Generators) -> None:
     """Fly with other kinematics than ``unit`` where a part has no compiled loop, in place."""
-    strategy, first, craft = config.follow_strategy, flight.start, flight.craft
-    assert craft is not None
+    strategy, first, plan = config.follow_strategy, flight.start, flight.plan
     for s in range(flight.steps):
         t = first + s
         until = flight.velocity[:, : t + 1]
-        fly_free(config, first, t, craft, flight.motion, flight.noise, flight.position, until, rngs)
+        fly_free(config, first, t, plan, flight.motion, flight.noise, flight.position, until, rngs)
         if strategy is not None and strategy.has_followers:
-            cut: dict[str, Any] = {
+            step: dict[str, Any] = {
                 "position": flight.position[:, s : t + 2],
                 "velocity": flight.velocity[:, s : t + 1],
                 "noise": np.ascontiguousarray(flight.noise[:, s : s + 1]),
             }
-            strategy.fly(replace(flight, **cut, clock=flight.clock + s, craft=None))
-        pushes = craft.pushes[:, s]
-        config.kinematics_model.fly(t, flight.motion, pushes, craft.kept, flight.position, flight.velocity)
-
-
-def find_mobilities(config: SwarmConfig) -> list[Mobility]:
-    """How heads, decoys and references fly, then bystanders, traffic and false tracks."""
-    return [config.head_mobility, *(MOBILITIES[name] for name in OTHERS)]
+            strategy.fly(replace(flight, **step, clock=flight.clock + s, plan=kernels.FLOWN))
+        noise = plan.kinematic_noise[:, s]
+        config.kinematics_model.fly(t, flight.motion, noise, plan.kinematic_state, flight.position, flight.velocity)
 
 
 def fly_free(
-    config: SwarmConfig,
-    start: int,
-    first: int,
-    craft: kernels.Craft,
-    motion: NDArray[np.int8],
-    noise: Singles,
-    position: Singles,
-    velocity: Singles,
-    rngs: Generators,
-) -> None:
+    config: SwarmConfig, start: int, first: int, plan: kernels.FlightPlan, motion: NDArray[np.int8], noise: Singles,
+    position: Singles, velocity: Singles, rngs: Generators,
+) -> None:  # fmt: skip
     """Write the velocities of the free UAVs from instant ``first`` on; step 0 is at ``start``."""
-    kernels.fly_free(start, first, craft, motion, noise, position, velocity)
+    kernels.fly_free(start, first, plan, motion, noise, position, velocity)
     if isinstance(config.head_mobility, CompiledMobility):
         return
-    heads, swarms = slice(craft.laws[0, 1]), np.arange(len(rngs))[:, None]
-    columns, place = craft.free[:, heads], position[swarms, first, craft.free[:, heads]]
-    steps, chosen = velocity.shape[1] - first, np.ones(columns.shape, bool)
-    directions = config.head_mobility.fly_batch(craft.state[:, heads], place, chosen, steps, rngs)
-    wanted = normalise(directions.astype(np.float32))
-    if craft.jitter > 0:
-        pushed = noise[swarms, first - start : first - start + steps, columns].swapaxes(1, 2)
-        wanted = normalise(wanted + craft.jitter * pushed)
+    heads, swarms = find_mobilities(config, len(plan.codes))[0][1], np.arange(len(rngs))[:, None]
+    columns, steps = plan.free[:, heads], velocity.shape[1] - first
+    state, present = plan.mobility_state[:, heads], position[swarms, first, columns]
+    wanted = normalise(config.head_mobility.fly_batch(state, present, steps, rngs).astype(np.float32))
+    if plan.jitter[0] > 0:
+        added = noise[swarms, first - start : first - start + steps, columns].swapaxes(1, 2)
+        wanted = normalise(wanted + plan.jitter[0] * added)
     velocity[swarms, first : first + steps, columns] = wanted.swapaxes(1, 2)
     velocity[:, first:].swapaxes(1, 2)[motion == kernels.DESTROYED] = 0.0
 

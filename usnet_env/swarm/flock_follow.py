@@ -36,8 +36,8 @@ class Flock(FieldStrategy):
         ranges = np.array([self.repulsion, self.alignment, self.attraction], np.float32)
         weights = np.array([self.align, self.attract], np.float32)
         others = map(np.float32, (self.flight, self.flee, self.standoff, self.link))
-        swarm = self.table(flight), flight.root, flight.source, flight.bystander
-        flock_kernels.fly_flock(ranges, weights, self.chaser, *others, *swarm, *flight.flown)
+        swarm = self.table(flight), flight.root, flight.source, flight.not_led
+        flock_kernels.fly_flock(ranges, weights, self.chaser, *others, *swarm, *flight.loop_arguments)
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Informed(Couzin):
     def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
         """Draw the informed UAVs of each cluster, the drawn head first."""
         head, source, root = roles.head.copy(), roles.source.copy(), roles.root.copy()
-        for cluster, first in enumerate(roles.drawn):
+        for cluster, first in enumerate(roles.initial_heads):
             members = np.append(first, rng.permutation(roles.members(cluster)))
             informed = members[: max(1, round(self.share * len(members)))]
             source[members], root[members] = len(source) + cluster, -1
@@ -83,7 +83,7 @@ class Linked(Informed):
         """Draw the informed UAVs of each cluster, and the one that each of the others copies."""
         roles = super().arrange(rng, roles)
         source, root = roles.source.copy(), roles.root.copy()
-        for cluster, first in enumerate(roles.drawn):
+        for cluster, first in enumerate(roles.initial_heads):
             members = np.flatnonzero(roles.source == len(source) + cluster)
             informed = members[roles.head[members]]
             source[informed] = first
@@ -105,11 +105,11 @@ class Predator(Couzin):
 
     def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
         """Draw the predator of each cluster."""
-        bystander, root = roles.bystander.copy(), roles.root.copy()
-        for cluster in range(len(roles.drawn)):
+        not_led, root = roles.not_led.copy(), roles.root.copy()
+        for cluster in range(len(roles.initial_heads)):
             predator = rng.choice(roles.members(cluster))
-            bystander[predator], root[predator] = True, predator
-        return roles._replace(bystander=bystander, root=root)
+            not_led[predator], root[predator] = True, predator
+        return roles._replace(not_led=not_led, root=root)
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ class Shepherd(Couzin):
 
     def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
         """The drawn head of each cluster becomes its driver."""
-        source, bystander = roles.source.copy(), roles.bystander.copy()
-        source[roles.drawn], bystander[roles.drawn] = len(source) + np.arange(len(roles.drawn)), True
-        root = np.where(roles.head | roles.decoy | roles.bystander, roles.root, -1)
-        return roles.without_heads(root=root, source=source, bystander=bystander)
+        source, not_led, drivers = roles.source.copy(), roles.not_led.copy(), roles.initial_heads
+        source[drivers], not_led[drivers] = len(source) + np.arange(len(drivers)), True
+        root = np.where(roles.head | roles.decoy | roles.not_led, roles.root, -1)
+        return roles.without_heads(root=root, source=source, not_led=not_led)

@@ -10,15 +10,15 @@ import numpy as np
 
 from usnet_env.compiling import compiled
 from usnet_env.swarm.field_kernels import NOISE, find_top
-from usnet_env.swarm.kernels import DESTROYED, FOLLOWS, UNIT, begin_step, end_step, finish_step, move, norm
+from usnet_env.swarm.kernels import DESTROYED, FOLLOWS, begin_step, end_step, finish_step, norm
 
 NO_CHASER, PREDATOR, DRIVER = range(3)
 
 _ONE, _ZERO, _TINY = np.float32(1.0), np.float32(0.0), np.float32(1e-12)
 _ALONE = np.float32(1.5)  # a UAV counts itself: with a larger count it has neighbours
 _SMALL, _MIDDLE = 64, 128  # sizes up to which a flock is searched as a whole: unsorted, or sorted by cell
-# Rows of `rows`, with numbers of up to _MIDDLE UAVs of a flock: place, velocity, noise, what they want; then the sums:
-# repulsion, alignment, attraction, and the three counts. The compiler sees from their distance that they don't overlap;
+# Rows of `rows`, with numbers of up to _MIDDLE UAVs of a flock: position, velocity, noise, what they want; then the
+# sums: repulsion, alignment, attraction, and three counts. The compiler sees from their distance that none overlap;
 # at a power of two, memory would wait for stores of rows with the same low bits of their addresses.
 _APART = _MIDDLE + 16
 _END = 24 * _APART
@@ -33,21 +33,21 @@ def _hash_cell(x, y, z, size):
 
 
 @compiled(inner=True, error_model="numpy")
-def _build_cells(first, last, p, v, width, place, begin, cell, near_p, near_v):
+def _build_cells(first, last, p, v, width, bucket, begin, cell, near_p, near_v):
     """Sort the UAVs first..last-1 by the bucket of their cell, so that UAVs of a cell lie side by side in memory.
 
-    ``place`` gets the bucket of each UAV. ``begin[h]`` is where bucket h begins in ``cell``, ``near_p`` and ``near_v``.
+    ``bucket`` gets that of each UAV. ``begin[h]`` is where bucket h begins in ``cell``, ``near_p`` and ``near_v``.
     """
     begin[:] = 0
     for c in range(first, last):
         x, y, z = int(np.floor(p[0, c] / width)), int(np.floor(p[1, c] / width)), int(np.floor(p[2, c] / width))
-        place[c] = _hash_cell(x, y, z, len(begin) - 1)
-        begin[place[c]] += 1
+        bucket[c] = _hash_cell(x, y, z, len(begin) - 1)
+        begin[bucket[c]] += 1
     for h in range(1, len(begin)):
         begin[h] += begin[h - 1]
     for c in range(first, last):
-        begin[place[c]] -= 1
-        k = begin[place[c]]
+        begin[bucket[c]] -= 1
+        k = begin[bucket[c]]
         for axis in range(3):
             cell[axis, k] = int(np.floor(p[axis, c] / width))
             near_p[axis, k], near_v[axis, k] = p[axis, c], v[axis, c]
@@ -101,29 +101,11 @@ def _sum_cells(k, width, repel, align, attract, size, begin, cell, p, v, rows):
 
 
 @compiled(inner=True, error_model="numpy")
-def _sum_aligned(seen, size, align, rows):
-    """What :func:`_sum_all` does, in a third of the time, for a flock without repulsion and attraction."""
-    last = (size + 7) // 8 * 8
-    for row in range(_RX, _END, _APART):
-        rows[row : row + last] = _ZERO
-    for d in range(seen):
-        x, y, z = rows[_X + d], rows[_Y + d], rows[_Z + d]
-        ux, uy, uz = rows[_UX + d], rows[_UY + d], rows[_UZ + d]
-        for c in range(last // 8 * 8):
-            dx, dy, dz = x - rows[_X + c], y - rows[_Y + c], z - rows[_Z + c]
-            near = _ONE if dx * dx + dy * dy + dz * dz < align else _ZERO
-            rows[_ALIGNED + c] += near
-            rows[_OX + c] += near * ux
-            rows[_OY + c] += near * uy
-            rows[_OZ + c] += near * uz
-
-
-@compiled(inner=True, error_model="numpy")
 def _sum_all(seen, size, repel, align, attract, rows):
     """Fill the sums in ``rows`` for all UAVs of a small flock.
 
     The inner loop is over the UAVs that get a term, so the sums have the same bits with all vector instructions. It
-    goes over whole vectors, and nobody reads the rest.
+    goes over whole vectors, and the rest is not read.
     """
     last = (size + 7) // 8 * 8
     for row in range(_RX, _END, _APART):
@@ -182,30 +164,30 @@ def _finish(size, rows):
 
 
 @compiled(inner=True, error_model="numpy")
-def _sort_members(motion, source, bystander, uavs, label, order, first):
+def _sort_members(motion, source, not_led, uavs, label, order, first):
     """Sort the living UAVs by flock: ``order[first[f]:first[f + 1]]`` are those of flock f. Return their number."""
     first[:] = 0
     for i in range(uavs):
         label[i] = -1
         joins = motion[i] == FOLLOWS  # of the unseen UAVs all but the free ones
-        if i < len(bystander):
-            joins = motion[i] != DESTROYED and not (bystander[i] and joins)
+        if i < len(not_led):
+            joins = motion[i] != DESTROYED and not (not_led[i] and joins)
         if joins:
             label[i] = find_top(i, motion, source)
             first[label[i] + 1] += 1
     for f in range(len(first) - 1):
         first[f + 1] += first[f]
-    place = first.copy()
+    end = first.copy()
     for i in range(uavs):
         if label[i] >= 0:
-            order[place[label[i]]] = i
-            place[label[i]] += 1
+            order[end[label[i]]] = i
+            end[label[i]] += 1
     return first[-1]
 
 
 @compiled(inner=True, error_model="numpy")
 def _steer_chaser(chaser, standoff, i, first, last, top, t, p, middle, position, velocity):
-    """The direction of a predator, to the nearest UAV of its flock, or of a driver, to its place behind the flock."""
+    """The direction of a predator, to the nearest UAV of its flock, or of a driver, to a point behind the flock."""
     if chaser == PREDATOR:
         x, y, z, best = velocity[t - 1, i, 0], velocity[t - 1, i, 1], velocity[t - 1, i, 2], np.float32(np.inf)
         for c in range(first, last):
@@ -224,13 +206,13 @@ def _steer_chaser(chaser, standoff, i, first, last, top, t, p, middle, position,
 
 @compiled(error_model="numpy")
 def fly_flock(
-    ranges, weights, chaser, flight_range, flight_weight, standoff, link, table, root, source, bystander,
-    motion, start, noise, position, velocity, craft,
+    ranges, weights, chaser, flight_range, flight_weight, standoff, link, table, root, source, not_led,
+    motion, start, noise, position, velocity, plan,
 ):  # fmt: skip
     """Followers fly by repulsion, or else by alignment and attraction, from the UAVs of their flock, and flee chasers.
 
     ``ranges`` are those of repulsion, alignment and attraction, metres; ``weights`` those of alignment and attraction.
-    ``chaser`` says what a bystander that follows is.
+    ``chaser`` says what a UAV is that follows and is ``not_led``.
     """
     steps, width, uavs = noise.shape[1], noise.shape[2], table.shape[2]
     label, order = np.empty(uavs, np.int64), np.empty(uavs, np.int64)
@@ -238,7 +220,7 @@ def fly_flock(
     p, v = np.empty((3, uavs), np.float32), np.empty((3, uavs), np.float32)
     repel, align, attract = ranges[0] * ranges[0], ranges[1] * ranges[1], ranges[2] * ranges[2]
     outer = max(ranges[0], ranges[1], ranges[2])
-    cell, place = np.empty((3, uavs), np.int64), np.empty(uavs, np.int64)
+    cell, bucket = np.empty((3, uavs), np.int64), np.empty(uavs, np.int64)
     near_p, near_v = np.empty((3, uavs), np.float32), np.empty((3, uavs), np.float32)
     buckets = 1
     while buckets < 2 * uavs:
@@ -248,19 +230,17 @@ def fly_flock(
     rows = np.zeros(_END, np.float32)
     middle = np.zeros((width, 3), np.float32)
     for b in range(len(motion)):
-        drawn = noise[b]
-        members = _sort_members(motion[b], source[b], bystander[b], uavs, label, order, first)
+        members = _sort_members(motion[b], source[b], not_led[b], uavs, label, order, first)
         has_followers[:] = False
         for i in order[:members]:
             has_followers[label[i]] |= motion[b, i] == FOLLOWS
         flocks = np.flatnonzero(has_followers)  # no free UAV by itself
         for f in flocks:
             rank[first[f] : first[f + 1]] = np.arange(first[f + 1] - first[f])
-        chasers = np.flatnonzero(bystander[b] & (motion[b, : bystander.shape[1]] == FOLLOWS))
+        chasers = np.flatnonzero(not_led[b] & (motion[b, : not_led.shape[1]] == FOLLOWS))
         for s in range(steps):
             t = start + s
-            if craft.kinematics != UNIT:
-                begin_step(b, s, t, motion, craft, drawn, position, velocity)
+            begin_step(b, s, t, motion, plan, noise, position, velocity)
             for c in range(members):
                 for axis in range(3):
                     p[axis, c], v[axis, c] = position[b, t, order[c], axis], velocity[b, t - 1, order[c], axis]
@@ -278,31 +258,29 @@ def fly_flock(
                 if size > _MIDDLE:
                     while small < 2 * size:
                         small *= 2
-                    _build_cells(low, low + seen, p, v, outer, place, begin[: small + 1], cell, near_p, near_v)
-                for part in range(low, low + size, _MIDDLE):
-                    count = min(_MIDDLE, low + size - part)
+                    _build_cells(low, low + seen, p, v, outer, bucket, begin[: small + 1], cell, near_p, near_v)
+                for block in range(low, low + size, _MIDDLE):
+                    count = min(_MIDDLE, low + size - block)
                     for k in range(count):
-                        c = low + rank[part + k]
+                        c = low + rank[block + k]
                         i = order[c]
                         for axis in range(3):
                             rows[_X + axis * _APART + k] = p[axis, c]
                             rows[_UX + axis * _APART + k] = v[axis, c]
-                            rows[_NX + axis * _APART + k] = table[b, NOISE, i] * drawn[s, i, axis]
-                    if size <= _MIDDLE and repel == _ZERO and attract == _ZERO:
-                        _sum_aligned(seen, size, align, rows)
-                    elif size <= _MIDDLE:
+                            rows[_NX + axis * _APART + k] = table[b, NOISE, i] * noise[b, s, i, axis]
+                    if size <= _MIDDLE:
                         _sum_all(seen, size, repel, align, attract, rows)
                     else:
                         for k in range(count):
                             _sum_cells(k, outer, repel, align, attract, small, begin, cell, near_p, near_v, rows)
-                    for k in range(max(seen - part + low, 0), count):  # an unseen UAV counts itself too
+                    for k in range(max(seen - block + low, 0), count):  # an unseen UAV counts itself too
                         for row in (_REPELLED, _ALIGNED, _ATTRACTED):
                             rows[row + k] += _ONE
                         for axis in range(0, 3 * _APART, _APART):
                             rows[_OX + axis + k] += rows[_UX + axis + k]
                     _choose(count, weights, mx, my, mz, rows)
                     for k in range(count if link > _ZERO or len(chasers) else 0):
-                        i = order[low + rank[part + k]]
+                        i = order[low + rank[block + k]]
                         if link > _ZERO and (i >= root.shape[1] or root[b, i] >= 0) and motion[b, i] == FOLLOWS:
                             x, y, z = norm(rows[_WX + k], rows[_WY + k], rows[_WZ + k])
                             led = velocity[b, t - 1, source[b, i]]
@@ -319,7 +297,7 @@ def fly_flock(
                                 rows[_WZ + k] += scale * dz
                     _finish(count, rows)
                     for k in range(count):
-                        i = order[low + rank[part + k]]
+                        i = order[low + rank[block + k]]
                         if motion[b, i] == FOLLOWS:
                             for axis in range(3):
                                 velocity[b, t, i, axis] = rows[_UX + axis * _APART + k]
@@ -328,7 +306,5 @@ def fly_flock(
                 x, y, z = _steer_chaser(
                     chaser, standoff, i, first[f], first[f + 1], f, t, p, middle[f], position[b], velocity[b]
                 )
-                finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], drawn, velocity)
-            if craft.kinematics != UNIT:
-                end_step(b, s, t, motion, craft, position, velocity)
-            move(b, t, position, velocity)
+                finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], noise, velocity)
+            end_step(b, s, t, motion, plan, position, velocity)

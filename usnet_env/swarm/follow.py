@@ -20,13 +20,13 @@ from usnet_env.swarm import field_follow, flock_follow, follow_kernels
 from usnet_env.swarm.field_follow import FieldStrategy
 from usnet_env.swarm.field_kernels import EACH_CLUSTER, EACH_FOLLOWER
 from usnet_env.swarm.open_follow import OPEN_LAWS
-from usnet_env.swarm.random_follow import RandomLaw
+from usnet_env.swarm.random_follow import EpisodeRandomStrategy
 from usnet_env.swarm.second_follow import SECOND_LAWS
 from usnet_env.swarm.strategy import KAPPA, KAPPA_NOISE, KAPPA_RANGE, FollowInputs, FollowStrategy, TrajectoryBatch
 
 
 @dataclass(frozen=True)
-class Lags(FollowStrategy):
+class LaggedSum(FollowStrategy):
     """f1 to f5: sum of the head's last velocities or of their squares (Table II, types 1 to 5).
 
     v * v (axis-wise) replaces v if ``square``.
@@ -45,10 +45,10 @@ class Lags(FollowStrategy):
         combination = f"Σ_{{τ=0}}^{{{self.lags - 1}}} κ_τ {term}" if self.lags > 1 else f"κ_0 {term.replace('-τ', '')}"
         return f"v_{{i,t+1}} = norm({combination} + κ_n n)"
 
-    def fly(self, trajectories: TrajectoryBatch) -> None:
+    def fly(self, flight: TrajectoryBatch) -> None:
         """Compiled loop."""
         kappa, noise = np.full(self.lags, self.kappa, np.float32), np.float32(self.noise)
-        follow_kernels.fly_lags(kappa, self.square, noise, trajectories.source, *trajectories.flown)
+        follow_kernels.fly_lags(kappa, self.square, noise, flight.source, *flight.loop_arguments)
 
 
 @dataclass(frozen=True)
@@ -63,14 +63,14 @@ class StayInRange(FollowStrategy):
     reach: float = KAPPA_RANGE
     noise: float = KAPPA_NOISE
 
-    def fly(self, trajectories: TrajectoryBatch) -> None:
+    def fly(self, flight: TrajectoryBatch) -> None:
         """Compiled loop."""
         constants = map(np.float32, (self.kappa, self.pull, self.reach, self.noise))
-        follow_kernels.fly_range(*constants, trajectories.source, *trajectories.flown)
+        follow_kernels.fly_range(*constants, flight.source, *flight.loop_arguments)
 
 
 @dataclass(frozen=True)
-class Network(FollowStrategy):
+class TanhNetworkStrategy(FollowStrategy):
     """f7: a random tanh network of the inputs of equation (1) (Table II, type 7; decision (c) on docs/game.md).
 
     It has one hidden layer of 16 units; the weights are drawn for each episode. The positions enter as
@@ -97,10 +97,10 @@ class Network(FollowStrategy):
         readout = rng.standard_normal((units, 3)) / np.sqrt(units)
         return np.concatenate([weights.ravel(), bias, readout.ravel()]).astype(np.float32)
 
-    def fly(self, trajectories: TrajectoryBatch) -> None:
+    def fly(self, flight: TrajectoryBatch) -> None:
         """Compiled loop."""
         scale, noise = np.float32(self.position_scale), np.float32(self.noise)
-        follow_kernels.fly_mlp(trajectories.parameters, scale, noise, trajectories.source, *trajectories.flown)
+        follow_kernels.fly_mlp(flight.parameters, scale, noise, flight.source, *flight.loop_arguments)
 
 
 @dataclass(frozen=True)
@@ -128,27 +128,25 @@ def accept_strategy(strategy: Any, subject: str = "strategy") -> FollowStrategy:
 
 #: The field models by name: the equation, the citation, the broken assumption, the parameters, and their values.
 FIELD_MODELS: dict[str, FieldStrategy] = {
-    "unequal_delays": field_follow.Links(
+    "unequal_delays": field_follow.CopyingStrategy(
         "v_{i,t+1} = norm((1 − g_i) v_{i,t} + g_i v_{iL,t+1−d_i} + κ_i n)",
         "reaction times as in Nagy et al. 2010",
         "one delay, gain and noise for all followers",
         ("delays", "gains", "noises", "noise"),
-        delays=(1, 12),
-        gains=(0.5, 1.0),
-        noises=(0.5, 4.0),
+        delays=(1, 12), gains=(0.5, 1.0), noises=(0.5, 4.0),
     ),
-    "mixed": field_follow.Kinds(
+    "mixed": field_follow.MixedStrategies(
         "v_{i,t+1} = norm(f_{k(i)}(V_{iL,t}) + κ_n n), k(i) ∈ {1, …, 6}",
         "paper, Table II",
         "one follow strategy in a swarm",
         ("reach", "noise"),
     ),
-    "switching": field_follow.Kinds(
+    "switching": field_follow.MixedStrategies(
         "v_{i,t+1} = norm(f_{k(L,⌊t / T⌋)}(V_{iL,t}) + κ_n n), k ∈ {1, …, 6}",
         "paper, Table II; switching regimes (Hamilton 1989)",
         "one follow strategy in a window",
-        ("block", "reach", "noise"),
-        answers=EACH_CLUSTER,
+        ("block_steps", "reach", "noise"),
+        response_unit=EACH_CLUSTER,
     ),
     "chain": field_follow.Chain(
         "v_{i,t+1} = norm(v_{a(i),t} + κ_n n), a(i) above i in a tree of depth D",
@@ -161,17 +159,14 @@ FIELD_MODELS: dict[str, FieldStrategy] = {
         "Nagy et al. 2010, Nature 464:890",
         "followers lead no UAV, and one delay for all",
         ("links", "delays", "gains", "noise"),
-        links=3,
-        delays=(1, 3),
-        gains=(0.6, 0.9),
+        links=3, delays=(1, 3), gains=(0.6, 0.9),
     ),
     "cucker_smale": field_follow.Hierarchy(
         "v_{i,t+1} = norm(v_{i,t} + mean_{k≤8} K (1 + ‖p_{a_k} − p_i‖² / σ²)^{−0.4} (v_{a_k,t} − v_{i,t}) + κ_n n)",
         "Cucker & Smale 2007; Shen 2007, SIAM J. Appl. Math. 68:694",
         "every follower copies a head directly, whatever the distance",
         ("links", "strength", "scale", "noise"),
-        links=8,
-        strength=0.8,
+        links=8, strength=0.8,
     ),
     "vicsek": flock_follow.Flock(
         "v_{i,t+1} = norm(mean_{‖p_j − p_i‖ < r} v_{j,t} + κ_n n)",
@@ -199,22 +194,19 @@ FIELD_MODELS: dict[str, FieldStrategy] = {
         "heads fly in front",
         ("place", "offset", "pull", "near", "spread", "smoothing", "noise"),
     ),
-    "part_time": field_follow.Links(
+    "part_time": field_follow.CopyingStrategy(
         "v_{i,t+1} = norm(v_{iL,t} + κ_n n) if h(L, ⌊t / T⌋) < q, else norm(v_{i,t} + κ_o n)",
         "changing leadership as in Amornbunchornvej et al. 2018 (FLICA)",
         "a head leads all the time",
-        ("share", "block", "idle_noise", "noise"),
-        share=0.4,
-        answers=EACH_CLUSTER,
+        ("response_probability", "block_steps", "idle_noise", "noise"),
+        response_unit=EACH_CLUSTER, response_probability=0.4,
     ),
-    "partial_turns": field_follow.Links(
+    "partial_turns": field_follow.CopyingStrategy(
         "v_{i,t+1} = norm(v_{iL,t} + κ_n n) if h(i, ⌊t / T⌋) < q, else norm(v_{i,t} + κ_o n)",
         "partial responses to turns (Attanasi et al. 2014)",
         "every follower follows in every step",
-        ("share", "block", "idle_noise", "noise"),
-        block=8,
-        share=0.5,
-        answers=EACH_FOLLOWER,
+        ("response_probability", "block_steps", "idle_noise", "noise"),
+        response_unit=EACH_FOLLOWER, response_probability=0.5, block_steps=8,
     ),
     "predator": flock_follow.Predator(
         "prey: couzin + w_f (p_i − p_q) / ‖·‖ within r_f; predator q: v_{q,t+1} = norm(p_nearest − p_q + κ_n n)",
@@ -234,7 +226,7 @@ FIELD_MODELS: dict[str, FieldStrategy] = {
         "every cluster has a head",
         ("pull", "near", "spread", "smoothing", "noise"),
     ),
-}
+}  # fmt: skip
 
 #: The swarms without a head and without followers by name.
 CONTROLS: dict[str, FieldStrategy] = {
@@ -251,23 +243,20 @@ CONTROLS: dict[str, FieldStrategy] = {
 
 #: Models of the suite ``limit``, which no environment draws.
 LIMIT_MODELS: dict[str, FieldStrategy] = {
-    "weak": field_follow.Links(
+    "weak": field_follow.CopyingStrategy(
         "v_{i,t+1} = norm((1 − g_i) v_{i,t} + g_i v_{iL,t+1−d_i} + κ_n n), g_i from 0.1 to 0.3",
         breaks="a follower follows nothing but its head",
         parameters=("delays", "gains", "noise"),
         noise=0.18,  # of a smoother follower the track alone would tell that it is one
-        delays=(1, 6),
-        gains=(0.1, 0.3),
+        delays=(1, 6), gains=(0.1, 0.3),
     ),
-    "late": field_follow.Links(
+    "late": field_follow.CopyingStrategy(
         "v_{i,t+1} = norm((1 − g_i) v_{i,t} + g_i v_{iL,t+1−d_i} + κ_i n), d_i from 10 to 30",
         breaks="a follower answers soon",
         parameters=("delays", "gains", "noises", "noise"),
-        delays=(10, 30),
-        gains=(0.5, 1.0),
-        noises=(0.5, 4.0),
+        delays=(10, 30), gains=(0.5, 1.0), noises=(0.5, 4.0),
     ),
-}
+}  # fmt: skip
 
 
 def _vary(name: str, **changes: Any) -> FieldStrategy:
@@ -284,10 +273,15 @@ LED_MODELS: dict[str, FieldStrategy] = {
     "predator-led": _vary("predator", link=2.0, attract=0.15),  # as strong as alignment and flight together
 }
 
-_TABLE_2 = {"f1": Lags(1), "f2": Lags(2), "f3": Lags(3), "f4": Lags(2, square=True), "f5": Lags(3, square=True)}
-_PAPER = {**_TABLE_2, "f6": StayInRange(), "f7": Network()}
-_OWN = {**_PAPER, "random": RandomLaw(), **FIELD_MODELS, **CONTROLS, **LIMIT_MODELS, **LED_MODELS}
+_PAPER = {
+    "f1": LaggedSum(1), "f2": LaggedSum(2), "f3": LaggedSum(3), "f4": LaggedSum(2, square=True),
+    "f5": LaggedSum(3, square=True), "f6": StayInRange(), "f7": TanhNetworkStrategy(),
+}  # fmt: skip
+_RANDOM = {"random": EpisodeRandomStrategy()}
+_OWN = {**_PAPER, **_RANDOM, **FIELD_MODELS, **CONTROLS, **LIMIT_MODELS, **LED_MODELS}
 _OWN |= {**OPEN_LAWS, **SECOND_LAWS}
+
+Lags, Network = LaggedSum, TanhNetworkStrategy  # their names in version 0.1.0
 
 #: All follow strategies by name; ``"none"`` selects the control without followers.
 FOLLOW_STRATEGIES = Registry(
@@ -296,14 +290,9 @@ FOLLOW_STRATEGIES = Registry(
 
 
 def register_follow_strategy(
-    name: str,
-    strategy: FollowStrategy | Callable[[FollowInputs], Singles],
-    *,
-    lags: int = 4,
-    noise: float = KAPPA_NOISE,
-    equation: str = "",
-    replace: bool = False,
-) -> None:
+    name: str, strategy: FollowStrategy | Callable[[FollowInputs], Singles], *, lags: int = 4,
+    noise: float = KAPPA_NOISE, equation: str = "", replace: bool = False,
+) -> None:  # fmt: skip
     """Register a follow strategy, so that ``follow=name`` selects it.
 
     Args:

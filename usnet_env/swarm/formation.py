@@ -27,9 +27,9 @@ def draw_corridors(rng: np.random.Generator, uavs: int) -> tuple[Floats, Floats]
     axis = np.array([np.cos(heading), np.sin(heading), np.zeros(CORRIDORS)]).T
     corridor = rng.integers(CORRIDORS, size=uavs)
     along = rng.uniform(-400.0, 400.0, (uavs, 1))
-    place = middle[corridor] + along * axis[corridor] + rng.normal(0.0, 5.0, (uavs, 3))
-    place = np.minimum(np.maximum(place, -FARTHEST), FARTHEST)
-    return place, axis[corridor] * (2.0 * rng.integers(2, size=(uavs, 1)) - 1.0)
+    position = middle[corridor] + along * axis[corridor] + rng.normal(0.0, 5.0, (uavs, 3))
+    position = np.minimum(np.maximum(position, -FARTHEST), FARTHEST)
+    return position, axis[corridor] * (2.0 * rng.integers(2, size=(uavs, 1)) - 1.0)
 
 
 def _uniform(rng: np.random.Generator, roles: Roles) -> Floats:
@@ -49,7 +49,7 @@ def _around(rng: np.random.Generator, roles: Roles) -> Floats:
     uavs = len(roles.root)
     position = rng.random((uavs, 3)) * _SIZE
     offset = draw_offsets(rng, uavs)
-    followers = ~(roles.head | roles.decoy | roles.bystander)
+    followers = ~(roles.head | roles.decoy | roles.not_led)
     return np.where(followers[:, None], position[roles.root] + offset, position)
 
 
@@ -57,14 +57,12 @@ def _gathered(rng: np.random.Generator, roles: Roles) -> Floats:
     """All UAVs of a cluster, the head too, uniform in one ball of 60 m, decoys and bystanders in that of any cluster.
 
     The middles of the balls are uniform in the arena, and so are traffic and false tracks. Unlike in ``around``, no
-    place tells a head from its followers.
+    position tells a head from its followers.
     """
-    uavs = len(roles.root)
-    place = rng.random((uavs, 3)) * _SIZE
-    gathered = draw_offsets(rng, uavs)
-    ball = np.where(roles.decoy | roles.bystander, roles.drawn[rng.integers(len(roles.drawn), size=uavs)], roles.root)
-    gathered += place[ball]
-    return np.where((roles.traffic | roles.clutter)[:, None], place, gathered)
+    uavs, heads = len(roles.root), roles.initial_heads
+    position, offset = rng.random((uavs, 3)) * _SIZE, draw_offsets(rng, uavs)
+    ball = np.where(roles.decoy | roles.not_led, heads[rng.integers(len(heads), size=uavs)], roles.root)
+    return np.where((roles.traffic | roles.clutter)[:, None], position, offset + position[ball])
 
 
 Formation = Callable[[np.random.Generator, Roles], Floats]

@@ -60,17 +60,23 @@ class Kinematics:
     def fly(
         self, t: int, motion: NDArray[np.int8], normals: Singles, state: Singles, position: Singles, velocity: Singles
     ) -> None:
-        """Fly step ``t`` of B swarms: replace the wanted directions ``velocity[:, t]`` by velocities.
+        """Fly step ``t`` of B swarms: replace the wanted directions ``velocity[:, t]``, of length 1, by velocities.
 
-        It writes ``state`` and the next positions, too; all arrays have a leading axis B.
+        Args:
+            t: the index of the step in ``velocity``, and of the present instant in ``position``.
+            motion: ``(B, N + R)`` int8, how each UAV and reference moves; those with ``kernels.DESTROYED`` get 0.
+            normals: ``(B, N + R, normals)``, standard normal numbers.
+            state: ``(B, N + R, values)``, updated in place.
+            position: ``(B, T + 1, N + R, 3)`` metres; instant ``t + 1`` is written.
+            velocity: ``(B, T, N + R, 3)``, metres per step; step ``t`` is changed.
         """
         living = motion != kernels.DESTROYED
-        kept = state[living]
-        wanted, before, place = velocity[:, t][living], velocity[:, t - 1][living], position[:, t][living]
-        flown = self.steer(wanted, before, place, kept, normals[living])
-        state[living] = kept
+        living_state = state[living]
+        wanted, before, present = velocity[:, t][living], velocity[:, t - 1][living], position[:, t][living]
+        steered = self.steer(wanted, before, present, living_state, normals[living])
+        state[living] = living_state
         velocity[:, t] = 0.0
-        velocity[:, t][living] = flown
+        velocity[:, t][living] = steered
         position[:, t + 1] = position[:, t] + velocity[:, t]
 
 
@@ -88,21 +94,24 @@ class Unit(Kinematics):
 
 
 class CompiledKinematics(Kinematics):
-    """A model with a compiled step; ``code`` is its number and ``_constants`` the names of its constants."""
+    """A model with a compiled step; ``code`` is its number and ``_fields`` the fields that are its constants."""
 
     code: ClassVar[int]
-    _constants: ClassVar[tuple[str, ...]] = ()
+    _fields: ClassVar[tuple[str, ...]] = ()
 
     @cached_property
-    def numbers(self) -> Singles:
+    def constants(self) -> Singles:
         """``(4,)``, the constants for the kernel, padded with zeros."""
-        return np.array([*(getattr(self, name) for name in self._constants), 0, 0, 0, 0][:4], np.float32)
+        return np.array([*(getattr(self, name) for name in self._fields), 0, 0, 0, 0][:4], np.float32)
 
     def fly(
         self, t: int, motion: NDArray[np.int8], normals: Singles, state: Singles, position: Singles, velocity: Singles
     ) -> None:
-        """Compiled step."""
-        kernels.fly_kinematics(self.code, self.numbers, t, motion, normals[:, None], state, position, velocity)
+        """Compiled step, of a flight of one step in which all UAVs have their directions."""
+        noise = np.empty((len(motion), 1, 0, 3), np.float32)
+        plan = kernels.FLOWN._replace(kinematics=self.code, kinematic_constants=self.constants)
+        plan = plan._replace(kinematic_noise=np.ascontiguousarray(normals[:, None]), kinematic_state=state)
+        kernels.fly_without_followers(motion, t, noise, position, velocity, plan)
 
 
 @dataclass(frozen=True)
@@ -118,8 +127,8 @@ class VariedSpeed(CompiledKinematics):
     slowest: float = 0.5  # metres per step
     fastest: float = 1.5
     spread: float = 0.2  # the UAVs' mean speeds are uniform in 1 ± spread, metres per step
-    keep: float = 0.95  # φ, the correlation of the relative deviation from one step to the next
-    deviation: float = 0.15  # σ, the standard deviation of the relative deviation
+    phi: float = 0.95  # φ, the correlation of the relative deviation from one step to the next
+    sigma: float = 0.15  # σ, the standard deviation of the relative deviation
 
     @property
     def top_speed(self) -> float:  # type: ignore[override]  # follows from the other fields
@@ -127,15 +136,15 @@ class VariedSpeed(CompiledKinematics):
         return self.fastest
 
     @cached_property
-    def numbers(self) -> Singles:
+    def constants(self) -> Singles:
         """φ, σ √(1 − φ²), and the speeds."""
-        push = self.deviation * math.sqrt(1.0 - self.keep**2)
-        return np.array([self.keep, push, self.slowest, self.fastest], np.float32)
+        scale = self.sigma * math.sqrt(1.0 - self.phi**2)
+        return np.array([self.phi, scale, self.slowest, self.fastest], np.float32)
 
     def start(self, rng: np.random.Generator, uavs: int) -> Singles:
         """Draw the mean speeds, and the deviations from their stationary distribution."""
         mean = rng.uniform(1.0 - self.spread, 1.0 + self.spread, uavs)
-        return np.stack([mean, self.deviation * rng.standard_normal(uavs)], axis=1).astype(np.float32)
+        return np.stack([mean, self.sigma * rng.standard_normal(uavs)], axis=1).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -164,7 +173,7 @@ class Limited(CompiledKinematics):
     breaks = "a UAV can turn at any rate"
     values = 1  # turn rate
     code = kernels.LIMITED
-    _constants = ("slowest", "acceleration")
+    _fields = ("slowest", "acceleration")
     least_turn: float = 0.15  # the UAVs' turn rates are uniform from here, radians per step
     most_turn: float = 0.35
     slowest: float = 0.5  # the speed that a UAV aims at when it wants to reverse, metres per step
@@ -187,7 +196,7 @@ class Layered(CompiledKinematics):
     breaks = "the three axes are alike"
     values = 1  # altitude
     code = kernels.LAYERED
-    _constants = ("climb",)
+    _fields = ("climb",)
     layers: int = 5
     height: float = 20.0
     climb: float = 0.3
@@ -206,7 +215,7 @@ class Avoidance(Kinematics):
 
     Args:
         model: how the UAVs fly what they want.
-        place: ``(B, K, 3)`` metres, where the intruders are; every step moves them.
+        position: ``(B, K, 3)`` metres, where the intruders are; every step moves them.
         velocity: ``(B, K, 3)``, metres per step.
         reach: metres, the distance from which a UAV avoids an intruder.
         push: weight of the avoidance beside the wanted direction, which has length 1.
@@ -214,7 +223,7 @@ class Avoidance(Kinematics):
     """
 
     model: Kinematics
-    place: Singles
+    position: Singles
     velocity: Singles
     reach: float
     push: float
@@ -228,20 +237,20 @@ class Avoidance(Kinematics):
     ) -> None:
         """Turn the wanted directions of step ``t``, fly them by the model, and move the intruders."""
         wanted = velocity[:, t, : self.uavs]
-        push = find_push(position[:, t, : self.uavs], self.place, self.reach)
+        push = find_push(position[:, t, : self.uavs], self.position, self.reach)
         turned = wanted + np.float32(self.push) * push
         turned /= np.maximum(np.linalg.norm(turned, axis=-1, keepdims=True), np.float32(1e-6))
         near = push.any(axis=-1) & (motion[:, : self.uavs] != kernels.DESTROYED)
         wanted[near] = turned[near]
-        self.place = self.place + self.velocity
+        self.position = self.position + self.velocity
         self.model.fly(t, motion, normals, state, position, velocity)
 
 
 def find_push(position: Singles, intruders: Singles, reach: float) -> Singles:
     """Σ_k max(0, 1 − d_k / reach) e_k at positions ``(…, N, 3)`` near intruders ``(…, K, 3)``: ``(…, N, 3)``."""
-    gap = position[..., :, None, :] - intruders[..., None, :, :]
-    distance = np.maximum(np.linalg.norm(gap, axis=-1, keepdims=True), np.float32(1e-6))
-    return np.asarray((np.maximum(1 - distance / np.float32(reach), 0) * gap / distance).sum(axis=-2))
+    away = position[..., :, None, :] - intruders[..., None, :, :]
+    distance = np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), np.float32(1e-6))
+    return np.asarray((np.maximum(1 - distance / np.float32(reach), 0) * away / distance).sum(axis=-2))
 
 
 def _accept_kinematics(model: Any, subject: str = "model") -> Kinematics:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from usnet_env.arrays import Floats, Mask, Singles
+from usnet_env.arrays import Floats, Singles
 from usnet_env.config import ArgumentError, quote
 from usnet_env.parts import Registry
 from usnet_env.swarm import kernels
@@ -46,22 +46,22 @@ class Mobility(ABC):
             rng: the episode's generator.
         """
 
-    def fly_batch(
-        self, state: Floats, position: Singles, chosen: Mask, steps: int, rngs: Sequence[np.random.Generator]
-    ) -> Singles:
-        """Directions ``(B, steps, n, 3)`` of the chosen UAVs ``(B, n)`` of B swarms, and zeros of the others."""
-        directions = np.zeros((len(rngs), steps, *position.shape[1:]), np.float32)
-        for b, rng in enumerate(rngs):
-            if chosen[b].any():
-                part = state[b, chosen[b]]
-                directions[b][:, chosen[b]] = self.fly(part, position[b, chosen[b]], steps, rng)
-                state[b, chosen[b]] = part
-        return directions
+    def fly_batch(self, state: Floats, position: Singles, steps: int, rngs: Sequence[np.random.Generator]) -> Singles:
+        """Directions of flight ``(B, steps, n, 3)`` of n UAVs in each of B swarms; by default those of :meth:`fly`.
+
+        Args:
+            state: ``(B, n, MOBILITY_STATE)`` float64, updated in place.
+            position: ``(B, n, 3)`` float32, metres, the present positions.
+            steps: number of steps to simulate.
+            rngs: the generators of the swarms.
+        """
+        swarms = zip(state, position, rngs, strict=True)
+        return np.array([self.fly(values, present, steps, rng) for values, present, rng in swarms])
 
 
 @dataclass(frozen=True)
 class CompiledMobility(Mobility):
-    """A mobility with a compiled step: its number in ``kernels``, normal numbers per step, and up to 6 constants."""
+    """A mobility with a compiled step: its code in ``kernels``, normal numbers per step, and up to 6 constants."""
 
     code: int
     normals: int
@@ -91,34 +91,14 @@ class CompiledMobility(Mobility):
         return state
 
     def fly(self, state: Floats, position: Singles, steps: int, rng: np.random.Generator) -> Singles:
-        """Directions for one swarm."""
-        return self.fly_batch(state[None], position[None], np.ones((1, len(state)), bool), steps, [rng])[0]
-
-    def fly_batch(
-        self, state: Floats, position: Singles, chosen: Mask, steps: int, rngs: Sequence[np.random.Generator]
-    ) -> Singles:
-        """One flight of the compiled loop, in which each chosen UAV is a swarm of its own."""
-        swarms = state[chosen][:, None]
-        normals = np.empty((len(swarms), steps, self.normals), np.float32)
-        first = 0
-        for count, rng in zip(chosen.sum(axis=1).tolist(), rngs, strict=True):
-            if count:
-                drawn = rng.standard_normal((steps, count, self.normals), dtype=np.float32)
-                normals[first : first + count] = drawn.swapaxes(0, 1)
-                first += count
-        craft = kernels.make_craft(len(swarms))._replace(
-            steps=steps,
-            normals=normals.reshape(len(swarms), -1),
-            state=swarms,
-        )
-        craft.laws[0], craft.constants[0] = (self.code, 1, self.normals), self.constants
-        motion = np.full((len(swarms), 1), kernels.FREE, np.int8)
-        velocity, none = np.zeros((len(swarms), steps, 1, 3), np.float32), np.empty((len(swarms), 0, 1, 3), np.float32)
-        kernels.fly_free(0, 0, craft, motion, none, position[chosen][:, None, None], velocity)
-        state[chosen] = swarms[:, 0]
-        directions = np.zeros((*chosen.shape, steps, 3), np.float32)
-        directions[chosen] = velocity[:, :, 0]
-        return directions.swapaxes(1, 2)
+        """The compiled loop, for a swarm of free UAVs."""
+        uavs, velocity = np.arange(len(state)), np.empty((1, steps, *position.shape), np.float32)
+        noise = rng.standard_normal((1, steps, len(state), self.normals), dtype=np.float32)
+        codes, constants = np.full_like(uavs, self.code), np.tile(self.constants, (len(state), 1))
+        jitter, motion = np.zeros(len(state), np.float32), np.full((1, len(state)), kernels.FREE, np.int8)
+        plan = kernels.FlightPlan(uavs[None], codes, constants, noise, state[None], jitter)
+        kernels.fly_free(0, 0, plan, motion, velocity, position[None, None], velocity)
+        return velocity[0]
 
 
 @dataclass(frozen=True)
@@ -139,19 +119,19 @@ class MobilityFunction(Mobility):
 
 
 @dataclass(frozen=True)
-class Alike(Mobility):
-    """All UAVs fly alike by a mobility: as its first UAV, from places of their own."""
+class SharedMobility(Mobility):
+    """All UAVs fly alike by a mobility: as its first UAV, from positions of their own."""
 
-    law: Mobility
+    mobility: Mobility
     description: str = ""
 
     def start(self, rng: np.random.Generator, uavs: int) -> Floats:
         """Draw one state for all."""
-        return np.tile(self.law.start(rng, 1), (uavs, 1))
+        return np.tile(self.mobility.start(rng, 1), (uavs, 1))
 
     def fly(self, state: Floats, position: Singles, steps: int, rng: np.random.Generator) -> Singles:
         """Draw the directions of the first UAV for all."""
-        directions = self.law.fly(state[:1], position[:1], steps, rng)
+        directions = self.mobility.fly(state[:1], position[:1], steps, rng)
         state[:] = state[0]
         return directions.repeat(len(state), axis=1)
 
@@ -168,15 +148,11 @@ def _accept_mobility(model: Any, subject: str = "model") -> Mobility:
 _OWN: dict[str, Mobility] = {
     "iid": CompiledMobility(kernels.IID, 3, description="a new random direction at each step (the paper's setting)"),
     "gauss_markov": CompiledMobility(
-        kernels.GAUSS_MARKOV,
-        2,
-        (0.85, 0.2, 0.02),
+        kernels.GAUSS_MARKOV, 2, (0.85, 0.2, 0.02),
         "Gauss-Markov azimuth and pitch around a mean heading; autocorrelation 0.85, variances 0.2 and 0.02 rad^2",
     ),
     "smooth_turn": CompiledMobility(
-        kernels.SMOOTH_TURN,
-        5,
-        (10.0, 0.6),
+        kernels.SMOOTH_TURN, 5, (10.0, 0.6),
         "turns about random axes with exponential durations (mean 10 steps) and truncated exponential curvature",
     ),
     "waypoint": CompiledMobility(
@@ -186,8 +162,9 @@ _OWN: dict[str, Mobility] = {
         kernels.LOCAL_WAYPOINT, 3, (0.5, 2.0, 10.0), "random waypoints about 10 m away, turns up to 0.5 rad per step"
     ),
     "straight": CompiledMobility(kernels.STRAIGHT, 1, description="a straight line in a random direction"),
-}
-_OWN["alike"] = Alike(_OWN["iid"], "all heads and decoys fly alike: one new random direction for all at each step")
+}  # fmt: skip
+_ALIKE = "all heads and decoys fly alike: one new random direction for all at each step"
+_OWN["alike"] = SharedMobility(_OWN["iid"], _ALIKE)
 
 #: All mobilities by name.
 MOBILITIES = Registry("mobility", "mobility", "usnet.mobilities", __name__, _accept_mobility, _OWN)

@@ -48,27 +48,26 @@ class RandomFollowStrategy(FollowStrategy):
     compiled = True
 
     def pack(self) -> Singles:
-        """The law as numbers ``(LAW,)``, as ``follow_kernels.fly_laws`` reads them; a part left out has zeros."""
-        law, rotation = np.zeros(follow_kernels.LAW, np.float32), self.rotation
-        for row, term in zip(
-            law[: -follow_kernels.LAW_END].reshape(-1, follow_kernels.LAW_TERM), self.terms, strict=False
-        ):
-            row[:3] = follow_kernels.LAW_KINDS.index(term.kind), term.lag, term.weight
+        """The coefficients ``(COEFFICIENTS,)`` that ``follow_kernels.fly_random`` reads; a part left out has zeros."""
+        coefficients = np.zeros(follow_kernels.COEFFICIENTS, np.float32)
+        rows = coefficients[: -follow_kernels.OUTPUT_SIZE].reshape(-1, follow_kernels.TERM_SIZE)
+        for row, term in zip(rows, self.terms, strict=False):
+            row[:3] = follow_kernels.TERM_KINDS.index(term.kind), term.lag, term.weight
             if term.layer is not None:
-                row[3:] = np.concatenate([part.ravel() for part in term.layer])
-        law[-14:-5] = np.eye(3, dtype=np.float32).ravel() if rotation is None else rotation.ravel()
-        law[-5] = self.saturation or 0.0
+                row[3:] = np.concatenate([weights.ravel() for weights in term.layer])
+        coefficients[-14:-5] = (np.eye(3) if self.rotation is None else self.rotation).ravel()
+        coefficients[-5] = self.saturation or 0.0
         if self.offset is not None:
-            law[-4:-1], law[-1] = self.offset, self.pull
-        return law
+            coefficients[-4:-1], coefficients[-1] = self.offset, self.pull
+        return coefficients
 
     def fly(self, flight: TrajectoryBatch) -> None:
         """Compiled loop."""
-        follow_kernels.fly_laws(self.pack()[None], np.float32(self.noise), flight.source, *flight.flown)
+        follow_kernels.fly_random(self.pack()[None], np.float32(self.noise), flight.source, *flight.loop_arguments)
 
 
 @dataclass(frozen=True)
-class RandomLaw(FollowStrategy):
+class EpisodeRandomStrategy(FollowStrategy):
     """``follow="random"``: in each episode another :class:`RandomFollowStrategy`."""
 
     equation = f"another one in each episode, none of f1 to f7: {RandomFollowStrategy.equation}"
@@ -77,12 +76,12 @@ class RandomLaw(FollowStrategy):
     compiled = True
 
     def draw(self, rng: np.random.Generator) -> Singles:
-        """Draw the law."""
+        """Draw the coefficients."""
         return random_follow_strategy(rng).pack()
 
     def fly(self, flight: TrajectoryBatch) -> None:
         """Compiled loop."""
-        follow_kernels.fly_laws(flight.parameters, np.float32(self.noise), flight.source, *flight.flown)
+        follow_kernels.fly_random(flight.parameters, np.float32(self.noise), flight.source, *flight.loop_arguments)
 
 
 def _draw_rotation(rng: np.random.Generator) -> Singles:

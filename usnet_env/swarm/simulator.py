@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from usnet_env.arrays import Indices, Mask, Singles
 from usnet_env.swarm import kernels
 from usnet_env.swarm.config import SwarmConfig
-from usnet_env.swarm.flight import draw_craft, find_mobilities, fly_free, fly_steps, sort_kinds
+from usnet_env.swarm.flight import draw_plan, find_mobilities, fly_free, fly_steps, group_by_config
 from usnet_env.swarm.formation import FORMATIONS, draw_corridors, draw_offsets
 from usnet_env.swarm.sensing import Generators, ObservationBatch, draw_normals, sense, shift_tracks
 from usnet_env.swarm.state import LASTING, Roles, SwarmState, destroy
@@ -53,22 +53,37 @@ def draw_roles(rngs: Generators, config: SwarmConfig) -> Roles:
 
 
 def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
-    """Start B swarms, one per generator, and simulate T_0 steps, which are the past of the first round.
+    """Start B swarms and simulate T_0 steps, which are the past of the first round.
 
     In these T_0 steps followers move in random directions: they have no past of their head to follow yet.
+
+    Args:
+        config: the configuration of all swarms.
+        rngs: B generators, one per swarm.
+
+    Returns:
+        The state of the B swarms, with all N UAVs alive but those that are ``absent``.
+
+    Raises:
+        ValueError: a registered formation or mobility returned an array of another shape.
+
+    >>> state = start(SwarmConfig(clusters=2, uavs=9), [np.random.default_rng(seed) for seed in (0, 1, 2)])
+    >>> state.position.shape, state.heads_left.tolist()
+    ((3, 9, 3), [2, 2, 2])
     """
-    drawn = _draw_swarms(config, rngs)
-    place, velocity, absent = (drawn.pop(name) for name in ("place", "velocity", "absent"))
+    swarms = _draw_swarms(config, rngs)
+    first, velocity, absent = (swarms.pop(name) for name in ("position", "velocity", "absent"))
     (episodes, memory, all_uavs, _), uavs = velocity.shape, config.uavs
     position = np.zeros((episodes, memory + 1, all_uavs, 3), np.float32)
-    position[:, 0] = place
+    position[:, 0] = first
     x, y, z = np.moveaxis(velocity, -1, 0)  # faster than a sum over the last axis
     velocity /= np.sqrt(x * x + y * y + z * z)[..., None]
-    free, state = drawn["free"], drawn["mobility_state"]
-    craft = draw_craft(config, free, state, memory, rngs)._replace(jitter=np.float32(0.0))
+    plan = draw_plan(config, swarms["free"], swarms["mobility_state"], memory, rngs)
+    plan = plan._replace(jitter=np.zeros_like(plan.jitter))
     motion = np.full((episodes, all_uavs), kernels.FREE, np.int8)
-    fly_free(config, 0, 0, craft, motion, np.empty((episodes, 0, all_uavs, 3), np.float32), position, velocity, rngs)
-    kernels.integrate(0, position, velocity)
+    fly_free(config, 0, 0, plan, motion, np.empty((episodes, 0, all_uavs, 3), np.float32), position, velocity, rngs)
+    position[:, 1:] = velocity
+    np.cumsum(position, axis=1, out=position)
     begun = SwarmState(
         alive=np.ones((episodes, uavs), bool),
         past_position=position[:, :, :uavs],
@@ -76,7 +91,7 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
         clock=np.full(episodes, memory, np.int64),
         reference_position=position[:, :, uavs:],
         reference_velocity=velocity[:, :, uavs:],
-        **drawn,
+        **swarms,
     )
     begun = destroy(begun, absent) if config.absent else begun
     return _settle(config, begun, rngs) if config.unseen_levels[1] else begun
@@ -89,58 +104,60 @@ def _settle(config: SwarmConfig, state: SwarmState, rngs: Generators) -> SwarmSt
     """
     strategy = config.follow_strategy
     steps = SETTLING + (config.unseen_levels[1] + 2) * (strategy.lags if strategy is not None else 0)
-    flown, position, _ = fly_steps([config] * len(rngs), state, rngs, steps)
-    way, uavs = position[:, -1] - position[:, config.memory], state.alive.shape[1]
-    back = {"past_position": way[:, None, :uavs], "reference_position": way[:, None, uavs:]}
-    return replace(flown, **{name: getattr(flown, name) - moved for name, moved in back.items()})
+    after, position, _ = fly_steps([config] * len(rngs), state, rngs, steps)
+    way, uavs = position[:, -1:] - position[:, config.memory, None], state.alive.shape[1]
+    back = {"past_position": way[:, :, :uavs], "reference_position": way[:, :, uavs:]}
+    return replace(after, **{name: getattr(after, name) - moved for name, moved in back.items()})
 
 
 def _draw_swarms(config: SwarmConfig, rngs: Generators) -> dict[str, NDArray[Any]]:
-    """Draw arrays of :class:`SwarmState` by name, and ``place`` and ``velocity`` of N UAVs and R references."""
+    """Draw arrays of :class:`SwarmState` by name, and ``position`` and ``velocity`` of N UAVs and R references."""
     strategy, kinematics, uavs = config.follow_strategy, config.kinematics_model, config.uavs
     led = config.unseen_levels[1] > 0
     points = config.clusters if strategy is not None and strategy.has_references else 0
     drawn, formation = draw_roles(rngs, config), FORMATIONS.find(config.formation)
-    swarms = drawn.split()
-    place = np.array([formation(*pair) for pair in zip(rngs, swarms, strict=True)], np.float64).reshape(-1, uavs, 3)
-    arranged = [strategy.arrange(*pair) for pair in zip(rngs, swarms, strict=True)] if strategy is not None else swarms
-    changed = any(one is not other for one, other in zip(arranged, swarms, strict=True))
-    roles = Roles(*map(np.array, zip(*arranged, strict=True))) if changed else drawn
+    swarms, rows = drawn.split(), np.arange(len(rngs))[:, None]
+    position = np.array([formation(*pair) for pair in zip(rngs, swarms, strict=True)], np.float64).reshape(-1, uavs, 3)
+    roles = drawn
+    if strategy is not None:
+        arranged = [strategy.arrange(*pair) for pair in zip(rngs, swarms, strict=True)]
+        if any(after is not before for after, before in zip(arranged, swarms, strict=True)):
+            roles = Roles(*map(np.array, zip(*arranged, strict=True)))
     sources = np.tile(np.arange(uavs, uavs + points), (len(rngs), 1))
-    beside = place[np.arange(len(rngs))[:, None], drawn.drawn[:, :points]]
+    beside = position[rows, drawn.initial_heads[:, :points]]
     if led:
         roles, sources, visible = _draw_chains(config, rngs, drawn, roles)
         points, offsets = visible.shape[1], np.array([draw_offsets(rng, sources.shape[1]) for rng in rngs])
-        beside = np.tile(place[np.arange(len(rngs))[:, None], visible], (1, config.unseen_levels[1], 1)) + offsets
-    references = sources.shape[1]
+        beside = np.tile(position[rows, visible], (1, config.unseen_levels[1], 1)) + offsets
+    all_uavs = uavs + sources.shape[1]
     if strategy is not None and strategy.has_followers:
         by_mobility = (drawn.decoy | (drawn.head & (points == 0))) & (not led)
     else:
-        by_mobility = ~drawn.bystander
-    alone = drawn.bystander & ~drawn.traffic & ~drawn.clutter
-    free = [_find_each(by_mobility), sources[:, :points], *map(_find_each, (alone, drawn.traffic, drawn.clutter))]
-    groups = [sum(part.shape[1] for part in free[:2]), config.bystanders, config.traffic, config.clutter]
-    laws = [(law, uavs) for law, uavs in zip(find_mobilities(config), groups, strict=True) if uavs]
-    states = [np.array([law.start(rng, count) for rng in rngs]) for law, count in laws]
+        by_mobility = ~drawn.not_led
+    bystander = drawn.not_led & ~drawn.traffic & ~drawn.clutter
+    seen = _find_each(by_mobility), sources[:, :points], *map(_find_each, (bystander, drawn.traffic, drawn.clutter))
+    free = np.concatenate(seen, axis=1)
+    mobilities = [(each, part.stop - part.start) for each, part in find_mobilities(config, free.shape[1])]
+    states = [np.array([mobility.start(rng, count) for rng in rngs]) for mobility, count in mobilities]
     mobility_state = np.concatenate(states, axis=1, dtype=np.float64)
     if config.traffic:
         end = mobility_state.shape[1] - config.clutter
         corridors = zip(*(draw_corridors(rng, config.traffic) for rng in rngs), strict=True)
         places, mobility_state[:, end - config.traffic : end, :3] = map(np.array, corridors)
-        place[drawn.traffic] = places.reshape(-1, 3)
-    velocity = draw_normals(rngs, config.memory, uavs + references, 3)
+        position[drawn.traffic] = places.reshape(-1, 3)
+    velocity = draw_normals(rngs, config.memory, all_uavs, 3)
     seeded = [np.random.default_rng(config.follow_seed) for _ in rngs] if config.follow_seed is not None else rngs
-    wide = uavs + references * led
-    parameters = [np.empty(0, np.float32) if strategy is None else strategy.draw_for(rng, wide) for rng in seeded]
-    kept = [kinematics.start(rng, uavs + references) for rng in rngs if kinematics.values]
+    copying = all_uavs if led else uavs
+    parameters = [np.empty(0, np.float32) if strategy is None else strategy.draw_for(rng, copying) for rng in seeded]
+    states = [kinematics.start(rng, all_uavs) for rng in rngs if kinematics.values]
     return {
         **{name: getattr(roles, name) for name in LASTING},
         "absent": drawn.root < 0,
-        "free": np.concatenate(free, axis=1),
+        "free": free,
         "mobility_state": mobility_state,
         "parameters": np.array(parameters),
-        "kinematic_state": np.array(kept, np.float32).reshape(len(rngs), uavs + references, -1),
-        "place": np.concatenate([place, beside], axis=1),
+        "kinematic_state": np.array(states, np.float32).reshape(len(rngs), all_uavs, -1),
+        "position": np.concatenate([position, beside], axis=1),
         "velocity": velocity,
         "reference_source": sources,
     }
@@ -154,7 +171,7 @@ def _draw_chains(config: SwarmConfig, rngs: Generators, drawn: Roles, roles: Rol
     are drawn, follow the first, and no UAV follows them.
     """
     fewest, most = config.unseen_levels
-    visible = np.concatenate([drawn.drawn, _find_each(drawn.decoy)], axis=1)
+    visible = np.concatenate([drawn.initial_heads, _find_each(drawn.decoy)], axis=1)
     chains = visible.shape[1]
     unseen = drawn.head.shape[1] + np.arange(most * chains).reshape(most, chains)
     length = np.array([rng.integers(fewest, most + 1, chains) for rng in rngs])
@@ -172,17 +189,33 @@ def _find_each(chosen: Mask) -> Indices:
 
 
 def advance(config: SwarmConfig, state: SwarmState, rngs: Generators) -> tuple[SwarmState, ObservationBatch]:
-    """:func:`advance_each` of B swarms with one configuration."""
+    """Simulate the next round of B swarms with one configuration: T_0 unobserved steps, then the observed window.
+
+    Args:
+        config: the configuration of all swarms.
+        state: the state from :func:`start`, :func:`destroy` or the last round; it is not changed.
+        rngs: B generators, one per swarm; a swarm goes on with the generator that started it.
+
+    Returns:
+        The state at the end of the window, and the windows of T_ob velocity samples.
+
+    Raises:
+        ValueError: a registered strategy or mobility returned an array of another shape.
+
+    >>> config, rngs = SwarmConfig(clusters=2, uavs=9, observation_steps=50), [np.random.default_rng(0)]
+    >>> state, window = advance(config, start(config, rngs), rngs)
+    >>> window.position.shape, window.velocity.shape
+    ((1, 51, 9, 3), (1, 50, 9, 3))
+    """
     return advance_each([config] * len(rngs), state, rngs)
 
 
 def advance_each(
     configs: Sequence[SwarmConfig], state: SwarmState, rngs: Generators
 ) -> tuple[SwarmState, ObservationBatch]:
-    """Simulate the next round of B swarms: T_0 unobserved steps, then the observed window of T_ob samples.
+    """:func:`advance` of B swarms, each with its configuration; T_0, N and the sampling are those of the first.
 
-    Each swarm has at least one living head unless no UAV leads it. It returns the state at the end of the window, and
-    the windows.
+    Each swarm has at least one living head unless no UAV leads it.
     """
     after, position, velocity, first = fly_round(configs, state, rngs)
     return after, sense(configs, position, velocity, state.alive, rngs, state.free, first=first)
@@ -194,9 +227,9 @@ def fly_round(
     """Fly the next round, unobserved: what :func:`fly_steps` returns, and the instant at which the window begins."""
     after, position, velocity = fly_steps(configs, state, rngs, configs[0].steps)
     first, uavs = 2 * configs[0].memory, state.alive.shape[1]  # after the past and the unobserved steps
-    for config, rows in sort_kinds(configs):
+    for config, rows in group_by_config(configs):
         if (strategy := config.follow_strategy) is not None and strategy.shifts_tracks:
-            places, speeds = position[rows, first:, :uavs], velocity[rows, first:, :uavs]
-            shifted = shift_tracks(places, speeds, state.source[rows], [rngs[b] for b in rows])
+            tracks = position[rows, first:, :uavs], velocity[rows, first:, :uavs]
+            shifted = shift_tracks(*tracks, state.source[rows], [rngs[b] for b in rows])
             position[rows, first:, :uavs], velocity[rows, first:, :uavs] = shifted
     return after, position, velocity, first

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple, Self
@@ -14,7 +15,7 @@ from usnet_env.swarm import kernels
 
 Rows = NDArray[np.intp] | list[int] | slice
 
-LASTING = ("head", "decoy", "root", "bystander", "source")  # the roles that :class:`SwarmState` keeps
+LASTING = ("head", "decoy", "root", "not_led", "source")  # the roles that :class:`SwarmState` keeps
 
 
 def _pack(rows: Sequence[NDArray[Any]]) -> NDArray[Any]:
@@ -41,23 +42,23 @@ def join_rows(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
 class Roles(NamedTuple):
     """The role of every UAV in one swarm, or in B swarms with a leading axis B.
 
-    ``head``, ``decoy``, ``root`` and ``bystander`` are those of :class:`SwarmState`.
+    ``head``, ``decoy``, ``root`` and ``not_led`` are those of :class:`SwarmState`.
 
     Args:
         traffic: ``(N,)`` bool, the bystanders that are civil traffic.
         clutter: ``(N,)`` bool, the bystanders that are false tracks, and no UAVs.
         source: ``(N,)`` int64, the UAV or reference that each UAV copies, at first its root.
-        drawn: ``(M,)`` int64, the heads as drawn, in the order of the clusters.
+        initial_heads: ``(M,)`` int64, the heads as drawn, in the order of the clusters.
     """
 
     head: Mask
     decoy: Mask
     root: Indices
-    bystander: Mask
+    not_led: Mask
     traffic: Mask
     clutter: Mask
     source: Indices
-    drawn: Indices
+    initial_heads: Indices
 
     def split(self) -> list[Self]:
         """The roles of each of B swarms."""
@@ -65,12 +66,12 @@ class Roles(NamedTuple):
 
     def members(self, cluster: int) -> Indices:
         """The followers of a cluster, as drawn, in the order of their indices."""
-        head = self.drawn[cluster]
+        head = self.initial_heads[cluster]
         return np.flatnonzero((self.root == head) & (np.arange(len(self.root)) != head))
 
     def without_heads(self, **changes: Any) -> Self:
         """These roles with changes, and without heads: the UAVs of the clusters have the root -1."""
-        root = np.where(self.decoy | self.bystander, self.root, -1)
+        root = np.where(self.decoy | self.not_led, self.root, -1)
         return self._replace(**{"head": np.zeros_like(self.head), "root": root, **changes})
 
 
@@ -89,14 +90,14 @@ class SwarmState:
         decoy: ``(B, N)`` bool.
         alive: ``(B, N)`` bool, false for destroyed UAVs.
         root: ``(B, N)`` int64, the head of each follower (-1: it has none); the own index of a head, decoy or
-            bystander.
+            not_led.
         past_position: ``(B, T_0 + 1, N, 3)`` float32, metres, oldest first; 0 for destroyed UAVs.
         past_velocity: ``(B, T_0, N, 3)`` float32, metres per step.
         free: ``(B, n)`` int64, indices of the free UAVs: heads and decoys, unless unseen UAVs lead them, references,
             bystanders, traffic, then false tracks.
         mobility_state: ``(B, n, MOBILITY_STATE)`` float64, the mobility state of the free UAVs.
         parameters: ``(B, P)`` float32, parameters of the follow strategy.
-        bystander: ``(B, N)`` bool, the UAVs that no head leads, decoys excluded: bystanders, traffic, false tracks,
+        not_led: ``(B, N)`` bool, the UAVs that no head leads, decoys excluded: bystanders, traffic, false tracks,
             and the predators and drivers of a follow strategy.
         source: ``(B, N)`` int64, the UAV or reference that each UAV copies; for f1 to f7 its head.
         clock: ``(B,)`` int64, number of steps flown.
@@ -115,7 +116,7 @@ class SwarmState:
     free: Indices
     mobility_state: Floats
     parameters: Singles
-    bystander: Mask
+    not_led: Mask
     source: Indices
     clock: Indices
     kinematic_state: Singles
@@ -140,20 +141,25 @@ class SwarmState:
         return np.where(self.root >= 0, np.where(self.root == uavs, uavs, self.source), -1)
 
     def roles(self) -> dict[str, NDArray[Any]]:
-        """``alive``, ``head``, ``decoy`` and ``root`` by name, as pictures take them."""
+        """``alive``, ``head``, ``decoy`` and ``root`` by name, ``(B, N)`` each, as pictures take them; no copies."""
         return {name: getattr(self, name) for name in ("alive", "head", "decoy", "root")}
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Copies of all arrays by name; ``SwarmState(**arrays)`` restores the state."""
+        """Copies of all arrays by name, with the shapes above; ``SwarmState(**arrays)`` restores the state."""
         return {field.name: getattr(self, field.name).copy() for field in fields(self)}
 
     def pick(self, episodes: Rows, *names: str) -> list[NDArray[Any]]:
-        """Arrays of some episodes of the batch by name."""
-        chosen = [getattr(self, name)[episodes] for name in names]
-        return [_pack(part) if part.dtype == object else part for part in chosen]
+        """The arrays of these names, of k episodes, with a leading axis k.
+
+        Args:
+            episodes: ``(k,)`` indices of episodes, which may repeat, or a slice.
+            names: fields of this class.
+        """
+        arrays = [getattr(self, name)[episodes] for name in names]
+        return [_pack(array) if array.dtype == object else array for array in arrays]
 
     def rows(self, episodes: Rows) -> Self:
-        """The state of some episodes of the batch."""
+        """The state of some episodes of the batch, in the order of these indices."""
         return type(self)(*self.pick(episodes, *vars(self)))
 
     @classmethod
@@ -165,7 +171,12 @@ class SwarmState:
         return cls(**{name: join_rows(parts) for name, parts in arrays.items()})
 
     def with_rows(self, episodes: NDArray[np.intp], other: SwarmState) -> Self:
-        """A copy of this batch in which ``other`` replaces some episodes."""
+        """A copy of this batch in which the episodes of ``other`` replace those at ``episodes``.
+
+        Args:
+            episodes: ``(k,)`` indices of different episodes of this batch.
+            other: k swarms, with the same N and T_0.
+        """
         order = np.arange(len(self.alive))
         order[episodes] = len(order) + np.arange(len(episodes))
         return type(self).join([self, other]).rows(order)  # type: ignore[list-item]  # of the same class
@@ -173,6 +184,19 @@ class SwarmState:
     def episode(self, b: int = 0) -> SwarmState:
         """A copy of episode ``b`` without the leading axis."""
         return SwarmState(**{field.name: np.array(getattr(self, field.name)[b]) for field in fields(self)})
+
+
+RENAMED = {"bystander": "not_led", "drawn": "initial_heads"}  # attributes by their names in version 0.1.0
+
+
+def _find_renamed(owner: Any, name: str) -> Any:
+    if name not in RENAMED:
+        raise AttributeError(f"{type(owner).__name__!r} object has no attribute {name!r}", name=name, obj=owner)
+    warnings.warn(f"{name} is now {RENAMED[name]}.", DeprecationWarning, stacklevel=2)
+    return getattr(owner, RENAMED[name])
+
+
+Roles.__getattr__ = SwarmState.__getattr__ = _find_renamed  # type: ignore[attr-defined]
 
 
 def destroy(state: SwarmState, candidates: Mask) -> SwarmState:
@@ -184,7 +208,7 @@ def destroy(state: SwarmState, candidates: Mask) -> SwarmState:
     alive = state.alive & ~candidates
     root, source = state.root.copy(), state.source.copy()
     position, velocity = state.past_position.copy(), state.past_velocity.copy()
-    kernels.remerge(state.head, alive, state.decoy | state.bystander, state.position, root, source)
+    kernels.remerge(state.head, alive, state.decoy | state.not_led, state.position, root, source)
     gone = state.alive & ~alive
     position.swapaxes(1, 2)[gone] = 0.0
     velocity.swapaxes(1, 2)[gone] = 0.0

@@ -47,7 +47,7 @@ class FollowInputs:
 class TrajectoryBatch:
     """B swarms with a past of L steps and S steps to simulate; ``position`` and ``velocity`` are filled in place.
 
-    ``root``, ``source``, ``bystander``, ``parameters`` and ``clock`` are those of :class:`SwarmState`; ``source``
+    ``root``, ``source``, ``not_led``, ``parameters`` and ``clock`` are those of :class:`SwarmState`; ``source``
     ``(B, N + R)`` ends with that of the references.
 
     Args:
@@ -56,8 +56,8 @@ class TrajectoryBatch:
             steps of the free UAVs.
         noise: ``(B, S, N + R, 3)`` float32, the followers' n ~ N(0, I), before the scaling by kappa_n.
         motion: ``(B, N + R)`` int8, how each UAV moves: ``kernels.DESTROYED``, ``FREE`` or ``FOLLOWS``.
-        craft: how the compiled loops fly the free UAVs, and the kinematics; by default all swarms fly with
-            ``unit``, and their free UAVs have flown.
+        plan: how the compiled loops fly the free UAVs, and the kinematics; by default all swarms fly with ``unit``,
+            and their free UAVs have flown.
     """
 
     position: Singles
@@ -67,15 +67,14 @@ class TrajectoryBatch:
     root: Indices
     parameters: Singles
     source: Indices
-    bystander: Mask
+    not_led: Mask
     clock: Indices
-    craft: kernels.Craft | None = None
+    plan: kernels.FlightPlan = kernels.FLOWN
 
     @property
-    def flown(self) -> tuple[NDArray[np.int8], int, Singles, Singles, Singles, kernels.Craft]:
-        """Who flies, from which step on, with which noise, what is filled, and the craft: for the compiled loops."""
-        craft = kernels.make_craft(self.episodes) if self.craft is None else self.craft
-        return self.motion, self.start, self.noise, self.position, self.velocity, craft
+    def loop_arguments(self) -> tuple[NDArray[np.int8], int, Singles, Singles, Singles, kernels.FlightPlan]:
+        """The last arguments of the compiled loops: how each UAV moves, from which step on, …, and the plan."""
+        return self.motion, self.start, self.noise, self.position, self.velocity, self.plan
 
     episodes = AxisLength("noise", 0)  #: B
     steps = AxisLength("noise", 1)  #: S, the number of steps to simulate
@@ -98,7 +97,7 @@ class FollowStrategy:
         noise: kappa_n, the scale of the noise.
         has_references: whether each cluster has a reference, which flies by the swarm's mobility in place of its heads.
         has_followers: whether UAVs follow; otherwise all UAVs fly by the swarm's mobility.
-        compiled: whether :meth:`fly` is a compiled loop that obeys the craft of the flight.
+        compiled: whether :meth:`fly` is a compiled loop that obeys the plan of the flight.
         shifts_tracks: whether the observer sees the steps of each track rolled in time by a shift of its own.
     """
 
@@ -126,15 +125,15 @@ class FollowStrategy:
         """Direction of flight ``(n, 3)`` before noise and normalisation; row i depends only on row i of the inputs."""
         raise NotImplementedError(f"{type(self).__name__} must define direction(inputs).")
 
-    def fly(self, trajectories: TrajectoryBatch) -> None:
+    def fly(self, flight: TrajectoryBatch) -> None:
         """Simulate all followers: the general loop, which calls :meth:`direction` step by step."""
-        lags = trajectories.start
-        for b in range(trajectories.episodes):
-            position, velocity = trajectories.position[b], trajectories.velocity[b]
-            followers = np.flatnonzero(trajectories.motion[b] == kernels.FOLLOWS)
-            heads = trajectories.source[b, followers]
-            numbers = np.cumsum(trajectories.source[b] != np.arange(position.shape[1]))[followers] - 1
-            for s in range(trajectories.steps):
+        lags = flight.start
+        for b in range(flight.episodes):
+            position, velocity = flight.position[b], flight.velocity[b]
+            followers = np.flatnonzero(flight.motion[b] == kernels.FOLLOWS)
+            heads = flight.source[b, followers]
+            numbers = np.cumsum(flight.source[b] != np.arange(position.shape[1]))[followers] - 1
+            for s in range(flight.steps):
                 t = lags + s
                 past = slice(t - 1, t - 1 - lags if t > lags else None, -1)
                 past_and_now = slice(t, t - lags - 1 if t > lags else None, -1)
@@ -142,11 +141,11 @@ class FollowStrategy:
                     own_position=position[past_and_now, followers].swapaxes(0, 1),
                     head_velocity=velocity[past, heads].swapaxes(0, 1),
                     head_position=position[past_and_now, heads].swapaxes(0, 1),
-                    parameters=trajectories.parameters[b],
+                    parameters=flight.parameters[b],
                     follower=numbers,
                     clock=int(trajectories.clock[b]) + s,
                 )
-                noise = np.float32(self.noise) * trajectories.noise[b, s, followers]
+                noise = np.float32(self.noise) * flight.noise[b, s, followers]
                 total = np.asarray(self.direction(inputs), np.float32) + noise
                 length = np.sqrt((total * total).sum(axis=-1, keepdims=True, dtype=np.float32))
                 velocity[t, followers] = total / np.maximum(length, np.float32(1e-6))

@@ -142,7 +142,7 @@ class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
             free=free,
             mobility_state=np.zeros((len(free), 0)),
             parameters=np.zeros(0, np.float32),
-            bystander=np.zeros(uavs, bool),
+            not_led=np.zeros(uavs, bool),
             source=root,
             clock=np.zeros((), np.int64),
             kinematic_state=np.zeros((uavs, 0), np.float32),

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from usnet_env.swarm import FOLLOW_STRATEGIES, FollowStrategy
-from usnet_env.swarm.field_follow import Chain, Hierarchy, Kinds, Links, Slots
+from usnet_env.swarm.field_follow import Chain, CopyingStrategy, FormationSlots, Hierarchy, MixedStrategies
 from usnet_env.swarm.random_follow import RandomFollowStrategy, random_follow_strategy
 
 MEMORY = 12  # T_0, steps that a strategy may use
@@ -34,11 +34,11 @@ def draw_strategy(rng: np.random.Generator, name: str) -> str | FollowStrategy:
     changed: dict[str, Any] = {
         key: value * math.exp(spread * rng.standard_normal()) for key, value in numbers.items() if type(value) is float
     }
-    if "share" in changed:
-        changed["share"] = min(changed["share"], 0.95)
-    if isinstance(strategy, Links | Kinds):
-        changed["block"] = int(rng.integers(6, 41))
-    if isinstance(strategy, Links) and not strategy.strength:
+    for probability in changed.keys() & {"share", "response_probability"}:
+        changed[probability] = min(changed[probability], 0.95)
+    if isinstance(strategy, CopyingStrategy | MixedStrategies):
+        changed["block_steps"] = int(rng.integers(6, 41))
+    if isinstance(strategy, CopyingStrategy) and not strategy.strength:
         links = int(rng.integers(1, 5)) if isinstance(strategy, Hierarchy) else 1
         latest = int(rng.integers(1, MEMORY // links + 1))
         low, high = np.sort(rng.uniform(0.1 if rng.random() < 0.2 else 0.4, 1.0, 2)).tolist()
@@ -46,6 +46,6 @@ def draw_strategy(rng: np.random.Generator, name: str) -> str | FollowStrategy:
         changed["noises"] = (0.5, float(rng.uniform(1.0, 4.0)))
     if isinstance(strategy, Chain):
         changed["depth"] = int(rng.integers(1, 6))
-    if isinstance(strategy, Slots):
+    if isinstance(strategy, FormationSlots):
         changed.update(delays=(1, int(rng.integers(1, MEMORY + 1))), smoothing=int(rng.integers(3, MEMORY + 1)))
     return replace(strategy, **changed)

@@ -12,7 +12,7 @@ from detectors.reader.prior.strategies import MEMORY, draw_strategy
 from usnet_env.arrays import Indices, Mask
 from usnet_env.envs.distribution import DISTRIBUTIONS
 from usnet_env.swarm import SwarmConfig, SwarmState, advance, destroy, start
-from usnet_env.swarm.field_follow import Frontness, Links
+from usnet_env.swarm.field_follow import CopyingStrategy, Frontness
 from usnet_env.swarm.field_kernels import COLUMNS, DELAY
 
 _MOBILITY = {"gauss_markov": 4, "smooth_turn": 2, "waypoint": 1.5, "local_waypoint": 1.5, "iid": 1.5, "straight": 2.5}
@@ -103,7 +103,7 @@ def _find_truth(config: SwarmConfig, state: SwarmState, living: Indices) -> tupl
     if not getattr(strategy, "link", 0.0):  # informed UAVs lead a flock whose UAVs have no head of their own
         head &= np.stack([np.isin(own, roots[led]) for roots, led in zip(root, follows, strict=True)])
     delay = np.full(living.shape, np.nan, np.float32)
-    if isinstance(strategy, Frontness) or (isinstance(strategy, Links) and not strategy.strength):
+    if isinstance(strategy, Frontness) or (isinstance(strategy, CopyingStrategy) and not strategy.strength):
         table = state.parameters.reshape(len(living), COLUMNS, -1)[:, DELAY]
         delay[follows] = table[row, living][follows]
     return head, leader, root, delay, ""
