@@ -103,7 +103,7 @@ class SwarmConfig(SensorArguments, SizeArguments, BystanderArguments, MobilityAr
     Raises:
         ArgumentError: an argument has the wrong type or is out of range.
 
-    >>> config = SwarmConfig(follow="pigeons", clusters=2, uavs=12)
+    >>> config = SwarmConfig(follow="pigeons", memory=12, clusters=2, uavs=12)
     >>> config.followers, config.follow_strategy.noise, config.kinematics_model.top_speed
     (10, 0.05, 1.0)
     """

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from usnet_env.compiling import compiled
-from usnet_env.swarm.kernels import FOLLOWS, begin_step, displacement, end_step, finish_step, norm
+from usnet_env.swarm.kernels import FOLLOWS, begin_step, displacement, end_step, finish_step, norm, split_links
 
 COLUMNS = 7  # of the table: delay, gain, noise, salt of the hashed draws, and the three coordinates of the slot
 DELAY, GAIN, NOISE, SALT, OFFSET = 0, 1, 2, 3, 4
@@ -53,13 +53,14 @@ def fly_links(
     norm(v_{i,t} + mean_k strength (1 + |p_{a_k} - p_i|^2 / scale^2)^-0.4 (v_{a_k,t} - v_{i,t}) + kappa_i n) instead.
     A follower that doesn't answer in a block flies on with the noise ``idle_noise``.
     """
-    steps, uavs = noise.shape[1], table.shape[2]
+    uavs = table.shape[2]
     above = np.empty((uavs, MOST_LINKS), np.int64)
     late = np.empty((uavs, MOST_LINKS), np.int64)
     count = np.empty(uavs, np.int64)
     salt = np.empty(uavs, np.float32)
     for b in range(len(motion)):
-        for i in range(uavs):
+        followers, _ = split_links(motion[b], source[b])
+        for i in followers:
             count[i] = 0
             a, delay = i, 0
             while count[i] < links and motion[b, a] == FOLLOWS and source[b, a] >= 0:
@@ -71,13 +72,11 @@ def fly_links(
                 count[i] += 1
             shared = response_unit == EACH_CLUSTER and source[b, i] >= 0  # by all that copy the same UAV
             salt[i] = table[b, SALT, source[b, i] % uavs if shared else i]
-        for s in range(steps):
+        for s in range(noise.shape[1]):
             t = start + s
             begin_step(b, s, t, motion, plan, noise, position, velocity)
             now = (clock[b] + s) // block_steps
-            for i in range(uavs):
-                if motion[b, i] != FOLLOWS:
-                    continue
+            for i in followers:
                 x, y, z = velocity[b, t - 1, i, 0], velocity[b, t - 1, i, 1], velocity[b, t - 1, i, 2]
                 noise_scale = table[b, NOISE, i]
                 if count[i] == 0 or (response_unit != ALWAYS and hash_draw(salt[i], now) >= response_probability):
@@ -109,19 +108,18 @@ def fly_mixed(response_unit, block_steps, reach, table, source, clock, motion, s
 
     f_k with lags l: norm(sum_{tau<l} v_{iL,t-tau} + kappa_i n), squares for f4 and f5; f6 adds the pull of its row.
     """
-    steps, uavs = noise.shape[1], table.shape[2]
+    uavs = table.shape[2]
     salt = np.empty(uavs, np.float32)
     for b in range(len(motion)):
-        for i in range(uavs):
+        followers, _ = split_links(motion[b], source[b])
+        for i in followers:
             shared = response_unit == EACH_CLUSTER and source[b, i] >= 0  # by all that copy the same UAV
             salt[i] = table[b, SALT, source[b, i] % uavs if shared else i]
-        for s in range(steps):
+        for s in range(noise.shape[1]):
             t = start + s
             begin_step(b, s, t, motion, plan, noise, position, velocity)
             now = (clock[b] + s) // block_steps if response_unit == EACH_CLUSTER else 0
-            for i in range(uavs):
-                if motion[b, i] != FOLLOWS:
-                    continue
+            for i in followers:
                 h = source[b, i]
                 kind = int(np.float32(MIXED) * hash_draw(salt[i], now))
                 x, y, z = _ZERO, _ZERO, _ZERO
@@ -149,30 +147,25 @@ def fly_slots(lags, pull, near, table, source, motion, start, noise, position, v
     v_{i,t+1} = norm(v_{L,t+1-d_i} + pull g / max(|g|, near) + kappa_i n), g = p_L + R(course) o_i - p_i, where R turns
     the x axis into the course and keeps the y axis level.
     """
-    steps, uavs = noise.shape[1], table.shape[2]
     frame = np.empty((noise.shape[2], 8), np.float32)
-    framed = np.empty(noise.shape[2], np.int64)
     for b in range(len(motion)):
-        framed[:] = -1
-        for s in range(steps):
+        followers, sources = split_links(motion[b], source[b])
+        for s in range(noise.shape[1]):
             t = start + s
             begin_step(b, s, t, motion, plan, noise, position, velocity)
-            for i in range(uavs):
-                if motion[b, i] != FOLLOWS:
-                    continue
+            for h in sources:
+                x, y, z = _ZERO, _ZERO, _ZERO
+                for lag in range(lags):
+                    v = velocity[b, t - 1 - lag, h]
+                    x, y, z = x + v[0], y + v[1], z + v[2]
+                x, y, z = norm(x, y, z)
+                level = np.sqrt(x * x + y * y)
+                cx, cy = (x / level, y / level) if level > np.float32(1e-6) else (_ONE, _ZERO)
+                row = frame[h]
+                row[0], row[1], row[2], row[3], row[4] = x, y, z, -cy, cx
+                row[5], row[6], row[7] = -z * cx, -z * cy, level
+            for i in followers:
                 h = source[b, i]
-                if framed[h] != s:  # the course of each source once a step
-                    x, y, z = _ZERO, _ZERO, _ZERO
-                    for lag in range(lags):
-                        v = velocity[b, t - 1 - lag, h]
-                        x, y, z = x + v[0], y + v[1], z + v[2]
-                    x, y, z = norm(x, y, z)
-                    level = np.sqrt(x * x + y * y)
-                    cx, cy = (x / level, y / level) if level > np.float32(1e-6) else (_ONE, _ZERO)
-                    row = frame[h]
-                    row[0], row[1], row[2], row[3], row[4] = x, y, z, -cy, cx
-                    row[5], row[6], row[7] = -z * cx, -z * cy, level
-                    framed[h] = s
                 row = frame[h]
                 along, across, up = table[b, OFFSET, i], table[b, OFFSET + 1, i], table[b, OFFSET + 2, i]
                 head, follower = position[b, t, h], position[b, t, i]

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -155,12 +154,9 @@ def _fly_step_by_step(config: SwarmConfig, flight: TrajectoryBatch, rngs: Genera
         until = flight.velocity[:, : t + 1]
         fly_free(config, first, t, plan, flight.motion, flight.noise, flight.position, until, rngs)
         if strategy is not None and strategy.has_followers:
-            step: dict[str, Any] = {
-                "position": flight.position[:, s : t + 2],
-                "velocity": flight.velocity[:, s : t + 1],
-                "noise": np.ascontiguousarray(flight.noise[:, s : s + 1]),
-            }
-            strategy.fly(replace(flight, **step, clock=flight.clock + s, plan=kernels.FLOWN))
+            position, noise = flight.position[:, s : t + 2], np.ascontiguousarray(flight.noise[:, s : s + 1])
+            step = replace(flight, position=position, velocity=until[:, s:], noise=noise, clock=flight.clock + s)
+            strategy.fly(replace(step, plan=kernels.FLOWN))
         noise = plan.kinematic_noise[:, s]
         config.kinematics_model.fly(t, flight.motion, noise, plan.kinematic_state, flight.position, flight.velocity)
 

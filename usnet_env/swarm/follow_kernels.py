@@ -9,7 +9,7 @@ from usnet_env.swarm.kernels import begin_step, displacement, end_step, finish_s
 
 # The network of f7: inputs -> hidden tanh units -> 3 outputs, in this order.
 MLP_LAGS = 4
-MLP_INPUTS = 3 + 3 * MLP_LAGS + 3 * MLP_LAGS  # relative position, own velocities, head velocities
+MLP_INPUTS = 3 + 3 * MLP_LAGS + 3 * MLP_LAGS  # relative position, inputs velocities, head velocities
 MLP_HIDDEN = 16
 
 # The coefficients of a random strategy: three terms, each with the number of its kind, its lag, its weight and a
@@ -96,7 +96,7 @@ def fly_mlp(parameters, position_scale, noise_scale, source, motion, start, nois
     steps, uavs = noise.shape[1], noise.shape[2]
     from_head = np.empty((uavs, MLP_HIDDEN), np.float32)
     hidden = np.empty(MLP_HIDDEN, np.float32)
-    own = np.empty(3 + 3 * MLP_LAGS, np.float32)
+    inputs = np.empty(3 + 3 * MLP_LAGS, np.float32)
     scale = _ONE / position_scale
     inner = MLP_INPUTS * MLP_HIDDEN
     for b in range(len(motion)):
@@ -119,18 +119,17 @@ def fly_mlp(parameters, position_scale, noise_scale, source, motion, start, nois
             for i in followers:
                 h = source[b, i]
                 for axis in range(3):
-                    own[axis] = (position[b, t, i, axis] - position[b, t - MLP_LAGS, h, axis]) * scale
+                    inputs[axis] = (position[b, t, i, axis] - position[b, t - MLP_LAGS, h, axis]) * scale
                 for lag in range(MLP_LAGS):
                     for axis in range(3):
-                        own[3 + 3 * lag + axis] = velocity[b, t - 1 - lag, i, axis]
+                        inputs[3 + 3 * lag + axis] = velocity[b, t - 1 - lag, i, axis]
                 for unit in range(MLP_HIDDEN):
                     hidden[unit] = from_head[h, unit]
                 for row in range(3 + 3 * MLP_LAGS):
                     for unit in range(MLP_HIDDEN):
-                        hidden[unit] += own[row] * weights[row, unit]
-                x = noise_scale * noise[b, s, i, 0]
-                y = noise_scale * noise[b, s, i, 1]
-                z = noise_scale * noise[b, s, i, 2]
+                        hidden[unit] += inputs[row] * weights[row, unit]
+                n = noise[b, s, i]
+                x, y, z = noise_scale * n[0], noise_scale * n[1], noise_scale * n[2]
                 for unit in range(MLP_HIDDEN):
                     active = _tanh(hidden[unit])
                     x += active * readout[unit, 0]

@@ -34,13 +34,10 @@ class ObservationBatch:
     @classmethod
     def unseen(cls, config: SwarmConfig, alive: Mask) -> Self:
         """The windows of swarms, or of one without the leading axis, in which no UAV is seen."""
-        instants, uavs = config.observation_steps + 1, alive.shape[-1]
-        return cls(
-            position=np.zeros((*alive.shape[:-1], instants, uavs, 3), np.float32),
-            velocity=np.zeros((*alive.shape[:-1], instants - 1, uavs, 3), np.float32),
-            seen=np.zeros((*alive.shape[:-1], instants, uavs), bool),
-            alive=alive.copy(),
-        )
+        swarms, uavs, instants = alive.shape[:-1], alive.shape[-1], config.observation_steps + 1
+        position = np.zeros((*swarms, instants, uavs, 3), np.float32)
+        seen = np.zeros((*swarms, instants, uavs), bool)
+        return cls(position, position[..., 1:, :, :].copy(), seen, alive.copy())
 
 
 def draw_normals(rngs: Generators, *shape: int) -> Singles:

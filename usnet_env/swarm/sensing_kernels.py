@@ -111,23 +111,16 @@ def observe(
     instants, uavs = seen.shape[1], seen.shape[2]
     width, each = 3 * uavs, len(seen) // len(true_position)
     two, way = np.empty((2, width), np.float32), np.empty(width, np.float32)  # positions now and an instant before
-    x, y, z = np.empty(instants * uavs), np.empty(instants * uavs), np.empty(instants * uavs)
     mask = np.empty((instants, width), np.int32)
     flat = mask.reshape(-1)
     shown, shown_way = position.view(np.int32), velocity.view(np.int32)
-    limited = reach.min() < np.inf
     for r in range(len(seen)):
         b, near, far = r // each, observer[r], reach[r] * reach[r]
         sees = seen[r].reshape(-1)
-        if limited and r % each == 0:
-            for t in range(instants):
-                for i in range(uavs):
-                    now, m = true_position[b, first + t * every], t * uavs + i
-                    x[m], y[m], z[m] = now[3 * i], now[3 * i + 1], now[3 * i + 2]
-        if far < np.inf:
-            for m in range(len(sees)):
-                dx, dy, dz = x[m] - near[0], y[m] - near[1], z[m] - near[2]
-                sees[m] &= dx * dx + dy * dy + dz * dz <= far
+        for m in range(len(sees) if far < np.inf else 0):
+            now, i = true_position[b, first + m // uavs * every], m % uavs * 3
+            dx, dy, dz = now[i] - near[0], now[i + 1] - near[1], now[i + 2] - near[2]
+            sees[m] &= dx * dx + dy * dy + dz * dz <= far
         for m in range(len(sees)):
             flat[3 * m] = flat[3 * m + 1] = flat[3 * m + 2] = -1 if sees[m] else 0
         for t in range(instants):

@@ -199,9 +199,6 @@ def advance(config: SwarmConfig, state: SwarmState, rngs: Generators) -> tuple[S
     Returns:
         The state at the end of the window, and the windows of T_ob velocity samples.
 
-    Raises:
-        ValueError: a registered strategy or mobility returned an array of another shape.
-
     >>> config, rngs = SwarmConfig(clusters=2, uavs=9, observation_steps=50), [np.random.default_rng(0)]
     >>> state, window = advance(config, start(config, rngs), rngs)
     >>> window.position.shape, window.velocity.shape

@@ -204,6 +204,12 @@ def destroy(state: SwarmState, candidates: Mask) -> SwarmState:
 
     ``candidates`` is ``(B, N)`` bool. A follower that copied another follower copies the nearest one above it that is
     left; if none is left up to the head, it joins the nearest remaining head itself.
+
+    >>> from usnet_env.swarm import SwarmConfig, start
+    >>> state = start(SwarmConfig(clusters=2, uavs=9), [np.random.default_rng(0)])
+    >>> after = destroy(state, state.head)
+    >>> after.heads_left, np.unique(after.root[after.alive])  # no head remains
+    (array([0]), array([-1]))
     """
     alive = state.alive & ~candidates
     root, source = state.root.copy(), state.source.copy()

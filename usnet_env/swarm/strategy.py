@@ -91,6 +91,12 @@ class FollowStrategy:
     To add one, define :meth:`direction` in a subclass, or pass a function to :func:`register_follow_strategy`. The
     strategies of this package have compiled loops, :meth:`fly`, in its place.
 
+    >>> from usnet_env.swarm import SwarmConfig
+    >>> class Opposite(FollowStrategy):
+    ...     def direction(self, inputs):
+    ...         return -inputs.head_velocity[:, 0]
+    >>> config = SwarmConfig(follow=Opposite())
+
     Attributes:
         equation: the equation as text, for lists and documentation pages.
         lags: number of past head velocities that the strategy uses; ``memory`` T_0 must be at least this.
