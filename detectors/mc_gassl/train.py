@@ -22,7 +22,7 @@ from detectors.mc_gassl.training_steps import Clustered, Task, joint_step, meta_
 from detectors.mc_gassl.triplet import Metric, batch_loss
 from detectors.weights import Checkpoint, write_losses, write_weights
 from usnet_env.arrays import Indices
-from usnet_env.config import ArgumentError
+from usnet_env.config import ArgumentError, Positive
 from usnet_env.evaluation.run import map_tasks
 from usnet_env.files import reserve_folder
 from usnet_env.swarm import SwarmConfig, advance, start
@@ -33,7 +33,6 @@ _START, _TASK, _EPISODE, _HELD_OUT, _MEASURE = range(5)  # what a seed is for
 _HELD_OUT_TASKS = 20
 
 Count = Annotated[int, Field(ge=1, le=10_000_000)]
-Positive = Annotated[float, Field(gt=0)]
 
 
 class MetaTraining(Metric):

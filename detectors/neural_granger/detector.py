@@ -14,10 +14,10 @@ from detectors.neural_granger.training import build_samples, fit_networks
 from detectors.parameters import Count, Lags
 from detectors.series.designs import check_pairs, check_steps
 from detectors.series.votes import choose_heads, name_at_random, select_top, shows_evidence, spread
+from usnet_env.config import Positive
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
-Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 
 

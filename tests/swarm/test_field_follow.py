@@ -301,6 +301,8 @@ def test_bystanders_and_traffic_are_no_heads_and_follow_no_uav():
     _, window = advance(config, state, rngs)
     one, v = state.episode(), window.velocity[0].astype(float)
     assert one.not_led.sum() == 11
+    with pytest.warns(DeprecationWarning, match="bystander is now not_led"):
+        assert one.bystander is one.not_led
     assert not (one.not_led & (one.head | one.decoy)).any()
     np.testing.assert_array_equal(one.root[one.not_led], np.flatnonzero(one.not_led))
     assert not np.isin(one.root[~one.not_led], np.flatnonzero(one.not_led)).any()
