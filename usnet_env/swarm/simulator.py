@@ -135,16 +135,16 @@ def _draw_swarms(config: SwarmConfig, rngs: Generators) -> dict[str, NDArray[Any
     else:
         by_mobility = ~drawn.not_led
     bystander = drawn.not_led & ~drawn.traffic & ~drawn.clutter
-    seen = _find_each(by_mobility), sources[:, :points], *map(_find_each, (bystander, drawn.traffic, drawn.clutter))
-    free = np.concatenate(seen, axis=1)
-    mobilities = [(each, part.stop - part.start) for each, part in find_mobilities(config, free.shape[1])]
-    states = [np.array([mobility.start(rng, count) for rng in rngs]) for mobility, count in mobilities]
+    groups = _find_each(by_mobility), sources[:, :points], *map(_find_each, (bystander, drawn.traffic, drawn.clutter))
+    free = np.concatenate(groups, axis=1)
+    counts = [(mobility, free[0, columns].size) for mobility, columns in find_mobilities(config, free.shape[1])]
+    states = [np.array([mobility.start(rng, count) for rng in rngs]) for mobility, count in counts]
     mobility_state = np.concatenate(states, axis=1, dtype=np.float64)
     if config.traffic:
         end = mobility_state.shape[1] - config.clutter
         corridors = zip(*(draw_corridors(rng, config.traffic) for rng in rngs), strict=True)
-        places, mobility_state[:, end - config.traffic : end, :3] = map(np.array, corridors)
-        position[drawn.traffic] = places.reshape(-1, 3)
+        starts, mobility_state[:, end - config.traffic : end, :3] = map(np.array, corridors)
+        position[drawn.traffic] = starts.reshape(-1, 3)
     velocity = draw_normals(rngs, config.memory, all_uavs, 3)
     seeded = [np.random.default_rng(config.follow_seed) for _ in rngs] if config.follow_seed is not None else rngs
     copying = all_uavs if led else uavs
