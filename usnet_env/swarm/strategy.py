@@ -149,7 +149,7 @@ class FollowStrategy:
                     head_position=position[past_and_now, heads].swapaxes(0, 1),
                     parameters=flight.parameters[b],
                     follower=numbers,
-                    clock=int(trajectories.clock[b]) + s,
+                    clock=int(flight.clock[b]) + s,
                 )
                 noise = np.float32(self.noise) * flight.noise[b, s, followers]
                 total = np.asarray(self.direction(inputs), np.float32) + noise
