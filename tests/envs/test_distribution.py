@@ -108,30 +108,6 @@ def test_swarms_of_p1_of_several_sizes():
         assert env.step(window["alive"] == 0)[1] < 0  # to name who isn't there is redundant
 
 
-@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
-def test_a_batch_of_games_that_differ_equals_single_games(mode):
-    laws = ["f1", "f7", "reference", "open-1"]  # with references or without, compiled or not
-    arguments = {**DRAWN, "follow": laws, "memory": 12, "observation_steps": 3, "max_rounds": 2, "reveal_truth": True}
-    batch = gym.make_vec("USNET/MultiCluster-v0", num_envs=6, autoreset_mode=mode, **arguments)
-    options = {"vectorization_mode": "sync", "vector_kwargs": {"autoreset_mode": batch.metadata["autoreset_mode"]}}
-    singles = gym.make_vec("USNET/MultiCluster-v0", num_envs=6, **options, **arguments)
-    rng = np.random.default_rng(0)
-    (one, info), (other, known) = batch.reset(seed=0), singles.reset(seed=0)
-    assert {"reference", "open-1"} < {*info["follow"]}
-    for _ in range(5):
-        np.testing.assert_equal(one, other)
-        assert list(info["follow"]) == list(known["follow"])
-        for name in ("uavs", "position_noise", "root"):
-            np.testing.assert_array_equal(info[name], known[name])
-        actions = (rng.random(batch.action_space.shape) < 0.3).astype(np.int8)
-        (one, *rest, info), (other, *others, known) = batch.step(actions), singles.step(actions)
-        np.testing.assert_equal(rest, others)
-    states = batch.get_state()
-    np.testing.assert_equal(states, list(singles.call("get_state")))
-    window = batch.set_state(states)
-    np.testing.assert_equal(window, one)
-
-
 def test_a_state_of_another_swarm_is_restored():
     env, other = make(uavs=40), make(uavs=40)
     env.reset(seed=3)

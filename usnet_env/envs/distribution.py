@@ -17,6 +17,7 @@ _MOST_KEPT = 4096  # configurations that are kept, so that equal games of a batc
 
 Names = Sequence[str] | Mapping[str, Annotated[float, Field(gt=0)]] | None
 Whole = tuple[int, int] | None
+MakeConfig = Callable[[dict[str, Any], int | None], SwarmConfig]
 
 
 class Spread(Config):
@@ -178,7 +179,7 @@ DISTRIBUTIONS = {
 }
 
 
-class DrawnArguments(Config):
+class DistributionArguments(Config):
     """The argument about games that differ. A list or mapping for another argument is a part of it."""
 
     distribution: Distribution | None = Field(
@@ -189,21 +190,20 @@ class DrawnArguments(Config):
     @classmethod
     def _gather(cls, values: Any) -> Any:
         base = values.get("distribution")
-        given = DISTRIBUTIONS.get(base, base) if isinstance(base, str) else base
-        rules = given.rules if isinstance(given, Distribution) else {} if given is None else given
+        rules = DISTRIBUTIONS.get(base, base) if isinstance(base, str) else base
+        rules = rules.rules if isinstance(rules, Distribution) else {} if rules is None else rules
         known = [name for name in Distribution.model_fields if name in cls.model_fields]
         if not isinstance(rules, Mapping) or not {*rules} <= {*known, "version"}:
             names = f"one of {', '.join(DISTRIBUTIONS)}, or a mapping of some of {', '.join(known)}"
             raise ArgumentError(f"distribution must be {names}, got {quote(base)}.")
-        own = {name: values[name] for name in known if isinstance(values.get(name), list | tuple | Mapping)}
-        rules = {**rules, **own}
-        rest = {
-            name: part for name, part in values.items() if name not in own and (part is not None or name not in rules)
-        }
-        return rest | {"distribution": Distribution(**rules) if rules else None}
+        drawn = {name: values[name] for name in known if isinstance(values.get(name), list | tuple | Mapping)}
+        rules = {**rules, **drawn}
+        fixed = {name: value for name, value in values.items() if name not in drawn}
+        fixed = {name: value for name, value in fixed.items() if value is not None or name not in rules}
+        return fixed | {"distribution": Distribution(**rules) if rules else None}
 
 
-class Draws:
+class EpisodeSampler:
     """The swarms of an environment: one configuration, or one for each episode.
 
     Args:
@@ -216,7 +216,9 @@ class Draws:
         names: what is drawn.
     """
 
-    def __init__(self, arguments: DrawnArguments, make: Callable[[dict[str, Any], int | None], SwarmConfig]) -> None:
+    def __init__(
+        self, arguments: DistributionArguments, make: Callable[[dict[str, Any], int | None], SwarmConfig]
+    ) -> None:
         self._make, self._kept = make, dict[Any, SwarmConfig]()
         self.distribution = arguments.distribution or Distribution()
         extremes = {name: list_extremes(rule) for name, rule in self.distribution.rules.items()}
@@ -232,18 +234,18 @@ class Draws:
         if not self.distribution.rules:
             return self.widest
         drawn = self.distribution.draw(rng)
-        own = {name: drawn[name] for name in self.names}
-        key = tuple(own.values())
+        drawn = {name: drawn[name] for name in self.names}
+        key = tuple(drawn.values())
         if key not in self._kept:
             if len(self._kept) == _MOST_KEPT:
                 self._kept.clear()
-            self._kept[key] = self._make(own, self.widest.uavs)
+            self._kept[key] = self._make(drawn, self.widest.uavs)
         return self._kept[key]
 
-    def reveal(self, config: SwarmConfig) -> dict[str, Any]:
+    def drawn_values(self, config: SwarmConfig) -> dict[str, Any]:
         """What was drawn for a swarm, by name."""
-        found = {name: getattr(config, name) for name in self.names}
-        return found | ({"uavs": config.uavs - config.absent} if "uavs" in found else {})
+        drawn = {name: getattr(config, name) for name in self.names}
+        return drawn | ({"uavs": config.uavs - config.absent} if "uavs" in drawn else {})
 
 
 def _find_width(name: str) -> Callable[[Any], Any]:

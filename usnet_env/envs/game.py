@@ -12,16 +12,16 @@ from gymnasium import logger, spaces
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from usnet_env.arrays import Floats, Indices, Mask, Observation
+from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.config import ArgumentError, Config, format_count, quote
 from usnet_env.objectives import hits_and_redundant, single_cluster_objective
-from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState, destroy, start
+from usnet_env.swarm import SwarmConfig, SwarmState, destroy
 from usnet_env.swarm.config import Count, Price
-from usnet_env.swarm.flight import group_by_config
-from usnet_env.swarm.simulator import advance_each
+from usnet_env.swarm.state import Rows
 
 Part = Literal["position", "velocity", "seen", "alive", "round"]
 PARTS: tuple[Part, ...] = ("position", "velocity", "seen", "alive", "round")  # of an observation
+TYPES: dict[str, type] = dict.fromkeys(PARTS, np.float32) | dict.fromkeys(("seen", "alive"), np.int8)
 COUNTERS = ("rounds", "redundant", "terminated", "truncated")
 UNANSWERED = "round 1: observed, no answer yet"  # the title of the picture of a window before the first round
 
@@ -69,25 +69,17 @@ class GameState:
     terminated: Mask  # whether the game ended by its rules
     truncated: Mask  # whether the game was stopped after ``max_rounds``
 
-    def rows(self, episodes: NDArray[np.intp]) -> Self:
+    def rows(self, games: Rows) -> Self:
         """Some games of the batch."""
-        return replace(
-            self, swarm=self.swarm.rows(episodes), **{name: getattr(self, name)[episodes] for name in COUNTERS}
-        )
+        counters = {name: getattr(self, name)[games] for name in COUNTERS}
+        return replace(self, swarm=self.swarm.rows(games), **counters)
 
-    @classmethod
-    def join(cls, states: Sequence[Self]) -> Self:
-        """The batch of all games of some batches."""
-        counters = {name: np.concatenate([getattr(state, name) for state in states]) for name in COUNTERS}
-        return cls(SwarmState.join([state.swarm for state in states]), **counters)
-
-    def with_rows(self, episodes: NDArray[np.intp], other: GameState) -> Self:
+    def with_rows(self, games: Indices, other: GameState) -> Self:
         """A copy of this batch in which ``other`` replaces some games."""
-        changed: dict[str, Any] = {"swarm": self.swarm.with_rows(episodes, other.swarm)}
-        for name in COUNTERS:
-            changed[name] = getattr(self, name).copy()
-            changed[name][episodes] = getattr(other, name)
-        return replace(self, **changed)
+        counters = {name: getattr(self, name).copy() for name in COUNTERS}
+        for name, part in counters.items():
+            part[games] = getattr(other, name)
+        return replace(self, swarm=self.swarm.with_rows(games, other.swarm), **counters)
 
 
 def window_spaces(steps: int, uavs: int, rounds: int, far: float, fast: float) -> dict[str, spaces.Space[Any]]:
@@ -137,16 +129,6 @@ def check_options(options: Any) -> None:
         raise ArgumentError(f"options must be empty, since a game is changed by its arguments, got {quote(options)}.")
 
 
-def start_games(configs: Sequence[SwarmConfig], rngs: Sequence[np.random.Generator]) -> GameState:
-    """Start B games, each with its configuration and its generator."""
-    kinds = group_by_config(configs)
-    swarm = SwarmState.join([start(config, [rngs[b] for b in rows]) for config, rows in kinds])
-    if len(kinds) > 1:
-        swarm = swarm.rows(np.argsort(np.concatenate([rows for _, rows in kinds])))
-    zeros = np.zeros(len(rngs), np.int64)
-    return GameState(swarm, zeros, zeros.copy(), zeros.astype(bool), zeros.astype(bool))
-
-
 def play_round(rules: Rules, state: GameState, candidates: Mask) -> tuple[GameState, Floats, dict[str, NDArray[Any]]]:
     """Play one round: score and destroy the candidates; followers of a destroyed head re-merge.
 
@@ -191,15 +173,9 @@ def play_round(rules: Rules, state: GameState, candidates: Mask) -> tuple[GameSt
 def title_round(metrics: Mapping[str, Any]) -> str:
     """The title of the picture of a round, from its metrics as plain numbers: its result, J so far, and the reward."""
     reward = sum(value for name, value in metrics.items() if name.startswith("reward_"))
-    found = f"{format_count(metrics['hits'], 'head')} hit, {metrics['redundant']} redundant"
-    found = "over the shot budget" if metrics["over_budget"] else found
-    return f"round {metrics['round']}: {found}   J {metrics['J']:.3f}   reward {reward:.3f}"
-
-
-def initial_info(rules: Rules, state: GameState) -> dict[str, NDArray[Any]]:
-    """The metrics of ``info`` before the first round: those of a round without candidates, all zero or false."""
-    metrics = play_round(rules, state, np.zeros_like(state.swarm.alive))[2]
-    return {name: np.zeros_like(values) for name, values in metrics.items()}
+    result = f"{format_count(metrics['hits'], 'head')} hit, {metrics['redundant']} redundant"
+    result = "over the shot budget" if metrics["over_budget"] else result
+    return f"round {metrics['round']}: {result}   J {metrics['J']:.3f}   reward {reward:.3f}"
 
 
 def truth_info(swarm: SwarmState) -> dict[str, NDArray[Any]]:
@@ -213,37 +189,4 @@ def truth_info(swarm: SwarmState) -> dict[str, NDArray[Any]]:
         "root": swarm.root,
         "leader": swarm.leader,
         "heads_left": swarm.heads_left,
-    }
-
-
-def observe_windows(
-    configs: Sequence[SwarmConfig], state: GameState, rngs: Sequence[np.random.Generator]
-) -> tuple[GameState, Observation]:
-    """Simulate and observe the next window of every game that has not terminated; other games get an empty window.
-
-    Returns:
-        The games at the end of the window, and the observation with a leading axis B.
-    """
-    running = np.flatnonzero(~state.terminated)
-    if len(running) == len(rngs):
-        swarm, window = advance_each(configs, state.swarm, rngs)
-        return replace(state, swarm=swarm), show_window(window, state.rounds[:, None])
-    window, swarm = ObservationBatch.unseen(configs[0], state.swarm.alive), state.swarm
-    if len(running):
-        rows = running.tolist()
-        after, observed = advance_each([configs[b] for b in rows], swarm.rows(running), [rngs[b] for b in rows])
-        swarm = swarm.with_rows(running, after)
-        for name in ("position", "velocity", "seen"):
-            getattr(window, name)[running] = getattr(observed, name)
-    return replace(state, swarm=swarm), show_window(window, state.rounds[:, None])
-
-
-def show_window(window: ObservationBatch, rounds: Indices) -> Observation:
-    """The observation of a window, or of a batch of them, after so many ``rounds``."""
-    return {
-        "position": window.position,
-        "velocity": window.velocity,
-        "seen": window.seen.view(np.int8),
-        "alive": window.alive.astype(np.int8),
-        "round": (rounds + 1).astype(np.float32),
     }

@@ -1,4 +1,4 @@
-"""Play one episode, round by round: the loop of `evaluate`, the rounds study, replays and the tier benchmark."""
+"""Play one episode, round by round: the loop of `evaluate` and of replays."""
 
 from __future__ import annotations
 

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 from pydantic import Field
 
 from usnet_env.arrays import Mask, Observation, Singles
 from usnet_env.config import ArgumentError, list_arguments, quote, takes_arguments
 from usnet_env.envs import game
-from usnet_env.envs.distribution import DrawnArguments, Draws
+from usnet_env.envs.batch import WINDOW
+from usnet_env.envs.distribution import DistributionArguments, EpisodeSampler
 from usnet_env.envs.usnet import INFO, OBSERVATION, OutputArguments, UsnetEnv
 from usnet_env.swarm import SwarmConfig
 from usnet_env.swarm.config import Count, MobilityArguments, Price, SensorArguments, SwarmArguments
@@ -100,8 +101,8 @@ class ProbingEnv(UsnetEnv):
     def __init__(self, arguments: ProbingArguments) -> None:
         self.arguments = arguments
         config = arguments.part(SwarmConfig, clusters=1, uavs=arguments.followers + 1 + arguments.decoys)
-        draws = Draws(DrawnArguments(), lambda drawn, most: config)  # all episodes have the same arguments
-        super().__init__(draws, arguments.part(game.Rules, problem="P1", max_rounds=1), arguments)
+        sampler = EpisodeSampler(DistributionArguments(), lambda drawn, most: config)  # all episodes are alike
+        super().__init__(sampler, arguments.part(game.Rules, problem="P1", max_rounds=1), arguments)
         steps, track = config.observation_steps, (config.observation_steps + 1, arguments.intruders, 3)
         far = 3 * config.position_bound(1) + arguments.reach + arguments.top_speed * steps * config.sample_every
         window: Any = self.observation_space
@@ -114,6 +115,8 @@ class ProbingEnv(UsnetEnv):
         # The true flight so far ``position`` (S + 1, N, 3), ``velocity`` (S, N, 3) and ``intruders`` (T_ob + 1, K, 3),
         # the samples ``elapsed``, and the seed of the ``sensor``.
         self._flight: dict[str, Any] = {}
+        self._costs = {"reward_time": 0.0, "reward_moves": 0.0}  # of the last step
+        self._shown: Observation = {}  # the present observation
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Fly until the next look, or score the candidates if there are any or the window is full.
@@ -121,23 +124,20 @@ class ProbingEnv(UsnetEnv):
         Raises:
             ArgumentError: the action has another form or values out of range, or the episode has ended.
         """
-        before = game.require_game(self._game)
-        game.require_game(None if before.terminated[0] else before)
+        self._games.require_running()
         velocity, candidates = self._parse(action)
         elapsed, steps = self._flight["elapsed"], self.config.observation_steps
-        costs = {"reward_time": np.zeros(1), "reward_moves": np.zeros(1)}
-        if candidates.any() or elapsed == steps:
-            self._game, rewards, metrics = game.play_round(self.rules, before, candidates[None])
-            title = game.title_round({name: value[0].item() for name, value in metrics.items()})
-            self._last_round = (self._window, before.swarm, candidates, title)
-            observation = {name: self._window[name].copy() for name in self.observe}
-            return observation, float(rewards[0]), True, False, self._info(metrics | costs)
-        share = min(self.arguments.look_every, steps - elapsed) / steps
-        costs["reward_time"] -= self.arguments.time_price * share
-        costs["reward_moves"] -= self.arguments.move_price * share * np.linalg.norm(velocity, axis=1).mean()
-        self._fly(np.float32(self.arguments.top_speed) * velocity)
-        reward = float(costs["reward_time"][0] + costs["reward_moves"][0])
-        return self._look(), reward, False, False, self._info(game.initial_info(self.rules, before) | costs)
+        named = bool(candidates.any()) or elapsed == steps
+        share = 0.0 if named else min(self.arguments.look_every, steps - elapsed) / steps
+        speed = np.linalg.norm(velocity, axis=1).mean()
+        self._costs["reward_time"] = 0.0 - self.arguments.time_price * share
+        self._costs["reward_moves"] = 0.0 - float(self.arguments.move_price * share * speed)
+        reward = sum(self._costs.values())
+        if named:
+            reward = float(self._games.play_round(candidates, np.ones(1, bool))[0])
+        else:
+            self._fly_on(np.float32(self.arguments.top_speed) * velocity)
+        return self._observe(self.observe), reward, named, False, self._info()
 
     def _parse(self, action: Any) -> tuple[Singles, Mask]:
         """Check an action: the velocities ``(K, 3)``, of length 1 at most, and the candidates ``(N,)``."""
@@ -150,67 +150,71 @@ class ProbingEnv(UsnetEnv):
         candidates = game.parse_candidates(action["candidates"], (self.config.uavs,), "candidates")
         return (velocity / np.maximum(length, 1)).astype(np.float32), candidates
 
-    def _observe(self, state: game.GameState) -> Observation:
+    def _fly(self) -> None:
         """Begin the window: fly the unobserved steps, and place the intruders around the swarm."""
-        config, steps = self.config, self.config.observation_steps
-        swarm, *_ = fly_steps([config], state.swarm, [self.np_random], config.memory)
-        self._game = game.GameState(swarm, state.rounds, state.redundant, state.terminated, state.truncated)
-        place = swarm.position[0]
-        middle = place.mean(axis=0)
+        config, games, steps = self.config, self._games, self.config.observation_steps
+        swarm, *_ = fly_steps([config], games.game.swarm, games.rngs, config.memory)
+        games.game = replace(games.game, swarm=swarm)
+        position = swarm.position[0]
+        middle = position.mean(axis=0)
         away = self.np_random.standard_normal((self.arguments.intruders, 3))
-        away *= (np.linalg.norm(place - middle, axis=1).max() + self.arguments.reach) / np.linalg.norm(
+        away *= (np.linalg.norm(position - middle, axis=1).max() + self.arguments.reach) / np.linalg.norm(
             away, axis=1, keepdims=True
         )
-        flown = steps * config.sample_every
+        samples = steps * config.sample_every
         self._flight = {
-            "position": place.repeat(flown + 1, axis=0).reshape(-1, flown + 1, 3).swapaxes(0, 1).copy(),
-            "velocity": np.zeros((flown, config.uavs, 3), np.float32),
+            "position": position.repeat(samples + 1, axis=0).reshape(-1, samples + 1, 3).swapaxes(0, 1).copy(),
+            "velocity": np.zeros((samples, config.uavs, 3), np.float32),
             "intruders": (middle + away).astype(np.float32)[None].repeat(steps + 1, axis=0),
             "elapsed": 0,
             "sensor": int(self.np_random.integers(2**63)),
         }
-        return self._look()
+        self._costs = dict.fromkeys(self._costs, 0.0)
+        self._look()
 
-    def _fly(self, velocity: Singles) -> None:
+    def _fly_on(self, velocity: Singles) -> None:
         """Fly until the next look with intruders at ``(K, 3)`` metres per step."""
         flight, arguments, every = self._flight, self.arguments, self.config.sample_every
-        state, begin = game.require_game(self._game), flight["elapsed"]
+        games, begin = self._games, flight["elapsed"]
         samples = min(arguments.look_every, self.config.observation_steps - begin)
-        place, model = flight["intruders"][begin], self.config.kinematics_model
-        avoidance = Avoidance(model, place[None], velocity[None], arguments.reach, arguments.push, self.config.uavs)
+        position, model = flight["intruders"][begin], self.config.kinematics_model
+        avoidance = Avoidance(model, position[None], velocity[None], arguments.reach, arguments.push, self.config.uavs)
         config, first = self.config.model_copy(update={"kinematics": avoidance}), begin * every
-        swarm, flown, speed = fly_steps([config], state.swarm, [self.np_random], samples * every)
+        swarm, flown, speed = fly_steps([config], games.game.swarm, games.rngs, samples * every)
         flown, speed = flown[0, config.memory :, : config.uavs], speed[0, config.memory :, : config.uavs]
         flight["position"][first : first + samples * every + 1] = flown
         flight["position"][first + samples * every + 1 :] = flown[-1]
         flight["velocity"][first : first + samples * every] = speed
         passed = np.minimum(np.arange(len(flight["intruders"]) - begin), samples)[:, None, None]
-        flight["intruders"][begin:] = place + np.float32(every) * passed.astype(np.float32) * velocity
+        flight["intruders"][begin:] = position + np.float32(every) * passed.astype(np.float32) * velocity
         flight["elapsed"] = begin + samples
-        self._game = game.GameState(swarm, state.rounds, state.redundant, state.terminated, state.truncated)
+        games.game = replace(games.game, swarm=swarm)
+        self._look()
 
-    def _look(self) -> Observation:
-        """The window so far. The sensor observes it anew with the same random numbers, so that the past stays."""
-        flight, state = self._flight, game.require_game(self._game)
-        sensor, elapsed = np.random.default_rng(flight["sensor"]), flight["elapsed"]
-        flown, swarm = (flight["position"][None].copy(), flight["velocity"][None]), state.swarm
-        seen = sense([self.config], *flown, swarm.alive, [sensor], swarm.free)
-        window = {name: values[0] for name, values in game.show_window(seen, state.rounds[:, None]).items()}
-        window |= {"intruders": flight["intruders"], "elapsed": np.full(1, elapsed, np.float32)}
-        for name, first in {"position": elapsed + 1, "seen": elapsed + 1, "velocity": elapsed}.items():
-            window[name] = window[name].copy()
-            window[name][first:] = 0
-        return self._show(window)
+    def _look(self) -> None:
+        """Observe the window so far anew with the same random numbers of the sensor, so that the past stays."""
+        flight, games, elapsed = self._flight, self._games, self._flight["elapsed"]
+        flown, swarm = (flight["position"][None].copy(), flight["velocity"][None]), games.game.swarm
+        seen = sense([self.config], *flown, swarm.alive, [np.random.default_rng(flight["sensor"])], swarm.free)
+        games.window = {name: getattr(seen, name).copy() for name in WINDOW}
+        for name, part in games.window.items():
+            part[:, elapsed + (name != "velocity") :] = 0
+        games.watch(games.all_games)
+        self._scene = {"intruders": flight["intruders"].copy()}
+        self._shown = games.observe(game.PARTS, 0) | self._scene | {"elapsed": np.full(1, elapsed, np.float32)}
 
-    def _info(self, metrics: dict[str, NDArray[Any]]) -> dict[str, Any]:
-        return super()._info({"reward_time": np.zeros(1), "reward_moves": np.zeros(1)} | metrics)
+    def _observe(self, names: Sequence[str]) -> Observation:
+        return {name: self._shown[name].copy() for name in names}
+
+    def _info(self) -> dict[str, Any]:
+        return self._costs | super()._info()
 
     def _settings(self) -> dict[str, Any]:
         return {"arguments": self.arguments.model_dump()}
 
     def get_state(self) -> dict[str, Any]:
         """A copy of the complete state of the episode as plain arrays and numbers."""
-        return super().get_state() | {"flight": copy.deepcopy(self._flight)}
+        return super().get_state() | {"observation": copy.deepcopy(self._shown), "flight": copy.deepcopy(self._flight)}
 
     def set_state(self, state: dict[str, Any]) -> Observation:
         """Restore a state from :meth:`get_state` of an environment with the same arguments, and show its observation.
@@ -218,6 +222,7 @@ class ProbingEnv(UsnetEnv):
         Raises:
             ArgumentError: the state is of an environment with other arguments.
         """
-        observation = super().set_state(state)
-        self._flight = copy.deepcopy(state["flight"])
-        return observation
+        super().set_state(state)
+        self._shown, self._flight = copy.deepcopy((state["observation"], state["flight"]))
+        self._scene = {"intruders": self._shown["intruders"]}
+        return self._observe(self.observe)

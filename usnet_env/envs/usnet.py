@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Self
 
 import gymnasium as gym
 import numpy as np
@@ -15,9 +15,9 @@ from pydantic import Field
 
 from usnet_env.arrays import Mask, Observation
 from usnet_env.config import ArgumentError, list_arguments, optional_seed, quote, takes_arguments
-from usnet_env.drawing import EpisodeFrames
 from usnet_env.envs import game
-from usnet_env.envs.distribution import DrawnArguments, Draws
+from usnet_env.envs.batch import SwarmGames
+from usnet_env.envs.distribution import DistributionArguments, EpisodeSampler
 from usnet_env.swarm import SwarmConfig, SwarmState
 from usnet_env.swarm.config import BystanderArguments, MobilityArguments, SensorArguments, SwarmArguments
 
@@ -46,8 +46,6 @@ INFO_P2 = f"""{INFO}
     | `reward_round` | the part of the reward for the round, −1 |
     | `reward_redundancy` | the rest of the reward: the price of redundant candidates |"""
 
-LastRound = tuple[Observation, SwarmState, Mask, str]
-
 
 class OutputArguments(game.RenderArguments):
     """The arguments about the output of an environment: ``info`` and pictures."""
@@ -61,7 +59,7 @@ class OutputArguments(game.RenderArguments):
 
 
 class SingleClusterArguments(
-    DrawnArguments,
+    DistributionArguments,
     OutputArguments,
     game.ShotArguments,
     SensorArguments,
@@ -78,7 +76,7 @@ class SingleClusterArguments(
     followers: Annotated[int, Field(ge=2, le=90_000)] = Field(15, description="m, number of followers, at least 2")
 
 
-class MultiClusterArguments(DrawnArguments, OutputArguments, game.RoundArguments, SwarmConfig):
+class MultiClusterArguments(DistributionArguments, OutputArguments, game.RoundArguments, SwarmConfig):
     """The arguments of :class:`MultiClusterEnv`."""
 
     instead: ClassVar[Mapping[str, str]] = {
@@ -89,10 +87,10 @@ class MultiClusterArguments(DrawnArguments, OutputArguments, game.RoundArguments
 
 def _make_cluster(arguments: SingleClusterArguments, drawn: dict[str, Any], most: int | None) -> SwarmConfig:
     """The swarm of P1, in arrays for ``most`` UAVs."""
-    given = dict(arguments) | drawn
-    uavs = 1 + sum(given[name] for name in ("followers", "decoys", "bystanders", "traffic", "clutter"))
-    most, values = most or uavs, {name: value for name, value in drawn.items() if name != "followers"}
-    return arguments.part(SwarmConfig, **values, clusters=1, uavs=most, absent=most - uavs)
+    values = dict(arguments) | drawn
+    uavs = 1 + sum(values[name] for name in ("followers", "decoys", "bystanders", "traffic", "clutter"))
+    most, changes = most or uavs, {name: value for name, value in drawn.items() if name != "followers"}
+    return arguments.part(SwarmConfig, **changes, clusters=1, uavs=most, absent=most - uavs)
 
 
 def _make_clusters(arguments: MultiClusterArguments, drawn: dict[str, Any], most: int | None) -> SwarmConfig:
@@ -102,8 +100,16 @@ def _make_clusters(arguments: MultiClusterArguments, drawn: dict[str, Any], most
     return arguments.part(SwarmConfig, **drawn | {"uavs": most, "absent": arguments.absent + most - uavs})
 
 
+def _of_game(name: str) -> Any:
+    """A property of an environment that its batch holds for each game."""
+    return property(
+        lambda env: getattr(env._games, name)[env._number],
+        lambda env, value: getattr(env._games, name).__setitem__(env._number, value),
+    )
+
+
 class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
-    """Base class of :class:`SingleClusterEnv` and :class:`MultiClusterEnv`.
+    """Base class of :class:`SingleClusterEnv` and :class:`MultiClusterEnv`: one game of a batch, mostly of one game.
 
     Attributes:
         config: the swarm of the present episode and its observer.
@@ -113,20 +119,30 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 1}  # type: ignore[misc]  # Gymnasium's is no ClassVar
 
-    def __init__(self, draws: Draws, rules: game.Rules, output: OutputArguments) -> None:
-        self._draws = draws
-        self.config = self.widest_config = config = draws.widest
-        self.rules = rules
+    config = _of_game("configs")
+    _np_random, _np_random_seed = _of_game("rngs"), _of_game("seeds")
+
+    def __init__(self, sampler: EpisodeSampler, rules: game.Rules, output: OutputArguments) -> None:
+        self._sampler, self.rules, self.widest_config = sampler, rules, sampler.widest
         self.reveal_truth = output.reveal_truth
         self.render_mode = output.render_mode
-        seen = game.observation_space(config, rules, output.observe or game.PARTS)
+        seen = game.observation_space(sampler.widest, rules, output.observe or game.PARTS)
         self.observation_space, self.observe = seen, tuple(seen)  # type: ignore[assignment]  # Dict is invariant
-        self.action_space = spaces.MultiBinary(config.uavs)
-        self._game: game.GameState | None = None
-        self._window: Observation = {}  # the present observation
-        # The round before it: window, swarm, candidates, and title of its frame.
-        self._last_round: LastRound | None = None
-        self._frames = EpisodeFrames()
+        self.action_space = spaces.MultiBinary(sampler.widest.uavs)
+        self._games, self._number = self._make_games(1), 0
+        self._scene: dict[str, Any] = {}  # what pictures show besides the swarm
+
+    def _make_games(self, num_envs: int) -> SwarmGames:
+        """A batch of games with the arguments of this environment."""
+        games = SwarmGames(num_envs, self.widest_config, self.rules, self._sampler.draw)
+        games.pictures = self.render_mode is not None
+        return games
+
+    def _view_game(self, games: SwarmGames, number: int) -> Self:
+        """An environment that stands for one game of a batch."""
+        view = copy.copy(self)
+        view._games, view._number = games, number
+        return view
 
     @property
     def problem(self) -> str:
@@ -136,7 +152,7 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
     @property
     def swarm(self) -> SwarmState:
         """A copy of the true state of the swarm, for evaluation and rendering; a detector must not use it."""
-        return game.require_game(self._game).swarm.episode()
+        return self._games.game.swarm.episode(self._number)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -152,11 +168,10 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         """
         game.check_options(options)
         super().reset(seed=optional_seed("seed", seed))
-        self.config = self._draws.draw(self.np_random)
-        state = game.start_games([self.config], [self.np_random])
-        metrics = game.initial_info(self.rules, state)
-        self._last_round, self._frames = None, EpisodeFrames()
-        return self._observe(state), self._info(metrics)
+        _ = self.np_random  # made here, if there is none
+        self._games.start(np.array([self._number]))
+        self._fly()
+        return self._observe(self.observe), self._info()
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Destroy the candidates, ``(N,)`` of 0 and 1, score the round, and observe the next window.
@@ -166,65 +181,46 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         Raises:
             ArgumentError: the action has another shape or other values, or the episode has ended.
         """
-        before = game.require_game(self._game)
-        game.require_game(None if before.terminated[0] or before.truncated[0] else before)
-        candidates = game.parse_candidates(action, (self.config.uavs,))
-        state, rewards, metrics = game.play_round(self.rules, before, candidates[None])
-        title = game.title_round({name: value[0].item() for name, value in metrics.items()})
-        self._last_round = (self._window, before.swarm, candidates, title)
-        observation, over = self._observe(state), (bool(state.terminated[0]), bool(state.truncated[0]))
-        return observation, float(rewards[0]), *over, self._info(metrics)
+        games, number = self._games, self._number
+        games.require_running(number)
+        candidates = game.parse_candidates(action, self.action_space.shape or ())
+        reward = float(games.play_round(candidates, games.all_games == number)[number])
+        self._fly()
+        over = bool(games.game.terminated[number]), bool(games.game.truncated[number])
+        return self._observe(self.observe), reward, *over, self._info()
 
-    def _observe(self, state: game.GameState) -> Observation:
-        self._game, observation = game.observe_windows([self.config], state, [self.np_random])
-        return self._show({name: values[0] for name, values in observation.items()})
+    def _fly(self) -> None:
+        """Fly and observe the next window."""
+        self._games.fly(np.array([self._number]))
 
-    def _show(self, window: Observation) -> Observation:
-        """Keep the present window, and return a copy."""
-        self._window = window
-        if self.render_mode is not None:
-            self._frames.watch(window["position"], window["seen"].astype(bool))
-        return {name: window[name].copy() for name in self.observe}
+    def _observe(self, names: Sequence[str]) -> Observation:
+        """Parts of the present observation."""
+        return self._games.observe(names, self._number)
 
-    def show_round(self, window: Observation, last_round: LastRound | None) -> None:
-        """Keep the present window and the round before it, for pictures; without a last round a game begins."""
-        self._last_round = last_round
-        if last_round is None:
-            self._frames = EpisodeFrames()
-        self._show(window)
-
-    def place(
-        self, config: SwarmConfig, state: game.GameState, window: Observation, rng: np.random.Generator, seed: int
-    ) -> None:
-        """Become a game that is played elsewhere, with its generator."""
-        self.config = config
-        self._game, self._window, self._np_random, self._np_random_seed = state, window, rng, seed
-
-    def _info(self, metrics: dict[str, NDArray[Any]]) -> dict[str, Any]:
-        info: dict[str, Any] = {name: values[0].item() for name, values in metrics.items()}
+    def _info(self) -> dict[str, Any]:
+        info: dict[str, Any] = {name: values[self._number].item() for name, values in self._games.metrics.items()}
         if self.reveal_truth:
             truth = game.truth_info(self.swarm)
-            info |= {**truth, "heads_left": int(truth["heads_left"]), **self._draws.reveal(self.config)}
+            info |= {**truth, "heads_left": int(truth["heads_left"]), **self._sampler.drawn_values(self.config)}
         return info
 
     def action_masks(self) -> Mask:
         """``(2 N,)`` bool for maskable agents: for each UAV whether 0 and whether 1 is allowed (1 only if it lives)."""
-        alive = game.require_game(self._game).swarm.alive[0]
-        return np.stack([np.ones_like(alive), alive], axis=1).reshape(-1)
+        return self._games.action_masks(self._number)
 
     def _settings(self) -> dict[str, Any]:
         """What all states of an environment share: its arguments."""
-        shared = {"widest_config": self.widest_config, "distribution": self._draws.distribution, "rules": self.rules}
-        return {name: part.model_dump() for name, part in shared.items()}
+        shared = {"widest_config": self.widest_config, "distribution": self._sampler.distribution, "rules": self.rules}
+        return {name: config.model_dump() for name, config in shared.items()}
 
     def get_state(self) -> dict[str, Any]:
         """A copy of the complete state of the episode as plain arrays and numbers."""
-        state = game.require_game(self._game)
+        state = self._games.game.rows([self._number])
         return {
             "config": self.config.model_dump(),
             "swarm": state.swarm.arrays(),
-            "game": {name: getattr(state, name).copy() for name in game.COUNTERS},
-            "observation": copy.deepcopy(self._window),
+            "game": {name: getattr(state, name) for name in game.COUNTERS},
+            "observation": self._observe(game.PARTS),
             "generator": copy.deepcopy(self.np_random.bit_generator.state),
             **self._settings(),
         }
@@ -239,13 +235,10 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         if {name: state.get(name) for name in here} != here:
             raise ArgumentError(f"state must come from get_state with the same arguments, got {quote(state)}.")
         saved = copy.deepcopy(state)
-        self.config = SwarmConfig(**saved["config"])
-        self._game = game.GameState(swarm=SwarmState(**saved["swarm"]), **saved["game"])
-        self._last_round, self._frames = None, EpisodeFrames()
-        if self._np_random is None:
-            super().reset(seed=0)
+        restored = game.GameState(swarm=SwarmState(**saved["swarm"]), **saved["game"])
+        self._games.load_game(self._number, SwarmConfig(**saved["config"]), restored, saved["observation"])
         self.np_random.bit_generator.state = saved["generator"]
-        return self._show(saved["observation"])
+        return self._observe(self.observe)
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the last round, or before the first one the present window, as seen from above, ``(H, W, 3)`` uint8.
@@ -256,13 +249,7 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         Raises:
             MissingExtraError: matplotlib is not installed.
         """
-        if not game.has_mode(self.render_mode):
-            return None
-        state = game.require_game(self._game)
-        window, swarm, candidates, title = self._last_round or (self._window, state.swarm, None, game.UNANSWERED)
-        roles, seen = swarm.episode().roles(), window["seen"].astype(bool)
-        scene = {"position": window["position"], "intruders": window.get("intruders"), **roles}
-        return self._frames.render(seen=seen, candidates=candidates, title=title, **scene)
+        return self._games.draw(self._number, **self._scene) if game.has_mode(self.render_mode) else None
 
 
 @list_arguments(observation=OBSERVATION, info=INFO)
@@ -312,7 +299,7 @@ class SingleClusterEnv(UsnetEnv):
     @takes_arguments(SingleClusterArguments)
     def __init__(self, arguments: SingleClusterArguments) -> None:
         rules = arguments.part(game.Rules, problem="P1", max_rounds=1)
-        super().__init__(Draws(arguments, partial(_make_cluster, arguments)), rules, arguments)
+        super().__init__(EpisodeSampler(arguments, partial(_make_cluster, arguments)), rules, arguments)
 
 
 @list_arguments(observation=OBSERVATION, info=INFO_P2)
@@ -366,4 +353,4 @@ class MultiClusterEnv(UsnetEnv):
     @takes_arguments(MultiClusterArguments)
     def __init__(self, arguments: MultiClusterArguments) -> None:
         rules = arguments.part(game.Rules, problem="P2")
-        super().__init__(Draws(arguments, partial(_make_clusters, arguments)), rules, arguments)
+        super().__init__(EpisodeSampler(arguments, partial(_make_clusters, arguments)), rules, arguments)

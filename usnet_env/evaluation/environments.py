@@ -47,7 +47,7 @@ def describe_environments() -> dict[str, str]:
 
     An id that only sets arguments of another one is described by this id and the arguments.
     """
-    from usnet_env.multiagent.registration import GAMES  # not at the top: it registers the games with PettingZoo
+    from usnet_env.multiagent import GAMES  # not at the top: it registers the games with PettingZoo
 
     specs = {name: gym.registry[name] for name in usnet_ids()}
     base = {spec.entry_point: name for name, spec in specs.items() if not spec.kwargs}

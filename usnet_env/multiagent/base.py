@@ -15,7 +15,6 @@ from pydantic import Field
 
 from usnet_env.arrays import Floats, Mask, Observation, Singles
 from usnet_env.config import ArgumentError, MissingExtraError, how_to_install, optional_seed, quote
-from usnet_env.drawing import EpisodeFrames
 from usnet_env.envs import game
 from usnet_env.envs.game import Rules
 from usnet_env.multiagent.batch import GameBatch
@@ -71,17 +70,15 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
     def __init__(self, games: GameBatch, render_mode: str | None) -> None:
         self.games, self.config, self.rules = games, games.config, games.rules
         self.render_mode = render_mode
+        games.pictures = render_mode is not None
         #: The role of each agent, and its number in the role.
-        self._places = {f"{role}_{j}": (role, j) for role, count in games.roles.items() for j in range(count)}
-        self.possible_agents = list(self._places)
+        self._rows = {f"{role}_{j}": (role, j) for role, count in games.roles.items() for j in range(count)}
+        self.possible_agents = list(self._rows)
         self.agents: list[str] = []
-        own = {
-            agent: (games.observation_spaces[role], games.action_spaces[role])
-            for agent, (role, _) in self._places.items()
+        self._spaces = {
+            agent: copy.deepcopy((games.observation_spaces[role], games.action_spaces[role]))
+            for agent, (role, _) in self._rows.items()
         }
-        self._spaces = {agent: copy.deepcopy(pair) for agent, pair in own.items()}
-        self._before: GameBatch | None = None  # the game before its last round, for :attr:`last_round`
-        self._frames = EpisodeFrames()
 
     def observation_space(self, agent: str) -> spaces.Dict:
         """The observation space of an agent."""
@@ -112,7 +109,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
             ArgumentError: the seed is not a whole number from 0.
         """
         observations, infos = self.games.reset(seed=optional_seed("seed", seed))
-        self.agents, self._before = list(self.possible_agents), None
+        self.agents = list(self.possible_agents)
         return self._split(observations, self.agents), self._split(infos, self.agents)
 
     def step(self, actions: Any) -> Step:
@@ -121,10 +118,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         Raises:
             ArgumentError: an action is missing, or has a wrong shape or wrong values, or the game has ended.
         """
-        whole, playing, before = self._gather(actions), self.agents, copy.copy(self.games)
-        answers = self.games.play(whole)
-        if self.games.metrics["round"][0]:  # the opening of evasion is no round
-            self._before = before
+        answers, playing = self.games.play(self._gather(actions)), self.agents
         active = self._split(self.games.active, playing)
         self.agents = [agent for agent in playing if active[agent]]
         seen, rewards, terminated, truncated, infos = (self._split(part, playing) for part in answers)
@@ -137,7 +131,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
             names = ", ".join(self.agents)
             raise ArgumentError(f"actions must map each of {names} to its action, got {quote(actions)}.")
         parsed: dict[str, list[NDArray[Any]]] = {role: [] for role in self.games.roles}
-        for agent, (role, _) in self._places.items():
+        for agent, (role, _) in self._rows.items():
             action = actions.get(agent, np.zeros(self.action_space(agent).shape or (), np.int64))
             parsed[role].append(self.games.parse(role, action, (), f"action of {agent}"))
         return {role: np.stack(rows)[None] for role, rows in parsed.items()}
@@ -150,16 +144,17 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
                 return {name: pick(part, j) for name, part in values.items()}
             return values[0, j].copy() if values.ndim > 2 else values[0, j].item()
 
-        return {agent: pick(by_role[role], j) for agent in agents for role, j in [self._places[agent]]}
+        return {agent: pick(by_role[role], j) for agent in agents for role, j in [self._rows[agent]]}
 
     @property
     def last_round(self) -> RoundRecord | None:
         """The round of the last step; ``None`` before the first round."""
-        if self._before is None:
+        games = self.games
+        if not games.answered[0]:  # neither is the opening of evasion a round
             return None
-        metrics = {name: values[0].item() for name, values in self.games.metrics.items()}
-        sighting, truth = self._before.merge_windows(), self._before.reveal().episode()
-        return RoundRecord(sighting, truth, self.games.candidates[0], self.games.scores[0], metrics)
+        metrics = {name: values[0].item() for name, values in games.metrics.items()}
+        sighting, truth = games.before.merge_windows(), games.before.reveal().episode()
+        return RoundRecord(sighting, truth, games.candidates[0], games.scores[0], metrics)
 
     def state(self) -> Singles:
         """The true state for a centralised critic, ``(S,)`` float32; see :meth:`GameBatch.state`."""
@@ -167,19 +162,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the last round, or the current window before the first round, ``(H, W, 3)`` uint8."""
-        if not game.has_mode(self.render_mode):
-            return None
-        if (last := self.last_round) is not None:
-            sighting, truth, candidates = last.sighting, last.truth, last.candidates
-            title = game.title_round(last.metrics)
-        else:
-            self._frames = EpisodeFrames()
-            truth, sighting = self.games.reveal().episode(), self.games.merge_windows()
-            candidates, title = None, game.UNANSWERED
-        self._frames.watch(sighting.position, sighting.seen)
-        return self._frames.render(
-            position=sighting.position, seen=sighting.seen, candidates=candidates, title=title, **truth.roles()
-        )
+        return self.games.draw() if game.has_mode(self.render_mode) else None
 
     def describe_action(self, agent: str, action: Any) -> str:
         """Describe what an agent chose, for replays; empty for an action that candidates and scores show."""

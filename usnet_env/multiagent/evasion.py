@@ -125,8 +125,8 @@ class DelayedFollow(FollowStrategy):
         copied = np.tile(np.arange(uavs), (episodes, 1))
         np.put_along_axis(copied, self.heads, np.where(self.delay > 0, ghosts, self.heads), axis=1)
         root, source = (
-            np.concatenate([np.where(whom < 0, whom, np.take_along_axis(copied, whom, axis=1)), ghosts], axis=1)
-            for whom in (flight.root, flight.source)
+            np.concatenate([np.where(leader < 0, leader, np.take_along_axis(copied, leader, axis=1)), ghosts], axis=1)
+            for leader in (flight.root, flight.source)
         )
 
         def add_late(track: Singles) -> Singles:
@@ -164,9 +164,9 @@ def select_decoys(state: SwarmState, plan: Plan) -> tuple[Indices, Mask]:
     Returns followers of each head and which of them become decoys, both ``(B, M, d)``.
     """
     followers = find_followers(state)
-    place = np.take_along_axis(state.position, find_heads(state)[..., None], axis=1)
-    gap = state.position[:, None] - place[:, :, None]
-    nearest = np.argsort(np.where(followers, (gap * gap).sum(axis=-1), np.inf), axis=-1, kind="stable")
+    of_heads = np.take_along_axis(state.position, find_heads(state)[..., None], axis=1)
+    offset = state.position[:, None] - of_heads[:, :, None]
+    nearest = np.argsort(np.where(followers, (offset * offset).sum(axis=-1), np.inf), axis=-1, kind="stable")
     nearest = nearest[..., : plan.decoys.max(initial=0)]
     return nearest, np.arange(nearest.shape[2]) < count_decoys(followers.sum(axis=-1), plan)[..., None]
 
@@ -211,8 +211,8 @@ def fly_windows(
     row = np.tile(np.repeat(np.arange(heads.shape[1]), taken.shape[2]), (len(heads), 1))
     row = np.concatenate([obeys.argmax(axis=2), row], axis=1)  # the head whose plan a free UAV obeys
     taken = taken.reshape(len(heads), -1)
-    own = np.ones_like(state.free, bool)
-    present, planned = np.hstack([own, taken]), np.hstack([obeys.any(axis=2), taken])  # a decoy of the episode: neither
+    present = np.hstack([np.ones_like(state.free, bool), taken])
+    planned = np.hstack([obeys.any(axis=2), taken])  # a decoy of the episode: by no head
 
     def plan_of(choice: Indices) -> Indices:
         return np.where(planned, np.take_along_axis(choice, row, axis=1), 0)
@@ -220,7 +220,8 @@ def fly_windows(
     which, jitter = plan_of(now), plan_of(plan.jitter) > 0
     free = np.hstack([state.free, np.where(taken, uavs.reshape(len(heads), -1), state.free[:, :1])])
     mobility_state = np.concatenate([state.mobility_state, np.zeros((*taken.shape, state.mobility_state.shape[2]))], 1)
-    for b, i in np.argwhere(np.hstack([~own, taken]) | (which != plan_of(flown))).tolist():
+    turned = np.hstack([np.zeros_like(state.free, bool), taken])  # into decoys
+    for b, i in np.argwhere(turned | (which != plan_of(flown))).tolist():
         mobility_state[b, i] = mobilities[which[b, i]].start(rngs[b], 1)[0]
     before = replace(state, free=free, mobility_state=mobility_state)
     mixed = jitter.any(axis=1) | which.any(axis=1)
@@ -230,22 +231,23 @@ def fly_windows(
     for kind in np.unique(kinds):
         rows = np.flatnonzero(kinds == kind)
         changes: dict[str, Mobility | FollowStrategy] = {}
-        part = before if len(rows) == len(kinds) else before.rows(rows)
+        swarms = before if len(rows) == len(kinds) else before.rows(rows)
         if kind < 0:
             changes["mobility"] = MixedMobility(mobilities, np.where(present, which, -1)[rows], jitter[rows], noise)
         else:
-            kept = {name: getattr(part, name)[present[rows]] for name in ("free", "mobility_state")}
-            part = replace(part, **{name: kept[name].reshape(len(rows), -1, *kept[name].shape[1:]) for name in kept})
-        delay = np.where(part.alive[np.arange(len(rows))[:, None], heads[rows]], plan.delay[rows], 0)
+            free_uavs = {name: getattr(swarms, name)[present[rows]] for name in ("free", "mobility_state")}
+            shaped = {name: part.reshape(len(rows), -1, *part.shape[1:]) for name, part in free_uavs.items()}
+            swarms = replace(swarms, **shaped)
+        delay = np.where(swarms.alive[np.arange(len(rows))[:, None], heads[rows]], plan.delay[rows], 0)
         if delay.any() and config.follow_strategy is not None:
             changes["follow"] = DelayedFollow(config.follow_strategy, heads[rows], delay)
         changed = config.model_copy(update=changes) if changes else config
-        after, window = advance(changed, part, [rngs[b] for b in rows.tolist()])
-        own_state = after.mobility_state[:, : state.free.shape[1]]
-        flights.append((replace(after, free=state.free[rows], mobility_state=own_state), window))
+        after, window = advance(changed, swarms, [rngs[b] for b in rows.tolist()])
+        lasting = after.mobility_state[:, : state.free.shape[1]]
+        flights.append((replace(after, free=state.free[rows], mobility_state=lasting), window))
         order.append(rows)
     if len(flights) == 1:
         return *flights[0], now
     back = np.argsort(np.concatenate(order))
-    windows = {name: np.concatenate([getattr(one, name) for _, one in flights])[back] for name in vars(flights[0][1])}
-    return SwarmState.join([one for one, _ in flights]).rows(back), ObservationBatch(**windows), now
+    windows = {name: np.concatenate([getattr(each, name) for _, each in flights])[back] for name in vars(flights[0][1])}
+    return SwarmState.join([swarms for swarms, _ in flights]).rows(back), ObservationBatch(**windows), now

@@ -70,7 +70,7 @@ def play_game(env: UsnetParallelEnv, policies: Mapping[str, Policy], seed: int, 
     """
     chosen = choose_policies(env, policies)
     uses = [id(policy) for policy in chosen.values()]
-    agents = {name: copy.deepcopy(one) if uses.count(id(one)) > 1 else one for name, one in chosen.items()}
+    agents = {name: copy.deepcopy(each) if uses.count(id(each)) > 1 else each for name, each in chosen.items()}
     observations, _ = env.reset(seed=seed)
     source = np.random.SeedSequence(seed, spawn_key=(1,))
     for (name, policy), number in zip(agents.items(), source.generate_state(len(agents), np.uint32), strict=True):
@@ -103,12 +103,10 @@ def play_game(env: UsnetParallelEnv, policies: Mapping[str, Policy], seed: int, 
         if agent.startswith("observer")
     ]
     metrics = {name: np.array([played.metrics[name] for played in rounds]) for name in rounds[0].metrics}
+    arrays = dict.fromkeys(("position", "velocity", "seen"), "sighting") | {"alive": "truth", "root": "truth"}
     record = {
-        **{
-            name: np.stack([getattr(one.sighting, name) for one in rounds]) for name in ("position", "velocity", "seen")
-        },
-        **{name: np.stack([getattr(one.truth, name) for one in rounds]) for name in ("alive", "root")},
-        **{name: np.stack([getattr(one, name) for one in rounds]) for name in ("candidates", "scores")},
+        **{name: np.stack([getattr(getattr(each, of), name) for each in rounds]) for name, of in arrays.items()},
+        **{name: np.stack([getattr(each, name) for each in rounds]) for name in ("candidates", "scores")},
         "objective": metrics["J"],
         "over_budget": metrics["over_budget"].astype(bool),
         "head": rounds[0].truth.head,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -13,8 +12,9 @@ from pydantic import Field
 from usnet_env.arrays import Floats, Indices, Mask, Observation
 from usnet_env.config import ArgumentError, format_count, list_arguments, quote, takes_arguments
 from usnet_env.envs import game
+from usnet_env.envs.batch import WINDOW
 from usnet_env.multiagent import base
-from usnet_env.multiagent.batch import OBSERVER, WINDOW, ByRole, GameBatch, Observations
+from usnet_env.multiagent.batch import OBSERVER, ByRole, GameBatch, Observations
 from usnet_env.multiagent.evasion import (
     Manoeuvres,
     Plan,
@@ -45,10 +45,10 @@ class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
     """``num_envs`` games of :class:`parallel_env` in one batch; the roles are ``observer`` and ``head``."""
 
     def __init__(self, num_envs: int, **arguments: Any) -> None:
-        given = BatchArguments(**arguments)
-        self.manoeuvres, rules = given.part(Manoeuvres), given.make_rules(opening=1)
-        config = given.part(SwarmConfig, mobility=given.mobilities[0])
-        uavs, most_delay, strategy = config.uavs, given.most_delay, config.follow_strategy
+        checked = BatchArguments(**arguments)
+        self.manoeuvres, rules = checked.part(Manoeuvres), checked.make_rules(opening=1)
+        config = checked.part(SwarmConfig, mobility=checked.mobilities[0])
+        uavs, most_delay, strategy = config.uavs, checked.most_delay, config.follow_strategy
         if strategy is None or strategy.has_references or not strategy.has_followers or strategy.shifts_tracks:
             raise ArgumentError(
                 f"follow must be a follow strategy whose heads choose how to fly, got {quote(config.follow)}."
@@ -78,10 +78,10 @@ class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
         self._decoys = np.zeros((num_envs, uavs), bool)  # the followers that are decoys in the window
         self._prices = {role: np.zeros((num_envs, count)) for role, count in self.roles.items()}
 
-    def _begin(self, rngs: Mapping[int, np.random.Generator]) -> None:
-        begun = np.isin(np.arange(self.num_envs), list(rngs))
-        self._opening = self._opening | begun
-        self._flown, self._decoys = self._flown * ~begun[:, None], self._decoys & ~begun[:, None]
+    def _begin(self, games: Indices) -> None:
+        self._opening[games], self._flown[games], self._decoys[games] = True, 0, False
+        for array in self.window.values():
+            array[games] = 0
 
     def _has_window(self) -> Mask:
         return ~self._opening
@@ -97,7 +97,7 @@ class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
         return {OBSERVER: prices.sum(axis=1, keepdims=True), HEAD: prices}
 
     def _fly_rows(self, swarm: SwarmState, rows: Indices) -> tuple[SwarmState, Observation]:
-        plan, rngs = Plan(*np.moveaxis(self._plan[rows], 2, 0)), [self._rngs[b] for b in rows]
+        plan, rngs = Plan(*np.moveaxis(self._plan[rows], 2, 0)), [self.rngs[b] for b in rows]
         uavs, taken = decoys = select_decoys(swarm, plan)
         self._decoys = self._decoys.copy()
         self._decoys[rows] = False
@@ -128,7 +128,7 @@ class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
             "named": self.candidates.astype(np.int8),
             "round": state.rounds[:, None].astype(np.float32),
         }
-        seen = {name: np.repeat(part[:, None], clusters, axis=1) for name, part in alike.items()}
+        seen = {name: np.repeat(array[:, None], clusters, axis=1) for name, array in alike.items()}
         seen |= {"self": (np.arange(uavs) == heads[..., None]).astype(np.int8), "followers": followers.astype(np.int8)}
         flown = ~self._opening & ~state.terminated
         return {OBSERVER: self._show((swarm.alive & flown[:, None])[:, None]), HEAD: {**seen, "legal": legal}}
@@ -148,8 +148,8 @@ class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
         if role == OBSERVER:
             return game.parse_candidates(action, (*lead, self.config.uavs), name)
         values, sizes = np.asarray(action), self.manoeuvres.choices
-        whole = values.dtype.kind in "biuf" and values.shape == (*lead, 4) and (values % 1 == 0).all()
-        if not whole or not ((values >= 0) & (values < sizes)).all():
+        numbers = values.dtype.kind in "biuf" and values.shape == (*lead, 4) and (values % 1 == 0).all()
+        if not numbers or not ((values >= 0) & (values < sizes)).all():
             raise ArgumentError(
                 f"{name} must hold whole numbers from 0, each below {sizes.tolist()}, got {quote(action)}."
             )
@@ -237,7 +237,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
 
     def describe_action(self, agent: str, action: Any) -> str:
         """Describe the choice of a head in words; empty for the observer."""
-        role, j = self._places[agent]
+        role, j = self._rows[agent]
         if role == OBSERVER:
             return ""
         mobility, jitter, decoys, delay = np.asarray(action).tolist()

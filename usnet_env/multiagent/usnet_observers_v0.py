@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -13,9 +12,10 @@ from pydantic import Field
 from usnet_env.arrays import Floats, Indices, Mask, Observation
 from usnet_env.config import ArgumentError, list_arguments, quote, takes_arguments
 from usnet_env.envs import game
+from usnet_env.envs.batch import WINDOW
 from usnet_env.envs.usnet import OBSERVATION
 from usnet_env.multiagent import base
-from usnet_env.multiagent.batch import OBSERVER, WINDOW, ByRole, GameBatch, Observations
+from usnet_env.multiagent.batch import OBSERVER, ByRole, GameBatch, Observations
 from usnet_env.multiagent.sensors import SensorConfig, combine_votes
 from usnet_env.swarm import SwarmConfig, SwarmState
 from usnet_env.swarm.config import MobilityArguments
@@ -37,14 +37,14 @@ class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
     """``num_envs`` games of :class:`parallel_env` in one batch, with its arguments; the role is ``observer``."""
 
     def __init__(self, num_envs: int, **arguments: Any) -> None:
-        given = BatchArguments(**arguments)
-        self.fusion, self.sensor_config = given.fusion, given.part(SensorConfig)
-        rules = given.make_rules()
-        config = given.part(SwarmConfig, position_noise=0.0, miss_rate=0.0)  # the observers have their own
-        count, uavs, self._size = given.observers, given.uavs, given.message_size
+        checked = BatchArguments(**arguments)
+        self.fusion, self.sensor_config = checked.fusion, checked.part(SensorConfig)
+        rules = checked.make_rules()
+        config = checked.part(SwarmConfig, position_noise=0.0, miss_rate=0.0)  # the observers have their own
+        count, uavs, self._size = checked.observers, checked.uavs, checked.message_size
         self._sensors = self.sensor_config.sensor_configs(config)
         self._ranges = np.tile(self.sensor_config.expand("sensing_range"), num_envs)
-        self._draws = given.placement == "uniform" or any(s.position_noise or s.miss_rate for s in self._sensors)
+        self._draws = checked.placement == "uniform" or any(s.position_noise or s.miss_rate for s in self._sensors)
         # The swarm flies once, with every step and without noise; then each observer samples this flight.
         every_step = {"sample_every": 1, "observation_steps": config.observation_steps * config.sample_every}
         self._flight = config.model_copy(update=every_step)
@@ -64,14 +64,14 @@ class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
         #: Which UAVs each observer sees; none that is destroyed.
         self._seen: Mask = np.zeros((num_envs, count, uavs), bool)
 
-    def _begin(self, rngs: Mapping[int, np.random.Generator]) -> None:
-        self.places, self._messages = self.places.copy(), self._messages.copy()
-        for b, rng in rngs.items():
+    def _begin(self, games: Indices) -> None:
+        self._messages[games] = 0.0
+        for b in games.tolist():
             # The observers' noise comes from branches of its own: the flight doesn't depend on the observers.
+            rng = self.rngs[b]
             placement_rng, *self._noise[b] = rng.spawn(1 + self.sensor_config.observers) if self._draws else [rng]
             self.places[b] = self.sensor_config.draw_positions(placement_rng)
-            self._messages[b] = 0.0
-        self._fly(np.array(list(rngs)))
+        self.fly(games)
 
     def _combine(self, actions: ByRole) -> tuple[Mask, Floats]:
         """Combine the votes for UAVs that the observers see."""
@@ -85,16 +85,16 @@ class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
 
     def _fly_rows(self, swarm: SwarmState, rows: Indices) -> tuple[SwarmState, Observation]:
         games, count = rows.tolist(), len(self._sensors)
-        rngs, configs = [self._rngs[b] for b in games], self._sensors * len(games)
+        rngs, configs = [self.rngs[b] for b in games], self._sensors * len(games)
         after, position, velocity, first = fly_round([self._flight] * len(games), swarm, rngs)
         noise = [rng for b in games for rng in self._noise[b]]
         near = self.places[rows].reshape(-1, 3), self._ranges[: count * len(games)]
         window = sense(configs, position, velocity, swarm.alive, noise, swarm.free, *near, first)
         split = {name: getattr(window, name) for name in WINDOW}
-        return after, {name: part.reshape(len(rows), count, *part.shape[1:]) for name, part in split.items()}
+        return after, {name: array.reshape(len(rows), count, *array.shape[1:]) for name, array in split.items()}
 
     def _observe(self) -> Observations:
-        self._seen = np.einsum("bkti->bki", self._window["seen"])  # seen at any time: faster than any(axis=2)
+        self._seen = np.einsum("bkti->bki", self.window["seen"])  # seen at any time: faster than any(axis=2)
         shown = self._show(self._seen)
         shown["place"] = self.places.astype(np.float32)
         if self._size:
