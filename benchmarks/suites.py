@@ -37,6 +37,9 @@ FEWER = {"paper": {"gassl": 1, "gassl(steps=0)": 10, "mc-gassl": 3, "neural-gran
 FEWER["paper"]["mc-gassl(gassl={'steps': 0})"] = 10
 FEWER["paper-hard"] = {"gassl": 10, "mc-gassl": 10, "neural-granger": 10}
 FEWER["open"] = FEWER["open-second"] = dict.fromkeys(("gassl", "mc-gassl", "neural-granger"), 1)
+for _suite in ("field-v3", "limit-v2"):
+    FEWER[_suite] = {"gassl": 1, "mc-gassl": 1, "neural-granger": 5, "gassl(steps=0)": 10}
+    FEWER[_suite]["mc-gassl(gassl={'steps': 0})"] = 5
 TIME_LIMITS = {"scale": 60.0}  # seconds for an answer
 WEIGHTS = ROOT / "detectors/reader/data/reader.safetensors"
 
