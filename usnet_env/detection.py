@@ -53,7 +53,7 @@ class Detection:
             its own index or -1; if it is a candidate, any other index is read as its own.
         attention: ``(N, N)`` float64; row i has the attention weights of UAV i on all UAVs, or ``None``.
         extras: further results by name; ``"probability"``, ``(N,)`` from 0 to 1, is that of being a head,
-            and ``"silent"`` the one that nobody leads.
+            and ``"p_no_leader"`` the one that no UAV leads.
 
     Raises:
         ArgumentError: an array has another shape, values that are not finite, or indices or probabilities out of range.

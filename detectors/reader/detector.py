@@ -60,9 +60,9 @@ class Reader(Detector):
             Candidates; scores and ``extras["probability"]``, of being a head; ``leader``, the one followed directly
             (own index: none; -1: destroyed or never seen to move); ``clusters``, one per root; attention, the
             probability that UAV i follows UAV j (``None`` of more than 200). In ``extras``: ``root`` ``(N,)``, the head
-            of each UAV; ``delay`` ``(N,)``, steps behind the leader; ``silent``, the probability that nobody leads;
-            ``confidence``, that the UAVs with a probability above 1/2 are exactly the heads. A UAV that follows nobody
-            in its own neighbourhood may be a head in another one. Nobody leads if nobody does in any.
+            of each UAV; ``delay`` ``(N,)``, steps behind the leader; ``p_no_leader``, the probability that no UAV
+            leads; ``confidence``, that the UAVs with a probability above 1/2 are exactly the heads. A UAV that follows
+            none in its own neighbourhood may be a head in another one. No UAV leads if none does in any.
         """
         arguments = self.check_arguments()
         check_pairs(window.uavs)
@@ -70,13 +70,13 @@ class Reader(Detector):
         probability, away, free, delay = np.zeros((4, window.uavs))
         leader, root, clusters = np.full((3, window.uavs), -1, np.int64)
         attention = np.zeros((window.uavs, window.uavs)) if len(flying) <= _DENSE else None
-        silent, position, velocity, seen = 1.0, window.position, window.velocity, window.seen
+        p_no_leader, position, velocity, seen = 1.0, window.position, window.velocity, window.seen
         for uavs, own in _divide_uavs(window, flying):
             answer = read(self._weights, make_features(position[:, uavs], velocity[:, uavs], seen[:, uavs]))
             head, follows = expit(answer.head.astype(np.float64)), softmax(answer.leader, axis=1)
             probability[uavs[own]], free[uavs[own]] = head[own], follows.diagonal()[own]
             away[uavs[~own]] = np.maximum(away[uavs[~own]], head[~own])
-            silent = min(silent, round(float(expit(np.float64(answer.silent))), _DECIMALS))
+            p_no_leader = min(p_no_leader, round(float(expit(np.float64(answer.silent))), _DECIMALS))
             leader[uavs[own]], root[uavs[own]] = (uavs[to.argmax(axis=1)[own]] for to in (answer.leader, answer.root))
             delay[uavs[own]] = np.expm1(answer.delay[own].clip(0.0))
             if attention is not None:
@@ -85,9 +85,10 @@ class Reader(Detector):
         delay[leader == np.arange(window.uavs)] = 0.0
         clusters[root >= 0] = np.unique(root[root >= 0], return_inverse=True)[1]
         rule = {name: getattr(arguments, name) for name in ("policy", "objective", "round_price")}
-        candidates = choose(probability, window.alive, self.rng.random(window.uavs), silent, **rule)
+        candidates = choose(probability, window.alive, self.rng.random(window.uavs), p_no_leader, **rule)
         confidence = float(np.maximum(probability, 1.0 - probability).prod())
-        extras = {"probability": probability, "root": root, "delay": delay, "silent": silent, "confidence": confidence}
+        extras = {"probability": probability, "root": root, "delay": delay, "confidence": confidence}
+        extras |= {"p_no_leader": p_no_leader, "silent": p_no_leader}  # silent: its name in version 0.1
         return Detection(candidates, probability, clusters, leader, attention, extras)
 
 

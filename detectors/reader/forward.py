@@ -49,7 +49,10 @@ def load_reader(weights: str = "shipped") -> Weights:
     np.empty(2**22, np.float32)  # glibc keeps freed blocks up to the largest so far: windows need no new pages
     if weights in ("shipped", "untrained"):
         arrays, rng = packaged_arrays("detectors.reader", "reader"), np.random.default_rng(0)
-        drawn = {name: rng.standard_normal(old.shape, np.float32) for name, old in arrays.items() if old.ndim == 2}
+        # Sorted, as the order of a file's arrays changes from one reading to the next.
+        drawn = {
+            name: rng.standard_normal(old.shape, np.float32) for name, old in sorted(arrays.items()) if old.ndim == 2
+        }
         drawn = {name: new / np.float32(np.sqrt(new.shape[1])) for name, new in drawn.items()}
         return arrays if weights == "shipped" else arrays | drawn
     arrays = read_arrays(weights)

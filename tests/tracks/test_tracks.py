@@ -172,7 +172,7 @@ class NamesByStep:
 
     def detect(self, window):
         rank = self.steps.index(window.step)
-        return replace(answer_of(window.uavs, rank), extras={"silent": 0.7 - 0.6 * (rank == 0)})
+        return replace(answer_of(window.uavs, rank), extras={"p_no_leader": 0.7 - 0.6 * (rank == 0)})
 
 
 def test_the_answer_at_the_step_at_which_somebody_leads_counts():

@@ -119,10 +119,10 @@ def answer_window(player: DetectorLike, resampled: Tracks, track_window: TrackWi
         return ask(player, each.window)[0]
 
     def tell_silence(each: Detection) -> float:
-        return float(each.extras.get("silent", 0.0))
+        return float(each.extras.get("p_no_leader", each.extras.get("silent", 0.0)))
 
     track_windows, answers = [track_window], [answer(track_window)]
-    if "silent" in answers[0].extras:
+    if answers[0].extras.keys() & {"p_no_leader", "silent"}:  # the latter of version 0.1
         others = (other.cut_like(track_window) for other in resampled.other_steps)
         track_windows += filter(None, others)
         answers += map(answer, track_windows[1:])

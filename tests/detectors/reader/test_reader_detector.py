@@ -50,7 +50,7 @@ def test_an_answer_says_who_leads_whom_and_how_surely(reader):
     for values in (answer.leader, answer.clusters, extras["root"]):
         assert np.array_equal(values >= 0, read)
     assert not p[~read].any()
-    assert 0 < extras["silent"] < 1
+    assert 0 < extras["p_no_leader"] < 1
     assert extras["confidence"] == pytest.approx(np.maximum(p, 1 - p).prod())
     assert not extras["delay"][answer.leader == np.arange(30)].any()
     assert len(set(answer.clusters[read])) == len(set(extras["root"][read]))
@@ -60,7 +60,7 @@ def test_nothing_seen_means_nobody_leads(reader):
     window, _ = swarm_window(1, **SIMPLE)
     answer = reader.detect(hide(window, unseen=range(30)))
     assert not answer.candidates.any()
-    assert answer.extras["silent"] == 1.0
+    assert answer.extras["p_no_leader"] == 1.0
 
 
 def test_other_weights_and_arguments_are_refused(tmp_path):

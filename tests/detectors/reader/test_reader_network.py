@@ -92,3 +92,8 @@ def test_answers_need_no_torch():
     text = "import sys; sys.modules['torch'] = None; import detectors.reader.forward; print('fine')"
     done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, timeout=120)
     assert done.stdout == "fine\n", done.stderr
+
+
+def test_an_untrained_reader_has_the_same_weights_each_time():
+    once, again = load_reader("untrained"), load_reader("untrained")
+    assert all(np.array_equal(once[name], again[name]) for name in once)

@@ -40,7 +40,7 @@ def test_windows_of_suites_have_the_answers_of_the_published_weights(reader):
         answer = reader.detect(Window.from_observation(env.reset(seed=seed)[0]))
         assert np.array_equal(answer.candidates, env.unwrapped.swarm.head), name
         delay = answer.extras["delay"][answer.leader != np.arange(len(answer.leader))]
-        found = answer.extras["confidence"], answer.extras["silent"], np.median(delay) if len(delay) else 0.0
+        found = answer.extras["confidence"], answer.extras["p_no_leader"], np.median(delay) if len(delay) else 0.0
         assert found == pytest.approx(known, abs=0.01), name
 
 
@@ -52,7 +52,7 @@ def test_a_large_swarm_of_which_a_part_follows_has_its_heads(reader):
     both = zip(vars(led).values(), vars(free).values(), [1, 1, 1, 0], strict=False)
     answer = reader.detect(Window(*(np.concatenate(parts, axis) for *parts, axis in both)))
     assert np.array_equal(answer.candidates, np.append(truth.head, np.zeros(90, bool)))
-    assert answer.extras["silent"] < 0.01
+    assert answer.extras["p_no_leader"] < 0.01
     assert answer.attention is None
     assert (answer.leader >= 0).all()
 
