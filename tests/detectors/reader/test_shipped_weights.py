@@ -20,7 +20,7 @@ ANSWERS = {
     "limit/correlated_noise": (0.989, 0.000, 6.16),
     "limit/vicsek": (0.615, 0.000, 3.27),
     "controls-v2/straight": (0.986, 0.002, 1.09),
-    "controls/independent": (0.998, 1.000, 0.00),
+    "controls-v2/independent": (0.998, 1.000, 0.00),
 }
 
 
