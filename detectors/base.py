@@ -52,7 +52,7 @@ class Detector(Parameters):
     def __init_subclass__(cls, **named: Any) -> None:
         super().__init_subclass__(**named)
         if "detect" in vars(cls):
-            cls.detect = _use_one_blas_thread(cls.detect)  # type: ignore[method-assign]
+            cls.detect = _use_one_blas_thread(cls.detect)  # type: ignore[method-assign]  # mypy allows no new method
 
     @cached_property
     def rng(self) -> np.random.Generator:

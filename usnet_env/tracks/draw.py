@@ -1,4 +1,4 @@
-"""Pictures of found leaders: maps of windows, a network of who follows whom, the delays, and a timeline.
+"""Pictures of found leaders: maps of windows, the network of links, the delays, and a timeline.
 
 ``rows`` are those of :meth:`usnet_env.tracks.FoundLeaders.to_frame`, and ``colors`` the colour of each id that leads.
 """

@@ -109,8 +109,8 @@ class Answer(NamedTuple):
 def answer_window(player: DetectorLike, resampled: Tracks, track_window: TrackWindow, seed: int) -> Answer:
     """Ask a detector for a window.
 
-    If it tells the probability that nobody leads, it is also asked at :attr:`Tracks.other_steps`. A step that doesn't
-    show who follows hides a leader, so only those count at which somebody probably leads. Of their answers, the one
+    If its answer has ``p_no_leader``, the detector is also asked at :attr:`Tracks.other_steps`. A step that is too long
+    hides a leader, so only those count at which an id probably leads. Of their answers, the one
     that names most nearly what all of them name is returned, or of several the one that is surest that somebody leads.
     """
 

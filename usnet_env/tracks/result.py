@@ -38,7 +38,7 @@ _COLUMNS = {  # of the tables
     "links": "start end follower leader head delay",
 }
 _PICTURES = {
-    "network.png": "Who follows whom: an arrow leads to the one that is followed",
+    "network.png": "The network of links: an arrow points from a follower to its leader",
     "timeline.png": "Whom each id follows in each window",
     "picture.png": "Windows from above",
     "delays.png": "The delay of each follower",
@@ -124,7 +124,7 @@ class FoundLeaders:
         return pd.DataFrame(rows, columns=[*_COLUMNS["rows"].split()])
 
     def plot(self) -> Figure:
-        """Draw who follows whom: an arrow leads to the one that is followed; see :mod:`usnet_env.tracks.draw`."""
+        """Draw the network of links, with an arrow from a follower to its leader; see :mod:`usnet_env.tracks.draw`."""
         return draw.draw_network(self.to_frame(), len(self.windows), self.colors)
 
     def plot_delays(self) -> Figure:
