@@ -5,14 +5,27 @@ from collections.abc import Collection
 import numpy as np
 
 from detectors.reader.examples import Examples
-from detectors.reader.prior.families import FAULTS, MODELS, OBSERVED, PRIOR_VERSION, SHARES, WORLDS, draw_log, draw_name
-from detectors.reader.prior.observing import make_examples, observe, resample
+from detectors.reader.features import LEAST_STRIDED
+from detectors.reader.prior.families import (
+    FAULTS,
+    LAWS,
+    MODELS,
+    OBSERVED,
+    PRIOR_VERSION,
+    SHARES,
+    WORLDS,
+    draw_name,
+    draw_steps,
+)
+from detectors.reader.prior.observing import make_examples, observe, resample, stride_examples
 from detectors.reader.prior.swarms import draw_field_swarm, draw_model_swarm, fly_swarms
 from detectors.reader.prior.worlds import fly_world
 
 __all__ = ["FAMILIES", "PRIOR_VERSION", "draw_examples"]
 
 _WEIGHTS = {name: share * weight / sum(part.values()) for share, part in SHARES for name, weight in part.items()}
+_STRIDED = 1 / 3  # share of the windows of which every second sample is seen, as the detector also reads them
+_LAWS_SPOILED = 0.4  # share of random laws among the models whose sensors have a fault
 FAMILIES: tuple[str, ...] = tuple(_WEIGHTS)
 
 
@@ -34,11 +47,11 @@ def draw_examples(
         most_uavs: the largest number of UAVs, at least 8.
     """
     family = family or draw_name(rng, _WEIGHTS, without)
-    steps = 100 if rng.random() < 0.55 else round(float(draw_log(rng, 20.0, 200.0)))
+    steps = draw_steps(rng, family)
     if family == "field":
         drawn = fly_swarms(draw_field_swarm(rng, steps, most_uavs, without), rng, windows)
     elif family in FAULTS:
-        model = draw_name(rng, MODELS, without)
+        model = draw_name(rng, LAWS if rng.random() < _LAWS_SPOILED else MODELS, without)
         drawn = fly_swarms(draw_model_swarm(rng, model, steps, most_uavs, family, without), rng, windows)
         if family in ("fault:jumps", "fault:rounding"):
             drawn = observe(drawn, rng, without, family)
@@ -46,6 +59,8 @@ def draw_examples(
         drawn = _draw_sampled(rng, family, windows, steps, most_uavs, without)
         if family in WORLDS and rng.random() < OBSERVED.get(family, 0.25):
             drawn = observe(drawn, rng, without)
+    if drawn.velocity.shape[1] >= LEAST_STRIDED and rng.random() < _STRIDED:
+        drawn = stride_examples(drawn)
     return drawn._replace(family=family)
 
 

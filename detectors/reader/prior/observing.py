@@ -10,7 +10,7 @@ from detectors.reader.examples import Examples
 from detectors.reader.prior.families import draw_log
 from usnet_env.arrays import Floats, Mask, Singles
 
-_ON_ARRAYS = ("fault:noise", "fault:missed", "fault:bursts", "fault:jumps", "fault:rounding")
+_ON_ARRAYS = ("fault:noise", "fault:missed", "fault:bursts", "fault:partial", "fault:jumps", "fault:rounding")
 
 
 def make_examples(position: Floats | Singles, seen: Mask, truth: Any, velocity: Singles | None = None) -> Examples:
@@ -32,6 +32,12 @@ def resample(examples: Examples, instants: Floats, degree: int) -> Examples:
     return examples
 
 
+def stride_examples(examples: Examples) -> Examples:
+    """Every second sample of the windows."""
+    late = examples.delay / np.float32(2)
+    return make_examples(examples.position[:, ::2], examples.seen[:, ::2], examples._replace(delay=late)[3:])
+
+
 def draw_sensors(rng: np.random.Generator, without: Collection[str] = ()) -> dict[str, dict[str, Any]]:
     """Draw the arguments of the simulator's sensor for each fault that it has; the last is the fault itself."""
     noise, missed = float(draw_log(rng, 0.03, 0.6)), float(rng.uniform(0.03, 0.35))
@@ -46,6 +52,14 @@ def draw_sensors(rng: np.random.Generator, without: Collection[str] = ()) -> dic
     }
     mixed = rng.permutation([name for name in drawn if name not in without])[: int(rng.integers(2, 6))].tolist()
     return drawn | {"fault:mix": {key: value for name in mixed for key, value in drawn[name].items()}}
+
+
+def _draw_stays(rng: np.random.Generator, windows: int, instants: int, uavs: int) -> Mask:
+    """When UAVs are in view ``(B, T + 1, n)``: many always, others once, for a tenth of the window or more."""
+    stay = instants * draw_log(rng, 0.1, 1.0, windows, 1, uavs)
+    since = np.arange(instants)[:, None] - rng.uniform(0.0, instants - stay)
+    always = rng.random((windows, 1, uavs)) < rng.uniform(0.4, 0.9)
+    return always | ((since >= 0.0) & (since <= stay))
 
 
 def observe(examples: Examples, rng: np.random.Generator, without: Collection[str], fault: str = "") -> Examples:
@@ -66,6 +80,8 @@ def observe(examples: Examples, rng: np.random.Generator, without: Collection[st
         position = grain * np.round(position / grain)
     elif fault == "fault:jumps":
         position += hit[..., None] * draw_log(rng, 3.0, 50.0) * noise[:, :1]
+    elif fault == "fault:partial":
+        seen = seen & _draw_stays(rng, *seen.shape)
     elif fault != "none":
         seen = seen & ~hit
     return make_examples(position, seen, examples[3:])

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from detectors.reader.prior.random_laws import draw_law
 from usnet_env.swarm import FOLLOW_STRATEGIES, FollowStrategy
 from usnet_env.swarm.field_follow import Chain, CopyingStrategy, FormationSlots, Hierarchy, MixedStrategies
 from usnet_env.swarm.random_follow import RandomFollowStrategy, random_follow_strategy
@@ -22,10 +23,12 @@ def _draw_random(rng: np.random.Generator) -> RandomFollowStrategy:
     return replace(drawn, rotation=rotation, noise=drawn.noise * float(2.0 ** rng.integers(-1, 3)))
 
 
-def draw_strategy(rng: np.random.Generator, name: str) -> str | FollowStrategy:
+def draw_strategy(rng: np.random.Generator, name: str, steps: int = 100) -> str | FollowStrategy:
     """Draw the strategy of a family; half of the field models have other constants than their own."""
     if name == "random":
         return _draw_random(rng)
+    if name == "random_law":
+        return draw_law(rng, steps)
     if name == "none" or rng.random() < 0.5:
         return name
     strategy: Any = FOLLOW_STRATEGIES.find(name)

@@ -8,17 +8,23 @@ import numpy as np
 from detectors.reader.examples import Examples
 from detectors.reader.prior.families import draw_name, draw_whole
 from detectors.reader.prior.observing import draw_sensors, make_examples
+from detectors.reader.prior.random_laws import RandomLaw
 from detectors.reader.prior.strategies import MEMORY, draw_strategy
-from usnet_env.arrays import Indices, Mask
+from detectors.reader.prior.worlds.stage import link_leaders
+from usnet_env.arrays import Indices, Mask, Singles
 from usnet_env.envs.distribution import DISTRIBUTIONS
-from usnet_env.swarm import SwarmConfig, SwarmState, advance, destroy, start
+from usnet_env.swarm import FollowStrategy, SwarmConfig, SwarmState, advance, destroy, start
 from usnet_env.swarm.field_follow import CopyingStrategy, Frontness
 from usnet_env.swarm.field_kernels import COLUMNS, DELAY
+from usnet_env.swarm.flock_follow import Flock
 
 _MOBILITY = {"gauss_markov": 4, "smooth_turn": 2, "waypoint": 1.5, "local_waypoint": 1.5, "iid": 1.5, "straight": 2.5}
 _KINEMATICS = {"unit": 5.0, **dict.fromkeys(("varied_speed", "lagged", "limited", "layered"), 1.25)}
 _FORMATION = {"gathered": 0.6, "uniform": 0.25, "around": 0.15}
 _OTHERS = {"clutter": (0.1, 8), "traffic": (0.15, 7), "bystanders": (0.25, 12), "decoys": (0.35, 5)}  # how often, most
+_LED = 0.25  # how often heads and decoys follow unseen UAVs, as their followers follow them
+_INCONSPICUOUS = 0.2  # how often many decoys move as heads do, and these as smoothly as their followers
+_SMOOTH = {"local_waypoint": 2.0, "smooth_turn": 1.0, "gauss_markov": 1.0}
 
 
 def draw_model_swarm(
@@ -31,15 +37,18 @@ def draw_model_swarm(
     uavs = draw_whole(rng, fewest, min(60, most_uavs) if rng.random() < 0.98 else most_uavs)
     most_clusters = min(20 if rng.random() < 0.1 else 8, uavs // 3)
     arguments = {
-        "follow": draw_strategy(rng, name),
+        "follow": draw_strategy(rng, name, steps),
         "mobility": draw_name(rng, _MOBILITY),
         "kinematics": draw_name(rng, _KINEMATICS),
         "formation": draw_name(rng, _FORMATION),
         "head_jitter": bool(rng.random() < 0.7),
         "clusters": int(rng.integers(1, most_clusters + 1)),
         **{name: int(rng.integers(most) + 1) if rng.random() < often else 0 for name, (often, most) in _OTHERS.items()},
+        "led_by": int(rng.integers(1, 5)) if rng.random() < _LED else 0,
         **(draw_sensors(rng, without).get(fault, {}) if fault not in without else {}),
     }
+    if rng.random() < _INCONSPICUOUS:
+        arguments |= {"head_jitter": True, "mobility": draw_name(rng, _SMOOTH), "decoys": int(rng.integers(2, 11))}
     return _fit(arguments, uavs, steps)
 
 
@@ -59,7 +68,8 @@ def _fit(arguments: dict[str, Any], uavs: int, steps: int) -> SwarmConfig:
     while 3 * arguments["clusters"] + sum(arguments.get(name, 0) for name in _OTHERS) > uavs:
         arguments.update({name: arguments.get(name, 0) // 2 for name in _OTHERS})
         arguments["clusters"] = max(1, arguments["clusters"] * 2 // 3)
-    return SwarmConfig(uavs=uavs, observation_steps=steps, memory=MEMORY, **arguments)
+    memory = max(MEMORY, getattr(arguments["follow"], "lags", 0))
+    return SwarmConfig(uavs=uavs, observation_steps=steps, memory=memory, **arguments)
 
 
 def fly_swarms(config: SwarmConfig, rng: np.random.Generator, windows: int) -> Examples:
@@ -106,4 +116,20 @@ def _find_truth(config: SwarmConfig, state: SwarmState, living: Indices) -> tupl
     if isinstance(strategy, Frontness) or (isinstance(strategy, CopyingStrategy) and not strategy.strength):
         table = state.parameters.reshape(len(living), COLUMNS, -1)[:, DELAY]
         delay[follows] = table[row, living][follows]
-    return head, leader, root, delay, ""
+    if isinstance(strategy, RandomLaw) and not strategy.forgetting:
+        number = (np.cumsum(state.source != np.arange(config.uavs), axis=1) - 1)[row, living]
+        delay[follows] = strategy.find_delays(state.parameters[row, number])[follows]
+    return head, leader, root, _find_links(strategy, leader, root), delay, ""
+
+
+def _find_links(strategy: FollowStrategy | None, leader: Indices, root: Indices) -> Singles:
+    """Which UAVs each one copies ``(B, n, n)``: its leader, in some models also those above it; NaN in flocks."""
+    link = link_leaders(leader)
+    if isinstance(strategy, Flock):
+        link[:] = np.nan
+    elif isinstance(strategy, CopyingStrategy):
+        above = leader
+        for _ in range(strategy.links - 1):
+            above = np.where(above == root, above, np.take_along_axis(leader, above, axis=1))
+            link = np.maximum(link, link_leaders(above))
+    return link

@@ -6,14 +6,15 @@ import numpy as np
 
 from detectors.reader.examples import Examples
 from detectors.reader.prior.families import draw_whole
-from detectors.reader.prior.worlds import crowds, followers
+from detectors.reader.prior.worlds import crowds, followers, formations, manoeuvres
 from detectors.reader.prior.worlds.stage import Flight, Stage, finish
 
 
 def _hide_first(rng: np.random.Generator, stage: Stage, law: Callable[..., Flight], *groups: int) -> Flight:
     """What remains to see of a flight whose leader nobody sees: nobody leads."""
     flight = law(rng, stage._replace(uavs=stage.uavs + 1), *groups)
-    return Flight(flight.position[:, :, 1:], np.arange(stage.uavs))
+    link = flight.link[:, 1:, 1:] if isinstance(flight.link, np.ndarray) else None
+    return Flight(flight.position[:, :, 1:], np.arange(stage.uavs), link=link)
 
 
 def _draw_driven(rng: np.random.Generator, stage: Stage) -> Flight:
@@ -33,6 +34,9 @@ _LAWS: dict[str, tuple[Callable[[np.random.Generator, Stage], Flight], int, int,
     "convoy": (lambda rng, stage: followers.draw_file(rng, stage, closed=True), 3, 20, 1.0),
     "cars": (followers.draw_cars, 2, 30, 1.0),
     "initiators": (followers.draw_initiators, 2, 40, 0.8),
+    "factions": (manoeuvres.draw_factions, 3, 40, 0.8),
+    "turn_rate": (manoeuvres.draw_turn_rate, 2, 40, 0.5),
+    "formation": (formations.draw_formation, 2, 30, 0.8),
     "people": (crowds.draw_people, 2, 30, 1.0),
     "springs": (crowds.draw_springs, 3, 12, 0.5),
     "boids_signed": (crowds.draw_boids_signed, 4, 40, 0.5),
@@ -41,10 +45,14 @@ _LAWS: dict[str, tuple[Callable[[np.random.Generator, Stage], Flight], int, int,
     "leaderless": (crowds.draw_leaderless, 2, 60, 0.5),
     "walkers": (crowds.draw_walkers, 2, 60, 0.5),
     "ring_road": (followers.draw_ring_road, 4, 30, 1.0),
+    "strangers": (formations.draw_strangers, 2, 30, 0.8),
+    "unled": (formations.draw_unled, 6, 60, 0.8),
+    "driven": (formations.draw_driven, 6, 60, 0.8),
     "route": (followers.draw_route, 2, 40, 0.5),
     "springs_unseen": (lambda rng, stage: _hide_first(rng, stage, crowds.draw_springs), 3, 12, 0.5),
 }
-_SAMPLED = ("star", "path", "driver", "route")  # often flown in finer steps, so that delays are no whole numbers
+#: Often flown in finer steps, so that delays are no whole numbers.
+_SAMPLED = ("star", "path", "driver", "route", "factions", "herd")
 
 
 def fly_world(rng: np.random.Generator, name: str, windows: int, steps: int, most_uavs: int) -> Examples:
@@ -54,4 +62,5 @@ def fly_world(rng: np.random.Generator, name: str, windows: int, steps: int, mos
     stage = Stage(windows, steps, uavs, np.array([1.0, 1.0, 0.0 if rng.random() < flat else 1.0]))
     finer = int(rng.integers(2, 5)) if name in _SAMPLED and rng.random() < 0.4 else 1
     flight = law(rng, stage._replace(steps=finer * steps))
-    return finish(rng, stage, Flight(flight.position[:, ::finer], flight.leader, np.asarray(flight.delay) / finer))
+    late = np.asarray(flight.delay) / finer
+    return finish(rng, stage, flight._replace(position=flight.position[:, ::finer], delay=late))

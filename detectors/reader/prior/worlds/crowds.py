@@ -62,7 +62,8 @@ def _fly_flock(rng: np.random.Generator, stage: Stage, weight: Floats, drive: Fl
 def draw_leaderless(rng: np.random.Generator, stage: Stage) -> Flight:
     """A flock of equals: nobody leads."""
     weight, drive = 1.0 - np.eye(stage.uavs), np.full(stage.uavs, rng.choice([0.0, 0.0, 0.2]))
-    return Flight(_fly_flock(rng, stage, np.tile(weight, (stage.windows, 1, 1)), drive), np.arange(stage.uavs))
+    flown = _fly_flock(rng, stage, np.tile(weight, (stage.windows, 1, 1)), drive)
+    return Flight(flown, np.arange(stage.uavs), link=np.nan)
 
 
 def draw_boids_signed(rng: np.random.Generator, stage: Stage) -> Flight:
@@ -71,17 +72,22 @@ def draw_boids_signed(rng: np.random.Generator, stage: Stage) -> Flight:
     weight[:, :, 0] = rng.uniform(0.7, 1.5, (stage.windows, stage.uavs))
     weight[:, 0] *= 0.2 * rng.random()
     drive = np.append(rng.uniform(0.6, 1.0), np.zeros(stage.uavs - 1))
-    return Flight(_fly_flock(rng, stage, weight * (1.0 - np.eye(stage.uavs)), drive), np.zeros(stage.uavs, np.int64))
+    weight *= 1.0 - np.eye(stage.uavs)
+    link = np.abs(weight) > 0.25 * np.abs(weight).max(axis=2, keepdims=True)
+    return Flight(_fly_flock(rng, stage, weight, drive), np.zeros(stage.uavs, np.int64), link=link)
 
 
 def draw_herd(rng: np.random.Generator, stage: Stage) -> Flight:
-    """A herd of equals that the first UAV drives from behind; it is unseen in half of the draws. Nobody leads."""
-    shape = stage.windows, 1, 1
-    reach = draw_log(rng, 4.0, 20.0, *shape)
+    """A herd of equals that the first UAV drives from behind; it is unseen in half of the draws. Nobody leads.
+
+    In half of the draws it is seen in up to 6 times finer steps.
+    """
+    shape, finer = (stage.windows, 1, 1), float(draw_log(rng, 1.0, 6.0)) if rng.random() < 0.5 else 1.0
+    reach = finer * draw_log(rng, 4.0, 20.0, *shape)
     weight, radius = np.tile(1.0 - np.eye(stage.uavs), (stage.windows, 1, 1)), reach[:, 0] * [0.15, 0.5, 3.0]
     weight[:, :, 0] = 0.0
     align, pull = (draw_log(rng, 0.1, 0.8, *shape) for _ in range(2))
-    goal = draw_ways(rng, stage, stage.steps + 30, 1, 0.1)
+    goal = draw_ways(rng, stage, stage.steps + 30, 1, 0.1 / finer)
     goal /= np.linalg.norm(goal, axis=-1, keepdims=True) + 1e-9
 
     def wish(t: int, position: Floats, velocity: Floats) -> Floats:
@@ -96,8 +102,8 @@ def draw_herd(rng: np.random.Generator, stage: Stage) -> Flight:
 
     place = 0.15 * reach * np.sqrt(stage.uavs) * stage.draw_normals(rng, stage.uavs)
     place[:, :1] -= 1.5 * reach * goal[:, 0]
-    seen = _fly(rng, stage, place, draw_log(rng, 0.2, 0.9, *shape), wish)[:, :, int(rng.integers(2)) :]
-    return Flight(seen, np.arange(seen.shape[2]))
+    seen = _fly(rng, stage, place, draw_log(rng, 0.2, 0.9, *shape) / finer, wish)[:, :, int(rng.integers(2)) :]
+    return Flight(seen, np.arange(seen.shape[2]), link=np.nan)
 
 
 def draw_people(rng: np.random.Generator, stage: Stage) -> Flight:
@@ -144,4 +150,5 @@ def draw_springs(rng: np.random.Generator, stage: Stage) -> Flight:
         velocity = velocity + (push[:, part // 4] - drag * velocity + force) / 4.0
         places.append(places[-1] + velocity / 4.0)
         velocity = np.where(np.abs(places[-1]) > wall, -np.sign(places[-1]) * np.abs(velocity), velocity)
-    return Flight(np.stack(places[::4], axis=1), np.zeros(uavs, np.int64))
+    link = (spring > 0) & ~np.eye(uavs, dtype=bool)
+    return Flight(np.stack(places[::4], axis=1), np.zeros(uavs, np.int64), link=link)

@@ -188,7 +188,8 @@ def draw_ring_road(rng: np.random.Generator, stage: Stage) -> Flight:
         places.append(along)
     angle = np.stack(places[50:], axis=1) * 2.0 * np.pi / length
     radius = length / (2.0 * np.pi) + rng.normal(0.0, 0.05, (stage.windows, 1, stage.uavs))
-    return Flight(np.stack([radius * np.cos(angle), radius * np.sin(angle), 0.0 * angle], -1), np.arange(stage.uavs))
+    position = np.stack([radius * np.cos(angle), radius * np.sin(angle), 0.0 * angle], -1)
+    return Flight(position, np.arange(stage.uavs), link=np.nan)
 
 
 def draw_route(rng: np.random.Generator, stage: Stage) -> Flight:

@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 from detectors.reader.examples import Examples
 from detectors.reader.prior.families import draw_log
 from detectors.reader.prior.observing import make_examples
-from usnet_env.arrays import Floats, Indices
+from usnet_env.arrays import Floats, Indices, Singles
 
 
 class Stage(NamedTuple):
@@ -38,11 +38,21 @@ class Stage(NamedTuple):
 
 
 class Flight(NamedTuple):
-    """The positions ``(B, T + 1, n, 3)``, the leader ``(n,)`` of each UAV, and the delays, ``(B, n)`` or NaN."""
+    """Positions ``(B, T + 1, n, 3)``, the leader ``(n,)`` of each UAV, delays, ``(B, n)`` or NaN, and links.
+
+    Links ``(B, n, n)`` are those to the leaders by default, and NaN where they aren't defined.
+    """
 
     position: Floats
     leader: Indices
     delay: Floats | Indices | float = np.nan
+    link: Floats | float | None = None
+
+
+def link_leaders(leader: Indices) -> Singles:
+    """1 for the leader ``(..., n)`` of each UAV and 0 for others: ``(..., n, n)``."""
+    own = np.arange(leader.shape[-1])
+    return ((leader[..., None] == own) & (leader != own)[..., None]).astype(np.float32)
 
 
 def keep_noise(noise: Floats, keep: Floats) -> Floats:
@@ -89,6 +99,8 @@ def finish(rng: np.random.Generator, stage: Stage, flight: Flight) -> Examples:
     position, leader = flight.position, flight.leader
     (windows, _, uavs, _), row = position.shape, np.arange(len(position))[:, None]
     delay = np.broadcast_to(np.asarray(flight.delay, np.float32), (windows, uavs))
+    link = link_leaders(leader) if flight.link is None else np.asarray(flight.link, np.float32)
+    link = np.broadcast_to(link, (windows, uavs, uavs))
     if (leader != np.arange(uavs)).any() and rng.random() < 1 / 3:
         lone = int(rng.integers(max(2, uavs // 3))) + 1
         speed = np.linalg.norm(np.diff(position, axis=1), axis=-1).mean((1, 2))[:, None, None]
@@ -97,6 +109,7 @@ def finish(rng: np.random.Generator, stage: Stage, flight: Flight) -> Examples:
         ways = travel(place, speed[..., None] * draw_ways(rng, stage, stage.steps, lone))
         position, leader = np.concatenate([position, ways], axis=2), np.append(leader, uavs + np.arange(lone))
         delay = np.concatenate([delay, np.full((windows, lone), np.nan, np.float32)], axis=1)
+        link = np.pad(link, ((0, 0), (0, lone), (0, lone)))
     order = rng.permuted(np.tile(np.arange(len(leader)), (windows, 1)), axis=1)  # who stands at a place
     own, leads = np.arange(len(leader)), np.argsort(order, axis=1)[row, leader[order]]
     root = leads
@@ -105,4 +118,5 @@ def finish(rng: np.random.Generator, stage: Stage, flight: Flight) -> Examples:
     head = np.stack([np.isin(own, roots[roots != own]) for roots in root])
     late = np.where(leads == own, np.float32(np.nan), delay[row, order])
     mixed = np.take_along_axis(position, order[:, None, :, None], axis=2)
-    return make_examples(mixed, np.ones(mixed.shape[:3], bool), (head, leads, root, late, ""))
+    link = link[row[..., None], order[:, :, None], order[:, None]]
+    return make_examples(mixed, np.ones(mixed.shape[:3], bool), (head, leads, root, link, late, ""))
