@@ -17,6 +17,8 @@ class Examples(NamedTuple):
         head: ``(B, n)`` bool, the UAVs that lead at least one other.
         leader: ``(B, n)`` int64, the UAV that each UAV follows directly; its own index: none.
         root: ``(B, n)`` int64, the head at the end of the chain of leaders; its own index: none.
+        link: ``(B, n, n)`` float32, whether UAV i's motion depends on UAV j's itself; NaN where that isn't defined, as
+            in flocks, whose neighbours change.
         delay: ``(B, n)`` float32, steps after which a UAV repeats its leader; NaN: none, or not defined.
         family: the name of the family in the prior.
     """
@@ -27,5 +29,6 @@ class Examples(NamedTuple):
     head: Mask
     leader: Indices
     root: Indices
+    link: Singles
     delay: Singles
     family: str

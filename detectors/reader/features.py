@@ -32,6 +32,11 @@ _SHARES = (  # components of j (velocity, its squares), axes of i (innovations, 
 _CORRELATIONS: Mapping[str, tuple[str, tuple[int, ...]]] = {  # series of the later i and the earlier j, and lags
     "cc": ("velocity", _LAGS[::2]), "ee": ("innovation", _LAGS), "gg": ("turn", _LAGS[::2])
 }  # fmt: skip
+_TURN, _ANSWER_LAGS = 3, (1, 2, 3, 4, 5, 6, 8, 10, 12)  # steps of a turn; steps until it is answered
+_ANSWERS = {"torque": "bend", "response": "change"}  # series of i, what it answers of j
+_ANSWER_SHARES = (
+    *(("plain", "response", lag) for lag in (1, 3, 5, 7, 9, 12)), *(("shift", "response", lag) for lag in (1, 3, 5, 7))
+)  # fmt: skip
 
 
 def _slice_groups(lengths: Mapping[str, int]) -> dict[str, slice]:
@@ -43,7 +48,8 @@ def _slice_groups(lengths: Mapping[str, int]) -> dict[str, slice]:
 PAIR_GROUPS = _slice_groups({
     **{name: len(lags) for name, (_, lags) in _CORRELATIONS.items()}, "raw": 2, "tops": 5, "shares": len(_SHARES),
     "local": _BLOCK_FEATURES, "geo": 6 + kernels.BANK, "force": 5, "places": 13, "joint": 6,
-    "ways": len(_WAYS) * (1 + len(_WAY_LAGS)),
+    "ways": len(_WAYS) * (1 + len(_WAY_LAGS)), "answers": len(_ANSWERS) * (len(_ANSWER_LAGS) + 2),
+    "answered": len(_ANSWER_SHARES),
 })  # fmt: skip
 UAV_GROUPS = _slice_groups({
     "track": 20, "nearest": 4, "neighbours": 26, "rule": 13,
@@ -53,6 +59,8 @@ CONTEXT_GROUPS = _slice_groups({"size": 3, "motion": 6})
 PAIR_FEATURES, UAV_FEATURES, CONTEXT_FEATURES = (
     list(groups.values())[-1].stop for groups in (PAIR_GROUPS, UAV_GROUPS, CONTEXT_GROUPS)
 )
+
+LEAST_STRIDED = 32  #: steps of a window that is also read at every second sample
 
 
 class Features(NamedTuple):
@@ -75,7 +83,9 @@ def make_features(position: Singles, velocity: Singles, seen: Mask) -> Features:
     n = s["m"].shape[1]
     pair = _make_array((PAIR_FEATURES, n, n))
     _fill_correlations(pair, s)
-    _fill_shares(pair[PAIR_GROUPS["shares"]], s)
+    _fill_shares(pair[PAIR_GROUPS["shares"]], s, _SHARES)
+    _fill_answers(pair[PAIR_GROUPS["answers"]], s)
+    _fill_shares(pair[PAIR_GROUPS["answered"]], s, _ANSWER_SHARES)
     _fill_blocks(pair[PAIR_GROUPS["local"]], s)
     _fill_places(pair[PAIR_GROUPS["places"]], s)
     own = _fill_bearings(pair[PAIR_GROUPS["geo"]], pair[PAIR_GROUPS["force"]], s)
@@ -129,12 +139,16 @@ def _make_signals(p: Singles, v: Singles, seen: Singles, m: Singles) -> _Signals
     rule = flock.fit_flock(v, complete, bank)
     raw = {"velocity": c, "innovation": e, "turn": series.change_series(smooth, enough, 5),
            "residual": rule["residual"]}  # fmt: skip
+    course, raw["response"] = series.find_responses(v, complete)
+    raw["torque"] = np.cross(course, raw["response"], axis=1)
+    raw["bend"], raw["change"] = series.find_turns(v, m, _TURN)
     s = {"p": p, "v": v, "seen": seen, "m": m, "complete": complete, "nearest": nearest, **rule}
     for name, k in _CROWDS.items():
         s["align_" + name], s["count_" + name] = np.ascontiguousarray(bank[:, :, 1 + k]), count[:, k]
         raw[name] = flock.leave_crowd(v, m, s["align_" + name], count[:, k])
     s |= {"raw_" + name: raw[name] for name in ("velocity", "innovation", "turn", "residual", *_CROWDS)}
     s |= {name: _align(series.scale_series(x)) for name, x in raw.items()}
+    s["shift"] = _align(series.whiten_series(raw["change"]))
     s["plain"] = _align(series.whiten_series(c))
     s["squared"] = _align(series.whiten_series(series.centre_series(series.square_series(v), m)))
     return s
@@ -179,9 +193,19 @@ def _summarise_lags(x: Singles, lags: Sequence[int]) -> tuple[Singles, Singles]:
     return x.max(0), place / total
 
 
-def _fill_shares(out: Singles, s: _Signals) -> None:
-    """Fill the shares of i's motion that linear maps of j's velocity, or of its squares, explain."""
-    for k, (source, target, lag) in enumerate(_SHARES):
+def _fill_answers(out: Singles, s: _Signals) -> None:
+    """Fill how i's answers resemble j's turns and changes some steps before, and the largest of these with its lag."""
+    size = len(_ANSWER_LAGS)
+    for rows, (later, earlier) in zip(
+        out.reshape(len(_ANSWERS), size + 2, *out.shape[1:]), _ANSWERS.items(), strict=True
+    ):
+        _correlate(s[later], s[earlier], [lag for lag in _ANSWER_LAGS if lag <= len(s["m"])], rows)
+        rows[size], rows[size + 1] = _summarise_lags(np.abs(rows[:size]), _ANSWER_LAGS)
+
+
+def _fill_shares(out: Singles, s: _Signals, shares: Sequence[tuple[str, str, int]]) -> None:
+    """Fill the shares of i's motion that linear maps of j's motion explain."""
+    for k, (source, target, lag) in enumerate(shares):
         x, y = s[source], s[target]
         steps, p, n = x.shape
         if steps - lag >= p + 6:

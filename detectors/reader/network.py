@@ -92,7 +92,7 @@ class ReaderNetwork(nn.Module):
         self.itself = nn.Parameter(torch.zeros(width))
         self.rows = nn.Linear(2 * width, width)  # of a pair, and of the pair relative to its row
         self.blocks = nn.ModuleList(_Block(sizes) for _ in range(sizes.blocks))
-        self.links = nn.Linear(width, 2)  # leader and root
+        self.links = nn.Linear(width, 3)  # leader, root and link
         self.head = _stack_layers(width, width, 2)  # head and delay
         self.silent = _stack_layers(2 * width, width, 1)
 
@@ -108,11 +108,11 @@ class ReaderNetwork(nn.Module):
         pair = self._enter_pairs(self._standardise("pair", pair), state, self.context(context))
         for block in self.blocks:
             pair, state = block(pair, state)
-        links = self.links(layer_norm(pair, (width,)))
+        leader, root, link = self.links(layer_norm(pair, (width,))).unbind(dim=3)
         state = layer_norm(state, (width,))
         head, delay = self.head(state).unbind(dim=2)
         silent = self.silent(torch.cat([state.mean(dim=1), state.amax(dim=1)], dim=1))
-        return Answer(head, links[..., 0], links[..., 1], silent[:, 0], delay)
+        return Answer(head, leader, root, link, silent[:, 0], delay)
 
     def _enter_pairs(self, pair: Tensor, state: Tensor, context: Tensor) -> Tensor:
         """The first vectors of pairs ``(B, n, n, w)``: also relative to the other pairs of their row."""

@@ -60,6 +60,40 @@ def find_innovations(c: Singles, complete: Singles) -> Singles:
     return e * np.sqrt(np.minimum(1, bound / np.maximum(square, np.float32(1e-18))))
 
 
+def find_responses(v: Singles, complete: Singles) -> tuple[Singles, Singles]:
+    """The course before each step, and how the step deviates from what a UAV by itself would do: (T, 3, n) each.
+
+    By itself a UAV keeps its two last courses, circles about any axis and drifts. A course is the mean of two steps, so
+    that the errors of a position don't look like an answer. ``complete`` is that of :func:`find_innovations`.
+    """
+    steps, _, n = v.shape
+    mask = complete[:, None]
+    course: Singles = np.float32(0.5) * (delay_series(v, 1) + delay_series(v, 2))
+    itself = np.zeros((steps, 3, 8, n), np.float32)
+    itself[:, :, 0], itself[:, :, 1] = course, delay_series(course, 2)
+    for axis in range(3):
+        unit = np.zeros((1, 3, 1), np.float32)
+        unit[:, axis] = 1
+        itself[:, :, 2 + axis], itself[:, :, 5 + axis] = np.cross(unit, course, axis=1), unit
+    itself *= mask[:, None]
+    response = (v - course) * mask
+    flat, right = itself.reshape(3 * steps, 8, n), response.reshape(3 * steps, 1, n)
+    part = solve_ridges(multiply_columns(flat, flat), multiply_columns(flat, right), 1e-3, 1e-3)
+    for k in range(8):
+        response -= itself[:, :, k] * part[k]
+    return course, response
+
+
+def find_turns(v: Singles, m: Singles, back: int) -> tuple[Singles, Singles]:
+    """A UAV's turns in ``back`` steps, as vectors along their axes, and its changes of direction: (T, 3, n) each."""
+    mean, enough = (delay_series(x, 1) for x in average_series(v, m, 2))
+    direction = mean / np.maximum(np.sqrt((mean**2).sum(1, keepdims=True)), np.float32(1e-6))
+    before = delay_series(direction, back)
+    both = enough * delay_series(enough, back)
+    turn = np.cross(before, direction, axis=1) * both[:, None]
+    return centre_series(turn, both), centre_series((direction - before) * both[:, None], both)
+
+
 def average_series(x: Singles, m: Singles, width: int) -> tuple[Singles, Singles]:
     """Mean over the seen ones of the steps t to t + width - 1, and whether at least two are: (T, 3, n), (T, n)."""
     total, count, enough = np.zeros_like(x), np.zeros_like(m), np.zeros_like(m)

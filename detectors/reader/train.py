@@ -23,10 +23,10 @@ from torch.nn.functional import binary_cross_entropy_with_logits, cross_entropy,
 
 from detectors.reader.draws import Batch, draw_ahead, draw_shard
 from detectors.reader.features import CONTEXT_GROUPS, PAIR_GROUPS, UAV_GROUPS
-from detectors.reader.forward import Answer, load_reader
+from detectors.reader.forward import Answer
 from detectors.reader.network import NetworkSizes, draw_network
 from detectors.reader.prior import FAMILIES, PRIOR_VERSION
-from detectors.weights import Checkpoint, write_weights
+from detectors.weights import Checkpoint, read_arrays, write_weights
 from usnet_env.config import ArgumentError, quote, unknown_name
 from usnet_env.evaluation.run import map_tasks
 from usnet_env.evaluation.tasks import become_worker
@@ -35,7 +35,7 @@ from usnet_env.files import reserve_folder, write_text
 _START, _SHARD, _ORDER = range(3)  # purpose of a seed
 _PRESETS = {"minutes": 25, "hours": 300}  # shards
 _PASSES, _GROUPED = 2, 3  # how often a shard is used, and the groups of batches in a step
-_WARM, _MOST_DECAY = 100, 0.996  # steps until the largest rate; decay of the average of the weights
+_WARM, _MOST_DECAY = 100, 0.999  # steps until the largest rate; decay of the average of the weights
 _DROPPED = 0.15  # share of batches in which one group of features is hidden
 _STATE = ("step", "exp_avg", "exp_avg_sq")  # of the optimiser, for each parameter
 _INPUTS = {"pair": PAIR_GROUPS, "uav": UAV_GROUPS, "context": CONTEXT_GROUPS}
@@ -51,7 +51,7 @@ class ReaderTraining(NetworkSizes):
         preset: ``"minutes"`` or ``"hours"``, which have 25 and 300 shards.
         seed: seed of all random draws.
         without: names of the families of the prior that are left out.
-        start: a weights file to begin with; ``None``: random weights.
+        start: a weights file to begin with, also one of fewer features of pairs; ``None``: random weights.
         device: where the network learns.
         width, attn_heads, blocks: see :class:`detectors.reader.network.NetworkSizes`.
         shards: their number; ``None``: the preset's.
@@ -73,16 +73,37 @@ class ReaderTraining(NetworkSizes):
     rate: Annotated[float, Field(gt=0, le=0.1)] = 2e-3
 
 
-def compute_loss(answer: Answer[Tensor], head: Tensor, leader: Tensor, root: Tensor, delay: Tensor) -> Tensor:
-    """Loss of a batch: of heads, and with smaller weights of leaders, roots, silence and delays (NaN: none)."""
+def compute_loss(
+    answer: Answer[Tensor], head: Tensor, leader: Tensor, root: Tensor, link: Tensor, delay: Tensor
+) -> Tensor:
+    """Loss of a batch: of heads, and with smaller weights of leaders, roots, links, silence and delays (NaN: none)."""
     truth = head.float()
     heads = binary_cross_entropy_with_logits(answer.head, truth, reduction="none").sum(dim=1).mean()
-    links = cross_entropy(answer.leader.flatten(0, 1), leader.flatten())
-    links = links + cross_entropy(answer.root.flatten(0, 1), root.flatten())
+    leaders = cross_entropy(answer.leader.flatten(0, 1), leader.flatten())
+    roots = cross_entropy(answer.root.flatten(0, 1), root.flatten())
     silent = binary_cross_entropy_with_logits(answer.silent, 1.0 - truth.amax(dim=1))
     known = delay.isfinite()
     late = huber_loss(answer.delay[known], torch.log1p(delay[known]), reduction="sum") / known.sum().clamp(min=1)
-    return heads / math.sqrt(head.shape[1]) + 0.3 * links + 0.3 * silent + 0.1 * late
+    defined = link.isfinite()
+    linked = binary_cross_entropy_with_logits(answer.link[defined], link[defined], reduction="sum") / head.numel()
+    links = 0.6 * leaders + 0.3 * roots + 0.2 * linked
+    return heads / math.sqrt(head.shape[1]) + links + 0.3 * silent + 0.1 * late
+
+
+def _load_start(network: nn.Module, path: str) -> int:
+    """Load a weights file, whose number of features of pairs is returned; later ones have no influence at first."""
+    arrays, state = {name: torch.tensor(array) for name, array in read_arrays(path).items()}, network.state_dict()
+    known = len(arrays.get("pair_mean", ()))
+    for name in ("pair_mean", "pair_scale", "enter.weight"):
+        if name in arrays and known < state[name].shape[-1]:
+            arrays[name] = nn.functional.pad(arrays[name], (0, state[name].shape[-1] - known))
+    for name in ("links.weight", "links.bias"):
+        if name in arrays and len(arrays[name]) == 2:  # the first edition had no links
+            arrays[name] = torch.cat([arrays[name], arrays[name][:1]])
+    if {name: value.shape for name, value in arrays.items()} != {name: value.shape for name, value in state.items()}:
+        raise ArgumentError(f"start must hold a network of these sizes, got {quote(path)}.")
+    network.load_state_dict(arrays)
+    return known
 
 
 def _group_batches(shard: list[Batch], together: int) -> list[list[Batch]]:
@@ -101,19 +122,14 @@ class _Trainer:
         self.shards = training.shards or _PRESETS[training.preset]
         seed = int(np.random.default_rng([training.seed, _START]).integers(2**63))
         self.network = draw_network(training.part(NetworkSizes), seed).to(training.device)
-        if training.start:
-            arrays = {name: torch.tensor(array) for name, array in load_reader(training.start).items()}
-            shapes = [{name: value.shape for name, value in it.items()} for it in (arrays, self.network.state_dict())]
-            if shapes[0] != shapes[1]:
-                raise ArgumentError(f"start must hold a network of these sizes, got {quote(training.start)}.")
-            self.network.load_state_dict(arrays)
+        self.known_pairs = _load_start(self.network, training.start) if training.start else 0
         self.both = nn.ModuleDict({"network": self.network, "average": deepcopy(self.network)})
         self.optimiser = torch.optim.AdamW(self.network.parameters(), weight_decay=0.01, fused=True)
         self.rows: list[dict[str, Any]] = []
 
     def learn(self, shard: list[Batch]) -> None:
         """Take the steps of a shard, and add its row, measured before a batch is learned."""
-        if not self.rows and not self.training.start:
+        if not self.rows:
             self._standardise(shard)
         rng = np.random.default_rng([self.training.seed, _ORDER, len(self.rows)])
         groups = _group_batches(shard, self.training.together)
@@ -149,13 +165,13 @@ class _Trainer:
             name: torch.tensor(array, device=device).float()
             for name, array in zip(group[0][0]._fields, features, strict=True)
         }
-        truth = (np.concatenate(parts) for parts in zip(*(truth[3:7] for _, truth in group), strict=True))
-        head, leader, root, delay = (torch.tensor(array, device=device) for array in truth)
+        truth = (np.concatenate(parts) for parts in zip(*(truth[3:8] for _, truth in group), strict=True))
+        head, leader, root, link, delay = (torch.tensor(array, device=device) for array in truth)
         if dropped is not None:
             name, part = dropped
             inputs[name][..., part] = self.network.get_buffer(f"{name}_mean")[part]
         answer = self.network(**inputs)
-        loss = compute_loss(answer, head, leader, root, delay)
+        loss = compute_loss(answer, head, leader, root, link, delay)
         (loss * (len(head) / windows)).backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
         right = ((answer.head > 0) == head).all(dim=1)
         return loss.detach(), right.view(len(group), -1).sum(dim=1)
@@ -173,13 +189,15 @@ class _Trainer:
                 mean.lerp_(now, 1.0 - decay)
 
     def _standardise(self, shard: list[Batch]) -> None:
-        """Set means and scales of the inputs to those of a shard; a seventh of the pairs is enough."""
-        for name, every, least in (("pair", 7, 1e-3), ("uav", 1, 1e-3), ("context", 1, 1e-2)):
+        """Set means and scales of the inputs that are new to those of a shard; a seventh of the pairs is enough."""
+        inputs = ("pair", 7, 1e-3), ("uav", 1, 1e-3), ("context", 1, 1e-2)
+        for name, every, least in inputs[: 1 if self.known_pairs else 3]:
+            first = self.known_pairs if name == "pair" else 0
             arrays = [getattr(features, name) for features, _ in shard]
             values = np.concatenate([array.reshape(-1, array.shape[-1])[::every] for array in arrays], dtype=np.float64)
             for network in self.both.values():
-                network.get_buffer(f"{name}_mean").copy_(torch.tensor(values.mean(axis=0)))
-                network.get_buffer(f"{name}_scale").copy_(torch.tensor(1.0 / values.std(axis=0).clip(least)))
+                network.get_buffer(f"{name}_mean")[first:] = torch.tensor(values.mean(axis=0)[first:])
+                network.get_buffer(f"{name}_scale")[first:] = torch.tensor(1.0 / values.std(axis=0).clip(least)[first:])
 
     def read(self, checkpoint: Checkpoint, folder: Path) -> None:
         """Go on from a checkpoint, if there is one."""

@@ -268,3 +268,27 @@ def test_who_comes_later_to_the_same_places_is_told():
     assert behind[3] == behind[:6].min()  # the lag of 8 steps
     assert behind[10] == 1
     assert behind[12] > 0.5
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("delay", [2, 5])
+def test_a_uav_that_turns_as_another_turned_answers_it_with_this_delay(sign, delay):
+    rng, steps, uavs = np.random.default_rng(4), 100, 6
+    spins = 0.25 * rng.standard_normal((steps, uavs, 3))
+    for t in range(1, steps):
+        spins[t] = 0.5 * spins[t - 1] + 0.8 * spins[t]
+    spins[delay:, 1] = sign * spins[:-delay, 0]
+    velocity = np.empty((steps, uavs, 3))
+    velocity[0] = rng.standard_normal((uavs, 3))
+    for t in range(1, steps):
+        velocity[t] = Rotation.from_rotvec(spins[t]).apply(velocity[t - 1])
+    velocity /= np.linalg.norm(velocity, axis=2, keepdims=True)
+    position = np.concatenate([np.zeros((1, uavs, 3)), np.cumsum(velocity, 0)])
+    answers = group(make_features(*hide(position, velocity, np.ones((steps + 1, uavs), bool))), "answers")
+    lags = (1, 2, 3, 4, 5, 6, 8, 10, 12)
+    turns = answers[..., : len(lags)]
+    assert np.abs(turns[1]).max(axis=1).argmax() == 0
+    best = np.abs(turns[1, 0]).argmax()
+    assert delay - 2 <= lags[best] <= delay  # it compares with a turn of three steps
+    assert np.sign(turns[1, 0, best]) == sign
+    assert np.abs(turns[1, 0]).max() > 2 * np.abs(turns[0, 1]).max()

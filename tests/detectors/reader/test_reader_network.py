@@ -57,7 +57,7 @@ def test_a_permutation_of_uavs_permutes_the_answer():
     whole, turned = read(weights, features), read(weights, mixed)
     for name in ("head", "delay"):
         np.testing.assert_allclose(getattr(turned, name), getattr(whole, name)[order], atol=1e-5)
-    for name in ("leader", "root"):
+    for name in ("leader", "root", "link"):
         np.testing.assert_allclose(getattr(turned, name), getattr(whole, name)[np.ix_(order, order)], atol=1e-5)
     np.testing.assert_allclose(turned.silent, whole.silent, atol=1e-5)
     assert np.ptp(whole.head) > 0.1

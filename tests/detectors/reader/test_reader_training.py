@@ -97,19 +97,20 @@ def test_a_draw_that_fails_ends_the_training(tmp_path, monkeypatch):
 def test_the_loss_of_right_answers_is_small_and_unknown_delays_count_nothing():
     head = torch.tensor([[True, False, False]])
     leader, delay = torch.tensor([[0, 0, 1]]), torch.tensor([[np.nan, 2.0, 3.0]])
-    root = torch.tensor([[0, 0, 0]])
+    root, link = torch.tensor([[0, 0, 0]]), torch.tensor([[[np.nan, 0, 0], [1.0, 0, 0], [0, 1, 0]]])
 
     def answer(sign, known):
         logits = [sign * 20.0 * torch.nn.functional.one_hot(right, 3).float() for right in (leader, root)]
+        logits.append(sign * (40.0 * link.nan_to_num(0.5) - 20.0))
         return Answer(sign * (40.0 * head - 20.0), *logits, torch.tensor([-20.0 * sign]), known)
 
     right = torch.tensor([[99.0, np.log1p(2.0), np.log1p(3.0)]], dtype=torch.float32)
-    assert compute_loss(answer(1, right), head, leader, root, delay) < 1e-5
-    assert compute_loss(answer(1, right + 1.0), head, leader, root, delay) == pytest.approx(0.05, abs=1e-4)
-    assert compute_loss(answer(-1, right), head, leader, root, delay) == pytest.approx(
-        60 / 3**0.5 + 0.3 * 40 + 0.3 * 20, rel=0.01
+    assert compute_loss(answer(1, right), head, leader, root, link, delay) < 1e-5
+    assert compute_loss(answer(1, right + 1.0), head, leader, root, link, delay) == pytest.approx(0.05, abs=1e-4)
+    assert compute_loss(answer(-1, right), head, leader, root, link, delay) == pytest.approx(
+        60 / 3**0.5 + 0.6 * 20 + 0.3 * 20 + 0.2 * 160 / 3 + 0.3 * 20, rel=0.01
     )
-    assert torch.isfinite(compute_loss(answer(1, right), head, leader, root, torch.full((1, 3), np.nan)))
+    assert torch.isfinite(compute_loss(answer(1, right), head, leader, root, link, torch.full((1, 3), np.nan)))
 
 
 def test_unknown_settings_are_refused_in_one_sentence(tmp_path):
