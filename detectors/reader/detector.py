@@ -11,15 +11,16 @@ from scipy.special import expit, softmax
 
 from detectors.base import Detector
 from detectors.policy import choose
-from detectors.reader.features import make_features
-from detectors.reader.forward import Weights, load_reader, read
-from detectors.reader.neighbourhoods import cut_swarm
+from detectors.reader.features import LEAST_STRIDED, make_features
+from detectors.reader.forward import Answer, Weights, load_reader, read
+from detectors.reader.neighbourhoods import cut_swarm, gather_doubtful
 from detectors.series.designs import check_pairs
-from usnet_env.arrays import Indices, Mask
+from usnet_env.arrays import Indices, Mask, Singles
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
 _DENSE = 200  # UAVs that are read as one window; a larger swarm is read in neighbourhoods
+_SURE = -0.01  # logarithm of a probability from which on a window is read once
 _DECIMALS = 6  # of a probability: smaller differences are rounding errors, and count as ties
 
 
@@ -59,10 +60,11 @@ class Reader(Detector):
         Returns:
             Candidates; scores and ``extras["probability"]``, of being a head; ``leader``, the one followed directly
             (own index: none; -1: destroyed or never seen to move); ``clusters``, one per root; attention, the
-            probability that UAV i follows UAV j (``None`` of more than 200). In ``extras``: ``root`` ``(N,)``, the head
-            of each UAV; ``delay`` ``(N,)``, steps behind the leader; ``p_no_leader``, the probability that no UAV
-            leads; ``confidence``, that the UAVs with a probability above 1/2 are exactly the heads. A UAV that follows
-            none in its own neighbourhood may be a head in another one. No UAV leads if none does in any.
+            probability that UAV i's motion depends on UAV j's itself (``None`` of more than 200). In ``extras``:
+            ``root`` ``(N,)``, the head of each UAV; ``delay`` ``(N,)``, steps behind the leader; ``p_no_leader``, the
+            probability that no UAV leads; ``confidence``, that the UAVs with a probability above 1/2 are exactly the
+            heads. A UAV that follows none in its own neighbourhood may be a head in another one; doubtful heads are
+            read again beside the probable ones. No UAV leads if none does in any neighbourhood.
         """
         arguments = self.check_arguments()
         check_pairs(window.uavs)
@@ -70,18 +72,30 @@ class Reader(Detector):
         probability, away, free, delay = np.zeros((4, window.uavs))
         leader, root, clusters = np.full((3, window.uavs), -1, np.int64)
         attention = np.zeros((window.uavs, window.uavs)) if len(flying) <= _DENSE else None
-        p_no_leader, position, velocity, seen = 1.0, window.position, window.velocity, window.seen
-        for uavs, own in _divide_uavs(window, flying):
-            answer = read(self._weights, make_features(position[:, uavs], velocity[:, uavs], seen[:, uavs]))
+        p_no_leader, sets = 1.0, _divide_uavs(window, flying)
+
+        def keep_answer(answer: Answer[Singles], uavs: Indices, kept: Mask) -> None:
+            """Keep what an answer says of some of its UAVs."""
+            probability[uavs[kept]] = expit(answer.head.astype(np.float64))[kept]
+            leader[uavs[kept]], root[uavs[kept]] = (
+                uavs[to.argmax(axis=1)[kept]] for to in (answer.leader, answer.root)
+            )
+            delay[uavs[kept]] = answer.delay[kept]
+
+        for uavs, core in sets:
+            answer = self._read_twice(window, uavs, core)
+            keep_answer(answer, uavs, core)
             head, follows = expit(answer.head.astype(np.float64)), softmax(answer.leader, axis=1)
-            probability[uavs[own]], free[uavs[own]] = head[own], follows.diagonal()[own]
-            away[uavs[~own]] = np.maximum(away[uavs[~own]], head[~own])
+            free[uavs[core]] = follows.diagonal()[core]
+            away[uavs[~core]] = np.maximum(away[uavs[~core]], head[~core])
             p_no_leader = min(p_no_leader, round(float(expit(np.float64(answer.silent))), _DECIMALS))
-            leader[uavs[own]], root[uavs[own]] = (uavs[to.argmax(axis=1)[own]] for to in (answer.leader, answer.root))
-            delay[uavs[own]] = np.expm1(answer.delay[own].clip(0.0))
             if attention is not None:
-                attention[np.ix_(uavs, uavs)] = follows
-        probability = np.maximum(probability, free * away).round(_DECIMALS)
+                attention[np.ix_(uavs, uavs)] = expit(answer.link.astype(np.float64)) * ~np.eye(len(uavs), dtype=bool)
+        probability[:] = np.maximum(probability, free * away)
+        for uavs, core in gather_doubtful(probability, root) if len(sets) > 1 else ():
+            answer = self._read_twice(window, uavs, core)
+            keep_answer(answer, uavs, core & (expit(answer.head.astype(np.float64)) < probability[uavs]))
+        probability = probability.round(_DECIMALS)
         delay[leader == np.arange(window.uavs)] = 0.0
         clusters[root >= 0] = np.unique(root[root >= 0], return_inverse=True)[1]
         rule = {name: getattr(arguments, name) for name in ("policy", "objective", "round_price")}
@@ -91,11 +105,37 @@ class Reader(Detector):
         extras |= {"p_no_leader": p_no_leader, "silent": p_no_leader}  # silent: its name in version 0.1
         return Detection(candidates, probability, clusters, leader, attention, extras)
 
+    def _read_twice(self, window: Window, uavs: Indices, core: Mask) -> Answer[Singles]:
+        """The answer for some UAVs; its delays are in steps. A doubtful one is compared with that at every second step.
+
+        The surer one counts, that is, the one with the likelier set of heads in the ``core`` ``(m,)``.
+        """
+        answers = list[tuple[float, Answer[Singles]]]()
+        for stride in (1, 2) if len(window.velocity) >= LEAST_STRIDED else (1,):
+            answer = read(self._weights, make_features(*_take_samples(window, uavs, stride)))
+            sure = float(-np.logaddexp(0.0, -np.abs(answer.head[core].astype(np.float64))).sum())
+            delay = stride * np.expm1(answer.delay.clip(0.0))
+            answers.append((sure, answer._replace(delay=delay)))
+            if sure > _SURE:
+                break
+        return max(answers, key=lambda each: each[0])[1]
+
+
+def _take_samples(window: Window, uavs: Indices, stride: int) -> tuple[Singles, Singles, Mask]:
+    """Positions, velocities and what is seen of some UAVs, at every so many samples."""
+    position, seen = window.position[::stride, uavs], window.seen[::stride, uavs]
+    if stride == 1:
+        return position, window.velocity[:, uavs], seen
+    both = (seen[1:] & seen[:-1])[..., None]
+    return position, np.where(both, np.diff(position, axis=0), np.float32(0.0)), seen
+
 
 def _divide_uavs(window: Window, flying: Indices) -> list[tuple[Indices, Mask]]:
-    """The sets of UAVs that are read at once, and for which of them the answer counts."""
+    """The sets of UAVs that are read at once, and for which of them, the core, the answer counts."""
     if len(flying) < 2:
         return []
     if len(flying) <= _DENSE:
         return [(flying, np.ones(len(flying), bool))]
-    return [(flying[uavs], own) for uavs, own in cut_swarm(window.velocity[:, flying], window.velocity_seen[:, flying])]
+    return [
+        (flying[uavs], core) for uavs, core in cut_swarm(window.velocity[:, flying], window.velocity_seen[:, flying])
+    ]

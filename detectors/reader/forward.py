@@ -37,6 +37,7 @@ class Answer(NamedTuple, Generic[T]):
     head: T  #: ``(n,)``: the UAV leads another
     leader: T  #: ``(n, n)`` over j: i follows j directly; (i, i): nobody
     root: T  #: ``(n, n)`` over j: the chain of i's leaders ends at j; (i, i): i follows nobody
+    link: T  #: ``(n, n)``: i's motion depends on j's itself
     silent: T  #: ``()``: nobody leads
     delay: T  #: ``(n,)``
 
@@ -91,11 +92,11 @@ def read(weights: Weights, features: Features) -> Answer[Singles]:
         state = _update(weights, f"blocks.{block}", normed, state, both, entered)
         np.matmul(entered.reshape(n * n, width), weights[f"blocks.{block}.out.weight"].T, out=change)
     _add_and_normalise(pair, change, normed)
-    leader, root = np.ascontiguousarray(_apply(weights, "links", normed).T).reshape(2, n, n)
+    leader, root, link = np.ascontiguousarray(_apply(weights, "links", normed).T).reshape(3, n, n)
     state = _normalise(state)
     head, delay = _apply_layers(weights, "head", state).T
     silent = _apply_layers(weights, "silent", np.concatenate([state.mean(axis=0), state.max(axis=0)]))
-    return Answer(head, leader, root, silent[0], delay)
+    return Answer(head, leader, root, link, silent[0], delay)
 
 
 def _update(weights: Weights, block: str, normed: Singles, state: Singles, both: Singles, mixed: Singles) -> Singles:

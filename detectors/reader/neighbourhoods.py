@@ -20,6 +20,11 @@ _JOINING = 2  # UAVs that join a community because they explain most, and becaus
 _FEW = 2000  # UAVs of which each may join; of more, those without a community and those of divided ones
 _RIVALS = 100  # UAVs that may come first, of each community
 _LAST_LAG = 12  # steps
+_CALLED, _BESIDE, _CALLED_AT_ONCE = (
+    12,
+    100,
+    50,
+)  # followers of a doubtful head, probable heads, and doubtful ones with followers
 _WORK = 3e10  # products in a comparison of all pairs; in a larger swarm, steps are averaged before
 _CHUNK = 512  # UAVs whose pairs are compared at once
 
@@ -46,6 +51,30 @@ def cut_swarm(velocity: Singles, seen: Mask) -> list[tuple[Indices, Mask]]:
             piece[uav] = piece[group]
         guests.setdefault(int(piece[group]), set()).add(uav)
     return _pack_pieces(piece, guests)
+
+
+def gather_doubtful(probability: Floats, root: Indices) -> list[tuple[Indices, Mask]]:
+    """Sets of UAVs that may be heads, with some of their followers, and beside them those that probably are heads.
+
+    ``probability`` ``(N,)`` is that of being a head, ``root`` ``(N,)`` the head that was found. A neighbourhood whose
+    head is in another one may take a follower for its head; beside the true head it doesn't. Sets are as those of
+    :func:`cut_swarm`, with the doubtful ones and their followers as the core.
+    """
+    doubtful = np.flatnonzero((probability > 1 / len(root)) & (probability < 1 - 1 / len(root)))
+    heads = np.flatnonzero(probability > 0.5)
+    groups = [
+        np.append(uav, np.flatnonzero((root == uav) & (np.arange(len(root)) != uav))[:_CALLED]) for uav in doubtful
+    ]
+    sets = list[tuple[Indices, Mask]]()
+    for beside in np.array_split(heads, -(-len(heads) // _BESIDE) or 1):
+        core = np.empty(0, np.int64)
+        for last, group in enumerate(groups, start=1):
+            core = np.union1d(core, group)
+            if len(core) >= _CALLED_AT_ONCE or last == len(groups):
+                uavs = np.union1d(core, beside)
+                sets.append((uavs, np.isin(uavs, core)))
+                core = core[:0]
+    return sets
 
 
 def find_turns(series: Singles, seen: Mask, block: int = 1) -> Singles:
