@@ -35,7 +35,8 @@ class Reader(Detector):
             nobody where probably nobody leads; ``"map"`` names the UAVs with a probability above 1/2.
         objective: ``"P2"`` (destroy all heads in few rounds) or ``"P1"`` (name the single head in one round).
         round_price: the expected cost of one more round of P2, in rounds; used by ``"cost"`` only.
-        weights: ``"shipped"``, ``"untrained"`` (random, to compare with), or a weights file of ``usnet train reader``.
+        weights: ``"shipped"``; to compare with, ``"untrained"`` (random) and ``"blind"`` (trained on the same windows
+            without any feature of a pair); or a weights file of ``usnet train reader``.
 
     Raises:
         ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is refused, the weights file is missing or

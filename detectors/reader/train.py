@@ -40,6 +40,7 @@ _DROPPED = 0.15  # share of batches in which one group of features is hidden
 _STATE = ("step", "exp_avg", "exp_avg_sq")  # of the optimiser, for each parameter
 _INPUTS = {"pair": PAIR_GROUPS, "uav": UAV_GROUPS, "context": CONTEXT_GROUPS}
 _GROUPS = [(name, part) for name, groups in _INPUTS.items() for part in groups.values()]
+_COMPARED = ("companions", "pulls")  # features of a UAV that are made of pairs
 
 Count = Annotated[int, Field(ge=1, le=10_000_000)]
 
@@ -52,6 +53,8 @@ class ReaderTraining(NetworkSizes):
         seed: seed of all random draws.
         without: names of the families of the prior that are left out.
         start: a weights file to begin with, also one of fewer features of pairs; ``None``: random weights.
+        blind: every feature that compares a UAV with another at two times is hidden: those of pairs, and what pairs
+            say of a UAV. What such a network finds, it reads from single tracks and from where UAVs are.
         device: where the network learns.
         width, attn_heads, blocks: see :class:`detectors.reader.network.NetworkSizes`.
         shards: their number; ``None``: the preset's.
@@ -64,6 +67,7 @@ class ReaderTraining(NetworkSizes):
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     without: tuple[str, ...] = ()
     start: str | None = None
+    blind: bool = False
     device: Literal["cpu", "cuda"] = "cpu"
     shards: Count | None = None
     batches: Count = 120
@@ -198,6 +202,10 @@ class _Trainer:
             for network in self.both.values():
                 network.get_buffer(f"{name}_mean")[first:] = torch.tensor(values.mean(axis=0)[first:])
                 network.get_buffer(f"{name}_scale")[first:] = torch.tensor(1.0 / values.std(axis=0).clip(least)[first:])
+        for network in self.both.values() if self.training.blind else ():
+            network.get_buffer("pair_scale").zero_()
+            for part in (UAV_GROUPS[name] for name in _COMPARED):
+                network.get_buffer("uav_scale")[part] = 0.0
 
     def read(self, checkpoint: Checkpoint, folder: Path) -> None:
         """Go on from a checkpoint, if there is one."""
