@@ -41,6 +41,8 @@ KINDS = {"pair": PAIR_GROUPS, "uav": UAV_GROUPS, "context": CONTEXT_GROUPS}
 GROUPS = {name: (kind, part) for kind, groups in KINDS.items() for name, part in groups.items()}
 NONE, SHIPPED = "nothing", "shipped"  # no group is dropped; the weights of the package
 CONFIDENCES = (0.0, 0.2, 0.4, 0.6, 0.8, 0.95, 1.0)
+#: Sets of windows of the reliability curve: of laws that the prior has, and of laws that it hasn't.
+LAWS = {"in the prior": ("prior", *SUITES), "not in the prior": ("open", "open-second")}
 
 
 def find_weights(readers: Path, label: str) -> Path:
@@ -118,7 +120,7 @@ def choose_windows(options: Namespace) -> Iterable[tuple[str, str, str]]:
     elif options.study == "ablation":
         yield from product([SHIPPED], [NONE, *(options.names or GROUPS)], list_cells())
     else:
-        cells = list_cells(["paper", *SUITES, "open", "limit"])
+        cells = list_cells(["paper", *SUITES, "open", "open-second", "limit"])
         yield from product([SHIPPED], [NONE], [*cells, *(f"prior/{family}" for family in FAMILIES)])
 
 
@@ -126,6 +128,37 @@ def measure_calibration(rows: pd.DataFrame) -> str:
     """The expected calibration error of p(head)."""
     sums = rows.groupby("bin")[["uavs", "p", "heads"]].sum()
     return f"{(sums.p - sums.heads).abs().sum() / max(sums.uavs.sum(), 1):.4f}"
+
+
+def measure_reliability(rows: pd.DataFrame) -> str:
+    """The mean of p(head), the share of heads, and the number of UAVs."""
+    uavs, p, heads = rows[["uavs", "p", "heads"]].sum()
+    return f"{p / uavs:.3f}; {heads / uavs:.3f}; {uavs:,.0f}" if uavs else "–"
+
+
+def draw_reliability(rows: pd.DataFrame, path: Path) -> None:
+    """Draw the share of heads among UAVs with about the same p(head); intervals are those over sources."""
+    figure, grid = shared.panels(5.2, 4.4)
+    axes = grid[0, 0]
+    axes.plot([0, 1], [0, 1], color="#888888", lw=1, label="right probabilities")
+    for number, (label, sets) in enumerate(LAWS.items()):
+        sources = rows[rows.set.isin(sets)].groupby(["bin", "source"])[["uavs", "p", "heads"]].sum()
+        points = np.array([find_reliability(part) for _, part in sources.groupby("bin")])
+        x, y, low, high = points.T
+        style = {"color": shared.COLORS[number], "marker": shared.MARKERS[number], "ms": 5, "lw": 1.4}
+        axes.errorbar(x, y, [y - low, high - y], label=f"laws {label}", **style)
+    axes.set(xlabel="mean p(head)", ylabel="share of heads", xlim=(0, 1), ylim=(0, 1))
+    caption = "Reader, shipped weights; bars: 95 % intervals over families, cells or laws"
+    shared.save_figure(figure, path, "Are its probabilities right?", caption)
+
+
+def find_reliability(sources: pd.DataFrame, draws: int = 1000) -> tuple[float, float, float, float]:
+    """The mean p(head) and the share of heads of one tenth with its 95 % interval, by drawing sources anew."""
+    sums = sources[["uavs", "p", "heads"]].to_numpy(float)
+    chosen = np.random.default_rng(0).integers(len(sums), size=(draws, len(sums)))
+    uavs, _, heads = sums[chosen].sum(axis=1).T
+    low, high = np.quantile(heads / uavs, (0.025, 0.975))
+    return sums[:, 1].sum() / sums[:, 0].sum(), sums[:, 2].sum() / sums[:, 0].sum(), low, high
 
 
 def measure_doubt(windows: pd.DataFrame) -> str:
@@ -157,7 +190,7 @@ def report(rows: pd.DataFrame, study: str) -> str:
     """The tables of a study."""
     sure = pd.cut(rows.confidence.clip(1e-6), CONFIDENCES).astype(str)
     rows = rows.assign(set=rows.source.str.partition("/")[0], sure=sure)
-    rows["unit"] = rows.source.where(rows.set == "open", rows.episode.astype(str))  # laws, or windows
+    rows["unit"] = rows.source.where(rows.set.str.startswith("open"), rows.episode.astype(str))  # laws, or windows
     windows = rows.drop_duplicates(KEYS)
     columns = {"windows": size, "exact": rate("exact", group="unit"), "mean confidence": format_confidence}
     columns["errors by 1 - confidence"] = measure_doubt
@@ -168,7 +201,11 @@ def report(rows: pd.DataFrame, study: str) -> str:
     tables: list[dict[str, str]] = [{"set": "set", "leads": "leads"}, {"leads": "leads"}, {"confidence": "sure"}]
     errors = {"calibration error": measure_calibration}
     blocks = (windows, columns), (rows, errors)
-    return "\n\n".join(pivot(part, line, texts) for line in tables for part, texts in blocks)
+    parts = [pivot(part, line, texts) for line in tables for part, texts in blocks]
+    inside = {label: rows.set.isin(sets) for label, sets in LAWS.items()}
+    laws = rows.assign(laws=np.select(list(inside.values()), list(inside), "")).sort_values("bin")
+    texts = across("laws", LAWS, measure_reliability, "laws {}: mean p; heads; UAVs")
+    return "\n\n".join([*parts, pivot(laws, {"tenth of p(head)": "bin"}, texts)])
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -190,6 +227,9 @@ def main(argv: list[str] | None = None) -> None:
     options.rows /= f"{options.study}.csv.gz"
     rows = shared.run_missing(options, games, partial(play, readers=options.readers, seed=options.seed))
     print(report(rows, options.study))
+    if options.study == "calibration":
+        rows = rows.assign(set=rows.source.str.partition("/")[0])
+        draw_reliability(rows, options.images.parent / "reader-reliability.png")
 
 
 if __name__ == "__main__":

@@ -39,8 +39,8 @@ from usnet_env.tracks import Tracks, find_leaders, read_tracks
 ROWS = RESULTS / "recordings.csv.gz"
 SHIPPED = ROOT / "detectors/reader/data/reader.safetensors"
 DETECTORS = (
-    "reader(policy='map')", "reader", "reader(weights='untrained')", "lagged-network", "mflica", "front-most",
-    "central-most", "track-outlier", "destroy-all", "random", "none",
+    "reader(policy='map')", "reader", "reader(weights='blind')", "reader(weights='untrained')", "lagged-network",
+    "mflica", "front-most", "central-most", "track-outlier", "destroy-all", "random", "none",
 )  # fmt: skip
 MOST, LARGEST = 6, 2**22  # windows of a recording; bytes of a file
 FRAMES, ARENA = 30, 145.0  # a second; mm that both animals together cross

@@ -27,9 +27,10 @@ from usnet_env.files import write_text
 
 COLUMNS = ("cell", "detector", "episode", "swarm_seed", "J", "exact", "f1_first", "seconds_per_round", "error")
 DETECTORS = (
-    "none", "random", "destroy-all", "central-most", "track-outlier", "reader(weights='untrained')", "one-per-round",
-    "front-most", "lagged-correlation", "lagged-regression", "factions", "granger", "reader", "reader(policy='map')",
-    "directional-delays", "lagged-network", "net-lag-regression", "flica", "mflica", "transfer-entropy",
+    "none", "random", "destroy-all", "central-most", "track-outlier", "reader(weights='untrained')",
+    "reader(weights='blind')", "one-per-round", "front-most", "lagged-correlation", "lagged-regression", "factions",
+    "granger", "reader", "reader(policy='map')", "directional-delays",
+    "lagged-network", "net-lag-regression", "flica", "mflica", "transfer-entropy",
     "gassl(steps=0)", "mc-gassl(gassl={'steps': 0})", "mc-gassl", "neural-granger", "gassl",
 )  # fmt: skip
 #: Episodes of detectors that are too slow for all those of a suite, by suite.

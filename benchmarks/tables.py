@@ -25,6 +25,7 @@ import paper_tables
 import peers
 import probing
 import reader
+import reader_links
 import recordings
 import scenarios
 from paper.shared import RESULTS, ROOT, make_parser, read_rows
@@ -42,10 +43,9 @@ PAGES = (
     "docs/suites.md",
     "docs/environments.md",
     "docs/leaderboard.md",
-    "docs/reader.md",
     "docs/probing.md",
     "docs/multiagent.md",
-    *(f"docs/results/{name}.md" for name in ("suites", "paper", "tracks", "speed")),
+    *(f"docs/results/{name}.md" for name in ("suites", "paper", "reader", "tracks", "speed")),
 )
 SUITES = {  # those of README.md
     "field-v3": "field models, kinematics, disturbances; heads follow unseen UAVs",
@@ -58,10 +58,17 @@ SUITES = {  # those of README.md
 SOLVED = ("field-v2", "limit", "controls-v2", "sensing-v2")
 BEST = 8  # detectors of a table of cells
 #: The detectors of a table of kinds of laws: the best ones, then controls that can't know who follows.
-OF_LAWS = ("reader(policy='map')", "reader", "lagged-network", "track-outlier", "reader(weights='untrained')")
+OF_LAWS = ("reader(policy='map')", "reader", "lagged-network", "reader(weights='blind')", "reader(weights='untrained')")
 #: The lines of README.md's table; the page of the suites has every detector.
 SHORT_LIST = ["reader(policy='map')", "reader", "lagged-network", "lagged-regression"]
-SHORT_LIST += ["reader(weights='untrained')", "track-outlier", "destroy-all", "random", "none"]
+SHORT_LIST += [
+    "reader(weights='blind')",
+    "reader(weights='untrained')",
+    "track-outlier",
+    "destroy-all",
+    "random",
+    "none",
+]
 #: What a detector is, for the leaderboard; the others are baselines.
 ABOUT = {"reader": "learned", "gassl": "the paper", "mc-gassl": "the paper"}
 ABOUT |= dict.fromkeys(("central-most", "track-outlier"), "blind")
@@ -275,6 +282,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "scenarios": _report("scenarios", scenarios.report),
     "scenarios-compared": compare_block,
     **{name: _report(name, lambda rows, name=name: reader.report(rows, name)) for name in reader.STUDIES},
+    "links": _report("links", reader_links.report),
     "peers": _report("peers", peers.report),
     **{one.ROWS.name.partition(".")[0]: lambda one=one: one.report(read_rows(one.ROWS)) for one in (probing, evasion)},
     "leaks": lambda: leaks.report(read_rows(leaks.ROWS)),
