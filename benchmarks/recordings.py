@@ -119,6 +119,11 @@ def play(even: Tracks, detector: Any, seed: int) -> list[dict[str, Any]]:
     return rows
 
 
+def edition(weights: Path = SHIPPED) -> str:
+    """The first digits of the hash of a file of weights."""
+    return sha256(weights.read_bytes()).hexdigest()[:8]
+
+
 def report(rows: pd.DataFrame) -> str:
     """A table for each set; a recording is one value of a mean."""
 
@@ -152,11 +157,11 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("--detector", action="append", help="may repeat; by default all of the table")
     given = parser.parse_args(argv)
     old = read_rows(given.rows) if given.rows.exists() else pd.DataFrame({"detector": [], "weights": []})
-    edition, players, rows = sha256((given.weights or SHIPPED).read_bytes()).hexdigest()[:8], {}, []
+    weights_hash, players, rows = edition(given.weights or SHIPPED), {}, []
     for name in given.detector or DETECTORS:
         trained = name.startswith("reader") and "weights" not in name
         how = {"weights": str(given.weights)} if trained and given.weights else {}
-        players[name, edition if trained else "–"] = make_detector(name, **how)
+        players[name, weights_hash if trained else "–"] = make_detector(name, **how)
     for known in zip(old.detector, old.weights, strict=True):
         players.pop(known, None)
     for reads, folder in ((read_termites, "termites"), (read_platoons, "platoons")):

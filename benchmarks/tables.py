@@ -59,16 +59,15 @@ SOLVED = ("field-v2", "limit", "controls-v2", "sensing-v2")
 BEST = 8  # detectors of a table of cells
 #: The detectors of a table of kinds of laws: the best ones, then controls that can't know who follows.
 OF_LAWS = ("reader(policy='map')", "reader", "lagged-network", "reader(weights='blind')", "reader(weights='untrained')")
-#: The lines of README.md's table; the page of the suites has every detector.
-SHORT_LIST = ["reader(policy='map')", "reader", "lagged-network", "lagged-regression"]
-SHORT_LIST += [
-    "reader(weights='blind')",
-    "reader(weights='untrained')",
-    "track-outlier",
-    "destroy-all",
-    "random",
-    "none",
-]
+READER, BLIND = "reader(policy='map')", "reader(weights='blind')"
+RECORDED = {  # the recordings of README.md
+    "ants": "ants: tandem runs",
+    "cars": "cars: platoons of five",
+    "Rs": "termites: *R. speratus*",
+    "Cf": "termites: *C. formosanus*",
+    "platoons": "cars on a test track",
+    "platoons-unseen": "the same, the first car without a track",
+}
 #: What a detector is, for the leaderboard; the others are baselines.
 ABOUT = {"reader": "learned", "gassl": "the paper", "mc-gassl": "the paper"}
 ABOUT |= dict.fromkeys(("central-most", "track-outlier"), "blind")
@@ -140,36 +139,48 @@ def scale_block() -> str:
 
 
 def readme_block() -> str:
-    """The tables of README.md: the best detector of each suite, some detectors, the paper's algorithms."""
-    suites, best = {name: read_suite(name) for name in SUITES if suite_file(name).exists()}, []
-    for name, rows in suites.items():
-        about, suite = SUITES[name], list_suites()[name]
-        chosen = rows[rows.detector == rows.detector.iloc[0]]
-        played, settings = f"{len(suite.cells)} × {suite.episodes}", f"{rows.detector.nunique()}"
-        label = f"`{chosen.detector.iloc[0]}`"
-        best.append([f"`{name}`", about, played, settings, label, rate("exact", group=_group(name))(chosen)])
-    rows = pd.concat([part.assign(suite=name) for name, part in suites.items()])
-    rows = rows[rows.detector.isin(SHORT_LIST)]
-    rows = rows.sort_values("detector", key=lambda labels: labels.map(SHORT_LIST.index), kind="stable")
-
-    def format_cell(part: pd.DataFrame) -> str:
-        return f"{100 * part.exact.mean():.1f}; {part.J.mean():.2f}"
-
+    """The tables of README.md: suites, recorded tracks, the paper's algorithms."""
+    body = []
+    for name in (name for name in SUITES if suite_file(name).exists()):
+        rows, suite, best = read_suite(name), list_suites()[name], rate("exact", group=_group(name))
+        others = rows[~rows.detector.str.startswith("reader")]
+        other, blind = others[others.detector == others.detector.iloc[0]], rows[rows.detector == BLIND]
+        shares = [best(rows[rows.detector == READER]), f"`{other.detector.iloc[0]}` {100 * other.exact.mean():.1f} %"]
+        about = [f"`{name}`", SUITES[name], f"{len(suite.cells)} × {suite.episodes}"]
+        body.append([*about, *shares, f"{100 * blind.exact.mean():.1f} %" if len(blind) else "–"])
+    heads = "suite", "swarms", "cells × episodes", f"`{READER}`", "best of all others", "blind twin"
     return "\n\n".join(
         [
-            "In a [frozen suite](docs/suites.md) all detectors meet the same swarms. They are not given the number of "
-            "clusters.",
-            markdown(("suite", "swarms", "cells × episodes = n", "settings played", "best of them", "exact"), best),
-            "*Exact*: round 1 names all heads and no other UAV. J_m: the number of rounds, plus the redundant "
-            "candidates divided by N; lower is better, 1 is best. A name without arguments means the default settings. "
-            "[All detectors and cells, with 95 % intervals](docs/results/suites.md).",
-            pivot(rows, DETECTOR, across("suite", suites, format_cell, "`{}`: % exact; J_m")),
-            "GASSL plays P1, MC-GASSL plays P2; iid heads, f1 to f7, means of cells, seed 2022, n after the semicolon. "
-            "A *decoy* flies like a head, and no UAV follows it. The paper's J_m follows from the rounds and redundant "
-            "candidates that its text reports.",
+            "In a [frozen suite](docs/suites.md) all detectors meet the same swarms, without the number of clusters. "
+            "*Exact*: round 1 names all heads and no other UAV. The *blind twin* is the same network, trained on the "
+            "same windows without any feature of a pair of UAVs.",
+            markdown(heads, body),
+            "**Recorded tracks**: how many of the leaders each detector names, and how many of the ids that it names "
+            "are leaders. [Sources, intervals, more detectors](docs/results/tracks.md).",
+            recorded_block(),
+            "**The paper's algorithms**: GASSL plays P1, MC-GASSL plays P2; iid heads, f1 to f7, means of cells, seed "
+            "2022, n after the semicolon. A *decoy* flies like a head, and no UAV follows it. J_m: rounds, plus "
+            "redundant candidates divided by N; 1 is best. The paper's J_m follows from the numbers in its text.",
             paper_tables.paper_algorithms(),
         ]
     )
+
+
+def recorded_block() -> str:
+    """A line for each set of recordings: leaders that are named, and named ids that lead, of some detectors."""
+    known, new = read_rows(RESULTS / "tracks.csv.gz"), read_rows(recordings.ROWS)
+    new = new[~new.detector.str.startswith("reader") | (new.weights == recordings.edition())]
+    parts = known[known.chosen == 1].rename(columns={"named_heads": "named_right"}), new
+    rows = pd.concat([part.assign(unseen=unseen) for part, unseen in zip(parts, ("no", "yes"), strict=True)])
+
+    def format_cell(part: pd.DataFrame) -> str:
+        sums = part[["named_right", "heads", "named"]].sum()
+        return f"{sums.named_right / sums.heads:.2f}; {sums.named_right / max(sums.named, 1):.2f}" if len(part) else "–"
+
+    names = (READER, "front-most", "mflica", "lagged-network", "random")
+    columns: dict[str, CellFormatter] = {"windows": lambda part: str(part[part.detector == READER].shape[0])}
+    columns |= across("detector", names, format_cell, "`{}`")
+    return pivot(rows.replace({"set": RECORDED}), {"recordings": "set", "never seen in development": "unseen"}, columns)
 
 
 def ladder_block() -> str:
