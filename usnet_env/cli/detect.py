@@ -86,6 +86,7 @@ def _parse_position(context: click.Context, option: click.Parameter, words: str 
 @click.option("--min-confidence", type=float, help="Skip rows with a smaller confidence, likelihood or score.")
 @click.option("--split-gap", type=PositiveNumber(), help="Seconds; after a longer gap, an id is another one.")
 @click.option("--pool", is_flag=True, help="Files are recordings of the same ids, each with its own time.")
+@click.option("--pool-by", metavar="NAME", help="Column, such as period, that tells recordings in one file apart.")
 @click.option("--max-size", type=PositiveNumber(), default=256, show_default=True, help=_SIZE)
 @click.option("--encoding", default="utf-8", show_default=True, metavar="NAME", help="Encoding of a CSV file.")
 @click.option("--decimal", type=click.Choice([".", ","]), default=".", help="Decimal sign of a CSV file.  [default: .]")

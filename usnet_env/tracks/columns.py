@@ -6,7 +6,7 @@ import math
 import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal, NoReturn
+from typing import Any, Literal, NamedTuple, NoReturn
 
 import numpy as np
 import pandas as pd
@@ -16,39 +16,65 @@ from usnet_env.arrays import Floats
 from usnet_env.config import ArgumentError, quote
 from usnet_env.tracks.samples import is_none
 
-#: The names of the columns, and what reads some of them: it takes names by role, and its columns are the roles.
-Table = tuple[list[str], Callable[[Mapping[str, str]], pd.DataFrame]]
+
+class Table(NamedTuple):
+    """The names of the columns, and what reads some of them: it takes names by role, and its columns are the roles.
+
+    ``about`` may have the ``rate`` of frames a second, lists of ``notes`` and ``doubts``, and ``for_itself``: whether
+    an id, such as the name of a track, means nothing in another file.
+    """
+
+    header: list[str]
+    read: Callable[[Mapping[str, str]], pd.DataFrame]
+    about: Mapping[str, Any] = {}
+
+
 Role = Literal["id", "t", "frame", "lon", "lat", "x", "y", "z", "leader", "confidence"]
-#: The roles of columns, with the names that are guessed, the preferred one first; a unit may follow (``time_ms``).
+#: The roles of columns, with the names that are guessed, the preferred one first: small letters and digits only. A unit
+#: may follow (``time_ms``).
 ROLES: dict[str, tuple[str, ...]] = {
     "id": (
-        "individual-local-identifier", "id", "ids", "track_id", "trackid", "trajectory_id", "animal", "animal_id",
-        "agent", "agent_id", "uav", "uav_id", "drone", "drone_id", "vehicle", "vehicle_id", "individual",
-        "individual_id", "ind", "bird", "bird_id", "ped_id", "pedestrian_id", "person_id", "object_id", "user_id",
-        "uid", "tag_id", "tag", "collar_id", "device_id", "mmsi", "icao24", "icao", "callsign", "track", "name",
+        "individuallocalidentifier", "id", "ids", "trackid", "trackuuid", "trajectoryid", "animal", "animalid", "agent",
+        "agentid", "uav", "uavid", "drone", "droneid", "vehicle", "vehicleid", "individual", "individuals",
+        "individualid", "ind", "bird", "birdid", "pedid", "pedestrianid", "persid", "personid", "playerid", "objectid",
+        "userid", "uid", "tagid", "tag", "collarid", "deviceid", "mmsi", "icao24", "icao", "hex", "callsign", "track",
+        "name",
     ),
     "t": (
-        "t", "time", "timestamp", "seconds", "sec", "datetime", "date_time", "utc", "timestamp_utc", "time_utc",
-        "base_date_time", "fix_time", "fixtime", "tracked_at", "date",
+        "t", "time", "timestamp", "seconds", "sec", "datetime", "utc", "timestamputc", "timeutc", "basedatetime",
+        "fixtime", "trackedat", "simtime", "positiont", "gameclock", "date", "now",
     ),
-    "frame": ("frame", "frame_id", "frame_number", "frame_nr", "frame_index", "frameid"),
-    "lon": ("lon", "longitude", "location-long", "lng", "long"),
-    "lat": ("lat", "latitude", "location-lat"),
-    "x": ("x", "pos_x", "position_x", "x_position", "easting", "utm-easting", "x_wcentroid"),
-    "y": ("y", "pos_y", "position_y", "y_position", "northing", "utm-northing", "y_wcentroid"),
+    "frame": (
+        "frame", "frameid", "framenumber", "framenr", "frameindex", "frameidx", "framenum", "framecount", "timestep",
+        "fr",
+    ),
+    "lon": ("lon", "longitude", "locationlong", "lng", "long"),
+    "lat": ("lat", "latitude", "locationlat"),
+    "x": (
+        "x", "posx", "positionx", "xposition", "easting", "utmeasting", "tx", "prsrx", "xcenter", "startxpid1",
+        "xwcentroid",
+    ),
+    "y": (
+        "y", "posy", "positiony", "yposition", "northing", "utmnorthing", "ty", "prsry", "ycenter", "startypid1",
+        "ywcentroid",
+    ),
     "z": (
-        "z", "pos_z", "position_z", "altitude", "alt", "height", "elevation", "ele",
-        "height-above-ellipsoid", "height-above-msl", "geoaltitude", "baroaltitude",
+        "z", "posz", "positionz", "tz", "prsrz", "altitude", "alt", "height", "elevation", "ele",
+        "heightaboveellipsoid", "heightabovemsl", "geoaltitude", "baroaltitude",
     ),
-    "leader": ("leader", "leader_id", "head", "follows"),
-    "confidence": ("confidence", "conf", "likelihood", "score", "instance_score", "probability"),
+    "leader": ("leader", "leaderid", "head", "follows"),
+    "confidence": ("confidence", "conf", "likelihood", "score", "instancescore", "probability"),
 }  # fmt: skip
+#: Columns that tell recordings apart, as :data:`ROLES`.
+RECORDINGS = ("recording", "period", "periodid", "half", "trial", "video", "session", "sequence", "run", "scenario")
 TIME_UNITS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # seconds
 LENGTH_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "ft": 0.3048, "px": 1.0}  # metres
+LENGTH_UNITS |= dict.fromkeys(("um", "micron", "\u00b5m", "\u03bcm"), 1e-6) | dict.fromkeys(("pixel", "pixels"), 1.0)
 LABELS = ("id", "leader")
 NUMBERS = ROLES.keys() - set(LABELS)
 TIMES = ("t", "frame")
 MOVEBANK = {"individual-local-identifier", "tag-local-identifier"}  # one of these is in each of its files
+_MOST_LISTED = 40  # names in a message
 _LARGEST = 1e15  # of a number in a file: float64 has no fractions beyond
 _LIMITS = {"lon": 360.0, "lat": 90.0, "t": 1e19, "frame": 1e19}  # degrees; nanoseconds since 1970 until 2286
 _SWAP = str.maketrans(",.", ".,")
@@ -63,17 +89,17 @@ _COMMA = re.compile(r"\s*[+-]?(\d*,\d+|\d+,)([eE][+-]?\d+)?\s*")
 
 def as_table(frame: pd.DataFrame) -> Table:
     """The columns of a data frame."""
-    return list(frame), lambda names: frame[list(names.values())].set_axis(list(names), axis=1)
+    return Table(list(frame), lambda names: frame[[*names.values()]].set_axis([*names], axis=1), frame.attrs)
 
 
 def as_long(table: Table) -> Table:
     """A table with a row for each time, such as ``t, x1, y1, x2, y2``, as one with a row for each sample of an id."""
-    header, read = table
-    plain, wide = {split_unit(name)[0] for name in header}, find_wide(header)
-    if len(wide) < 2 or {"x", "y"} <= plain or plain & {name.replace("-", "_") for name in ROLES["id"]}:
+    header, read, about = table
+    known, wide = guess_columns(header), find_wide(header)
+    if len(wide) < 2 or {"x", "y"} <= known.keys() or "id" in known:
         return table
     rest = [name for name in header if not any(name in axes.values() for axes in wide.values())]
-    if not plain & {*ROLES["t"], *ROLES["frame"]}:
+    if not known.keys() & {*TIMES}:
         rest.append("frame")  # the number of the row
 
     def read_long(names: Mapping[str, str]) -> pd.DataFrame:
@@ -87,7 +113,23 @@ def as_long(table: Table) -> Table:
         ]
         return pd.concat(parts, ignore_index=True).dropna(subset=["x", "y"], ignore_index=True)
 
-    return ["id", *rest, "x", "y", *(["z"] if all("z" in axes for axes in wide.values()) else [])], read_long
+    height = ["z"] if all("z" in axes for axes in wide.values()) else []
+    return Table(["id", *rest, "x", "y", *height], read_long, about)
+
+
+def guess_columns(header: Sequence[str]) -> dict[str, str]:
+    """The name of the column of each role that has a usual name."""
+    plain = {_letters(name): name for name in reversed(header)}
+    return {role: plain[known[0]] for role, usual in ROLES.items() if (known := [n for n in usual if n in plain])}
+
+
+def find_recording(header: Sequence[str]) -> str | None:
+    """The column that probably tells recordings apart."""
+    return next((name for name in header if _letters(name) in RECORDINGS), None)
+
+
+def _letters(name: str) -> str:
+    return split_unit(name)[0].replace("_", "")
 
 
 def choose_columns(
@@ -98,13 +140,12 @@ def choose_columns(
     Degrees, which name their datum, go before x and y, unless the caller's ``mapping`` has these. ``one_id``: the file
     may have no id, as all of it is one track. ``confidence``: it must have that column, which is otherwise left out.
     """
-    chosen = {role: name for role, name in mapping.items() if name}
+    whole = {name.partition(" (")[0]: name for name in header} | {name: name for name in header}
+    chosen = {role: whole.get(name, name) for role, name in mapping.items() if name}
     mapped = set(chosen)
-    plain = {split_unit(name)[0]: name for name in reversed(header)}
-    for role, usual in ROLES.items():
-        guess = next((plain[name] for name in map(_normalise, usual) if name in plain), None)
-        if role not in mapping and guess is not None and guess not in chosen.values():
-            chosen[role] = guess
+    for role, name in guess_columns(header).items():
+        if role not in mapping and name not in chosen.values():
+            chosen[role] = name
     degrees = bool(mapped & {"lon", "lat"}) or {"lon", "lat"} <= chosen.keys()
     plane = ("lon", "lat") if degrees and not mapped & {"x", "y"} else ("x", "y")
     time = "frame" if "frame" in chosen and ("frame" in mapped or "t" not in chosen) else "t"
@@ -113,17 +154,16 @@ def choose_columns(
     must, names = "", list(chosen.values())
     if missing := [role for role in needed if role not in chosen and not (one_id and role == "id")]:
         must = f"name those of {where} for {', '.join(missing)}" + " (min_confidence)" * ("confidence" in missing)
-        if any(_is_number(name) for name in header):
+        if any(map(is_number, header)):
             first = quote(" ".join(header)[:80])
-            hint = "header=, or --columns, names them in their order, such as frame,id,x,y"
+            hint = f"header=, or --columns, names its {len(header)} columns in order: id, t or frame, x, y, and others"
             raise ArgumentError(f"row 1 of {where} must name its columns, got values: {first} ({hint}).")
     elif len(set(names)) < len(names) or any(header.count(name) != 1 for name in names):
         must = f"give each role a column that {where} has once"
     hint = " (several files may be the tracks of one id each)" * (missing == ["id"])
     if must:
-        raise ArgumentError(
-            f"columns (--column) must {must}, got {quote(chosen)}; row 1 names {quote(list(header))}{hint}."
-        )
+        listed = ", ".join(header[:_MOST_LISTED]) + ", …" * (len(header) > _MOST_LISTED)
+        raise ArgumentError(f"columns (--column) must {must}, got {quote(chosen)}; its columns are {listed}{hint}.")
     return chosen
 
 
@@ -146,7 +186,8 @@ def find_wide(header: Sequence[str]) -> dict[str, dict[str, str]]:
     return {label: axes for label, axes in wide.items() if {"x", "y"} <= axes.keys()}
 
 
-def _is_number(cell: str) -> bool:
+def is_number(cell: str) -> bool:
+    """Whether a cell holds a number."""
     return not math.isnan(_parse(cell, "."))
 
 
@@ -191,6 +232,14 @@ def has_timestamps(column: pd.Series[Any]) -> bool:
     if column.dtype.kind in "fiumM":
         return bool(column.dtype.kind == "M")
     return math.isnan(_parse(next((cell for cell in column if not is_none(cell)), "0"), "."))
+
+
+def find_zone(column: pd.Series[Any]) -> Any:
+    """The time zone of timestamps, that of the first, or ``None``."""
+    if column.dtype.kind == "M":
+        return getattr(column.dtype, "tz", None)
+    text = next((to_text(cell) for cell in column if not is_none(cell)), "")
+    return getattr(pd.to_datetime(text, format="ISO8601", errors="coerce"), "tz", None)
 
 
 def to_text(cell: Any) -> str:

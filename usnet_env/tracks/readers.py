@@ -11,10 +11,11 @@ import gzip
 import io
 import json
 import os
+import sqlite3
 import warnings
 import zipfile
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from operator import attrgetter
 from pathlib import Path
@@ -35,6 +36,7 @@ _TOPICS = {  # of ULog
     "vehicle_global_position": {"lon": "lon", "lat": "lat", "z": "alt"},
     "vehicle_local_position": {"x": "y", "y": "x", "z": "z"},  # its columns are north, east and down
 }
+_RECEIVERS = ("vehicle_gps_position", "sensor_gps")  # the last one that is there counts
 _MESSAGES = {  # of MAVLink and of ArduPilot's logs: the fields, and units in a degree and in a metre
     "GLOBAL_POSITION_INT": ("lon", "lat", "alt", 1e7, 1e3),
     "POS": ("Lng", "Lat", "Alt", 1.0, 1.0),
@@ -47,10 +49,18 @@ _POSITIONS = {  # in messages of ROS: the columns, and where they are
     "geometry_msgs/msg/TransformStamped": ("x y z", _POSITION.format("transform.translation")),
     "geometry_msgs/msg/PointStamped": ("x y z", _POSITION.format("point")),
     "sensor_msgs/msg/NavSatFix": ("lon lat z", "longitude latitude altitude"),
+    (_TRANSFORMS := "tf2_msgs/msg/TFMessage"): ("x y z", _POSITION.format("transform.translation")),
 }
 _TEXTS = (".csv", ".tsv", ".gpx", ".json", ".txt")  # in zip archives; one of the last only if there is no other
 _SLEAP = {"tracks": '["track", "xy", "node", "frame"]', "instance_scores": '["track", "frame"]'}  # the usual axes
 _MOVEMENT = ("position", "confidence")
+_VECTORS = {"coordinates": ("lon", "lat", "z"), "xyz": ("x", "y", "z")}  # lists in JSON
+_GEOJSON = ("properties", "geometry")  # whose names are those of a record
+_FROM_START = (
+    "Times of ULog files without UTC are those since each drone's own start: leaders are right only if all started at "
+    "one time."
+)
+_NO_STAMPS = "Times are those of the bag's log, as messages have no stamps; a late connection makes a leader late."
 
 
 def unpack(path: Path, most: float) -> tuple[bytes, str]:
@@ -86,15 +96,41 @@ def _check_size(size: int, most: float) -> None:
 
 
 def read_json(path: Path) -> pd.DataFrame:
-    """A list of records."""
-    return pd.DataFrame(json.loads(path.read_bytes()))  # pandas.read_json would take the text 007 for a number
+    """A list of records, GeoJSON, or an object with lists of records, whose other values are those of each record."""
+    data = json.loads(path.read_bytes())  # pandas.read_json would take the text 007 for a number
+    return _table_records(data if isinstance(data, list) or not _list_nested(data) else [data])
 
 
 def read_lines(path: Path) -> pd.DataFrame:
-    """A JSON record on each line, or the tracks of Trajnet++."""
-    rows = pd.DataFrame([json.loads(line) for line in path.read_bytes().splitlines() if line.strip()])
-    tracks = [cell for cell in rows.get("track", ()) if isinstance(cell, dict)]
-    return pd.json_normalize(tracks).rename(columns={"f": "frame", "p": "id"}) if tracks else rows
+    """A JSON record on each line, perhaps with lists of records in it, or the tracks of Trajnet++."""
+    records = [json.loads(line) for line in path.read_bytes().splitlines() if line.strip()]
+    tracks = [each["track"] for each in records if isinstance(each.get("track"), dict)]
+    return pd.DataFrame(tracks).rename(columns={"f": "frame", "p": "id"}) if tracks else _table_records(records)
+
+
+def _list_nested(record: Mapping[str, Any]) -> list[str]:
+    return [name for name, cell in record.items() if isinstance(cell, list) and cell and isinstance(cell[0], dict)]
+
+
+def _table_records(records: Any) -> pd.DataFrame:
+    """A frame of records, in which a list of coordinates is a column for each."""
+    rows = [row for each in records for row in _flatten(each, {})] if isinstance(records, list) else records
+    frame = pd.DataFrame(rows)
+    for name, axes in _VECTORS.items():
+        if name in frame:
+            frame = frame.assign(**{axis: frame[name].str[k] for k, axis in enumerate(axes)}).drop(columns=name)
+            frame = frame if frame[axes[2]].notna().any() else frame.drop(columns=axes[2])
+    return frame
+
+
+def _flatten(record: Mapping[str, Any], outer: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """The rows of a record: itself, or one for each record in its lists."""
+    nested, plain = _list_nested(record), dict(outer)
+    for name, cell in record.items():
+        if name not in nested:
+            plain |= cell if name in _GEOJSON and isinstance(cell, dict) else {name: cell}
+    rows = [row for name in nested for row in record[name]]
+    yield from (deep for row in rows for deep in _flatten(row, plain)) if rows else [plain]
 
 
 def read_parquet(path: Path) -> pd.DataFrame:
@@ -109,6 +145,15 @@ def read_parquet(path: Path) -> pd.DataFrame:
         system = geo["columns"][name].get("crs") or {"type": "GeographicCRS"}
         axes = ("lon", "lat") if system["type"] == "GeographicCRS" else ("x", "y")
         frame = frame.assign(**dict(zip(axes, (points["x"], points["y"]), strict=True)))
+    return frame
+
+
+def read_sqlite(path: Path) -> pd.DataFrame:
+    """Trajectories of JuPedSim."""
+    with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as base:
+        frame = pd.read_sql("SELECT * FROM trajectory_data", base)
+        rate = base.execute("SELECT value FROM metadata WHERE key = 'fps'").fetchone()
+    frame.attrs["rate"] = float(rate[0])
     return frame
 
 
@@ -130,7 +175,7 @@ def read_npz(path: Path) -> pd.DataFrame:
 
 
 def read_hdf5(path: Path) -> pd.DataFrame:
-    """Analysis files of SLEAP, netCDF files of movement, and trajectories of idtracker.ai.
+    """SLEAP's analysis files, netCDF files of movement, and trajectories of idtracker.ai and of pedestrians (PedPy).
 
     The place of an animal is the mean of the parts that are seen; a time is in seconds if the file has a frame rate.
     """
@@ -148,14 +193,32 @@ def read_hdf5(path: Path) -> pd.DataFrame:
             arrays = {name: _arrange(file[name], axes[name], ("frame", "track", "xy")) for name in axes}
             names = file["track_names"]
             return _list_samples(arrays.pop("tracks"), arrays, names.asstr()[()] if len(names) else None)
+        if "trajectory" in file:
+            frame = pd.DataFrame(file["trajectory"][()])
+            frame.attrs["rate"] = float(file["trajectory"].attrs["fps"])
+            return frame
         if "position" not in file:
-            raise ValueError(f"it has neither trajectories, tracks nor position, but {', '.join(file) or 'nothing'}")
+            known = "trajectories, tracks, trajectory nor position"
+            raise ValueError(f"it has neither {known}, but {', '.join(file) or 'nothing'}")
         axes = {name: [scales[0].name.strip("/") for scales in file[name].dims] for name in _MOVEMENT if name in file}
         individuals = next(name for name in axes["position"] if name.startswith("individual"))
         arrays = {name: _arrange(file[name], axes[name], ("time", individuals, "space")) for name in axes}
         time = "frame" if file.attrs.get("time_unit") in ("frames", b"frames") else "t"
         position, names = arrays.pop("position"), file[individuals].asstr()[()]
         return _list_samples(position, arrays | {time: file["time"][()]}, names)
+
+
+def read_dataset(dataset: Any) -> pd.DataFrame:
+    """A dataset of xarray as movement makes it; the place of an animal is the mean of its parts."""
+    position = dataset["position"]
+    rest = [name for name in position.dims if name not in ("time", "space") and not name.startswith("individual")]
+    frame = position.mean(rest).to_dataset("space")
+    if "confidence" in dataset:
+        frame = frame.assign(
+            confidence=dataset["confidence"].mean([name for name in rest if name in dataset["confidence"].dims])
+        )
+    time = "frame" if dataset.attrs.get("time_unit") == "frames" else "t"
+    return frame.to_dataframe().dropna(subset=["x", "y"]).reset_index().rename(columns={"time": time})
 
 
 def _arrange(values: Any, axes: Sequence[str], order: Sequence[str]) -> Floats:
@@ -211,21 +274,34 @@ def read_gpx(path: Path) -> pd.DataFrame:
         for point in track.iterfind(".//{*}trkpt"):
             cells = {role: (point.findtext(f"{{*}}{role}") or "").strip() for role in ("ele", "time")}
             points.append({"name": label, "lon": point.get("lon"), "lat": point.get("lat"), **cells})
-    return pd.DataFrame(points, columns=["name", "lon", "lat", "ele", "time"])
+    frame = pd.DataFrame(points, columns=["name", "lon", "lat", "ele", "time"])
+    frame.attrs["for_itself"] = True
+    return frame
 
 
 def read_ulog(path: Path) -> pd.DataFrame:
-    """Estimated positions of a PX4 ULog file: ``vehicle_global_position``, or else the local one."""
+    """Estimated positions of a PX4 ULog file: ``vehicle_global_position``, or else the local one.
+
+    Times are in UTC if the log has a GPS receiver's, or that of the start; otherwise since the start.
+    """
     import pyulog
 
-    log = pyulog.ULog(io.BytesIO(path.read_bytes()), list(_TOPICS))
+    log = pyulog.ULog(io.BytesIO(path.read_bytes()), [*_TOPICS, *_RECEIVERS])
     datasets = {dataset.name: dataset.data for dataset in reversed(log.data_list)}
     topic = next((name for name in _TOPICS if name in datasets), "")
     data = datasets.get(topic, {"timestamp": []})
     frame = pd.DataFrame({role: np.asarray(data[name], float) for role, name in _TOPICS.get(topic, {}).items()})
     if topic == "vehicle_local_position":
         frame["z"] *= -1
-    return frame.assign(t=np.asarray(data["timestamp"], float) / 1e6, id=path.stem)
+    frame = frame.assign(t=np.asarray(data["timestamp"], float) / 1e6, id=path.stem)
+    starts = [log.msg_info_dict.get("boot_time_utc_us", 0)]  # microseconds since 1970
+    for receiver in (datasets[name] for name in _RECEIVERS if name in datasets):
+        utc = np.asarray(receiver["time_utc_usec"], np.int64)
+        starts += [np.median((utc - np.asarray(receiver["timestamp"], np.int64))[utc > 0])] * bool((utc > 0).any())
+    if start := int(starts[-1]):
+        frame["t"] = pd.to_datetime(np.asarray(data["timestamp"], np.int64) + start, unit="us", utc=True)
+    frame.attrs |= {"for_itself": True} | ({} if start else {"doubts": [_FROM_START]})
+    return frame
 
 
 def read_mavlink(path: Path) -> pd.DataFrame:
@@ -245,7 +321,8 @@ def read_mavlink(path: Path) -> pd.DataFrame:
 def read_ros(path: Path) -> pd.DataFrame:
     """Places in a bag of ROS 1 or 2; the ids are the topics with the first kind of message in which it has places.
 
-    Times are those of the bag, which come from one clock.
+    Of transforms, the ids are those whose parent has none, such as ``map``. Times are the stamps of the messages, or
+    those of the bag's log if some have none.
     """
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
@@ -256,19 +333,33 @@ def read_ros(path: Path) -> pd.DataFrame:
         if not kind:
             raise ValueError(f"it has no places in {', '.join(_POSITIONS)}, but {', '.join(kinds) or 'nothing'}")
         names, fields = _POSITIONS[kind]
-        find = attrgetter(*fields.split())
-        recorded = bag.messages([topic for topic in bag.connections if topic.msgtype == kind])
-        rows = [(topic.topic, time / 1e9, *find(bag.deserialize(raw, kind))) for topic, time, raw in recorded]
-    return pd.DataFrame(rows, columns=["id", "t", *names.split()])
+        find = attrgetter("header.stamp.sec", "header.stamp.nanosec", "header.frame_id", *fields.split())
+        rows = []
+        for topic, time, raw in bag.messages([topic for topic in bag.connections if topic.msgtype == kind]):
+            message = bag.deserialize(raw, kind)
+            for each in getattr(message, "transforms", [message]):
+                who = each.child_frame_id if kind == _TRANSFORMS else topic.topic
+                rows.append((who, time / 1e9, *find(each)))
+    frame = pd.DataFrame(rows, columns=["id", "t", "sec", "nanosec", "parent", *names.split()])
+    if kind == _TRANSFORMS:
+        frame = frame[~frame["parent"].isin(frame["id"])]
+    stamps = frame.pop("sec") + frame.pop("nanosec") / 1e9
+    if (stamps > 0).all():
+        frame["t"] = stamps
+    else:
+        frame.attrs["doubts"] = [_NO_STAMPS]
+    return frame.drop(columns="parent")
 
 
 _OWN: dict[str, Reader] = {
     **dict.fromkeys(("parquet", "pq"), read_parquet),
+    **dict.fromkeys(("feather", "arrow"), pd.read_feather),
+    **dict.fromkeys(("sqlite", "sqlite3"), read_sqlite),
+    **dict.fromkeys(("json", "geojson"), read_json),
     **dict.fromkeys(("jsonl", "ndjson"), read_lines),
     **dict.fromkeys(("h5", "hdf5", "nc"), read_hdf5),
     **dict.fromkeys(("tlog", "bin"), read_mavlink),
     **dict.fromkeys(("bag", "mcap", "db3"), read_ros),
-    "json": read_json,
     "npz": read_npz,
     "gpx": read_gpx,
     "ulg": read_ulog,

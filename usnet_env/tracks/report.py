@@ -53,7 +53,7 @@ def find_problems(tracks: Samples) -> TrackReport:
     """Describe tracks and find what is doubtful about them."""
     jumps = find_jumps(tracks)
     doubts = _doubt_units(tracks, jumps.usual), _doubt_gaps(tracks), _doubt_jumps(tracks, jumps)
-    return TrackReport((*describe_samples(tracks), *tracks.notes), tuple(chain(*doubts)))
+    return TrackReport((*describe_samples(tracks), *tracks.notes), (*tracks.doubts, *chain(*doubts)))
 
 
 def _locate(tracks: Samples, sample: int) -> str:

@@ -30,6 +30,7 @@ class Clock:
         timestamps: whether the file's times are dates with a time of day; they are written as ISO 8601 in UTC.
         whole: whether the file's times are whole numbers.
         guessed: what the times were taken for by the size of their numbers, such as "days of a spreadsheet".
+        zone: the time zone of the file's timestamps, if they have one.
         recordings: of pooled tracks, the name, the first and the last second, and the clock of each, in this order.
     """
 
@@ -38,6 +39,7 @@ class Clock:
     timestamps: bool = False
     whole: bool = False
     guessed: str = ""
+    zone: Any = None
     recordings: tuple[tuple[str, float, float, Clock], ...] = ()
 
     def file_time(self, seconds: float) -> float | int | str:
@@ -66,6 +68,7 @@ class Samples:
     clock: Clock = Clock()
     frame: str = "metres"
     notes: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
     step: float | None = None
     source: Any = None
     sampled: tuple[str, ...] = ()

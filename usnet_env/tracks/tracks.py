@@ -88,6 +88,7 @@ class Tracks(Samples):
         clock: how seconds are written as times of the file.
         frame: what the positions are, in words.
         notes: what the reader decided or found, a sentence each.
+        doubts: what the reader warns of, a sentence each.
         step: seconds between the samples if they lie on the common grid of :meth:`resample`, otherwise ``None``.
         source: the tracks of which :attr:`other_steps` are made, if the step was chosen.
         sampled: of resampled tracks, sentences about them before.
