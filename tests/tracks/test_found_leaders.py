@@ -95,7 +95,7 @@ def test_leaders_are_found_in_whatever_holds_tracks(tmp_path):
     for given in (str(path), pd.read_csv(path)):
         assert find_leaders(given, "one-per-round", confirm=False).to_frame().equals(found)
     for wrong in (3, [], straight()):
-        with pytest.raises(ArgumentError, match=r"^path must be a file of tracks, .* or a pandas.DataFrame, got "):
+        with pytest.raises(ArgumentError, match=r"^path must be a file of tracks, .* or an xarray.Dataset, got "):
             find_leaders(wrong)
     with pytest.raises(ArgumentError, match=r"^detector must be a name, "):
         find_leaders(path, 3)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -10,7 +9,6 @@ from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from usnet_env.arrays import Indices
 from usnet_env.config import ArgumentError, format_count, quote, whole_number
@@ -36,9 +34,11 @@ Group = tuple[int, set[int]]  # the row of its leader in ``Tracks.ids``, and tho
 
 
 def find_leaders(
-    tracks: Tracks | str | os.PathLike[str] | pd.DataFrame,
+    tracks: Any,
     detector: str | DetectorLike = DEFAULT_DETECTOR,
     *,
+    step: float | None = None,
+    window: int | None = None,
     length: int | None = None,
     stride: int | None = None,
     seed: int = 0,
@@ -52,10 +52,12 @@ def find_leaders(
     group keeps its number where it shares the most members with an earlier one.
 
     Args:
-        tracks: the tracks, or what :func:`read_tracks` takes; if they are not resampled, the step is chosen.
+        tracks: the tracks, or what :func:`read_tracks` takes: a path, a data frame, or a dataset of xarray.
         detector: a name as :func:`usnet_env.make_detector` takes it, or a detector.
-        length: steps of a window; ``None``: as many as fit the tracks (:meth:`Tracks.choose_length`).
-        stride: steps from the start of a window to the start of the next; ``None``: ``length``.
+        step: seconds between the instants of a window; ``None``: that of resampled tracks, otherwise it is chosen.
+        window: steps of a window; ``None``: as many as fit the tracks (:meth:`Tracks.choose_length`).
+        length: another name of ``window``.
+        stride: steps from the start of a window to the start of the next; ``None``: ``window``.
         seed: seeds the detector.
         confirm: whether to leave out candidates that have no followers, whose followers don't move like them later, or
             that follow another id in half of the window, by the tests of :mod:`usnet_env.tracks.confirm`.
@@ -78,7 +80,8 @@ def find_leaders(
     groups: list[Group] = []
     windows, track_windows, answers = list[DetectedWindow](), list[TrackWindow](), list[Detection]()
     seen = np.zeros(len(tracks.ids), np.int64)
-    resampled = tracks if tracks.step is not None else tracks.resample(length=length or 0)
+    length = length if window is None else window
+    resampled = tracks if step is None and tracks.step is not None else tracks.resample(step, length=length or 0)
     for number, track_window in enumerate(resampled.windows(length, stride)):
         times = tracks.file_time(track_window.start), tracks.file_time(track_window.end)
         answer = _try_answer(player, resampled, track_window, seed, number, times)

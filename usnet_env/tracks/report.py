@@ -10,7 +10,7 @@ import numpy as np
 
 from usnet_env.config import format_count, format_number
 from usnet_env.tracks.resample import JUMP, Jumps, find_jumps, typical_intervals
-from usnet_env.tracks.samples import Samples
+from usnet_env.tracks.samples import Samples, find_one_body
 
 _GAP = 3.0  # a gap is an interval of more than this many typical intervals of its id
 _UNEVEN = 0.1  # sampling is uneven if a tenth of the intervals differ from the typical one by more than this share
@@ -52,7 +52,7 @@ def describe_samples(tracks: Samples) -> tuple[str, ...]:
 def find_problems(tracks: Samples) -> TrackReport:
     """Describe tracks and find what is doubtful about them."""
     jumps = find_jumps(tracks)
-    doubts = _doubt_units(tracks, jumps.usual), _doubt_gaps(tracks), _doubt_jumps(tracks, jumps)
+    doubts = _doubt_units(tracks, jumps.usual), _doubt_gaps(tracks), _doubt_jumps(tracks, jumps), _doubt_bodies(tracks)
     return TrackReport((*describe_samples(tracks), *tracks.notes), (*tracks.doubts, *chain(*doubts)))
 
 
@@ -83,6 +83,15 @@ def _doubt_gaps(tracks: Samples) -> Iterator[str]:
     share = (inner & (np.abs(interval - expected) > _UNEVEN * expected)).sum() / max(int(inner.sum()), 1)
     if share > _UNEVEN:
         yield f"Sampling is uneven: {share:.0%} of the intervals differ from the typical one by more than 10 %."
+
+
+def _doubt_bodies(tracks: Samples) -> Iterator[str]:
+    if ids := find_one_body(tracks):
+        names = ", ".join(map(str, ids[:6])) + ", …" * (len(ids) > 6)
+        yield (
+            f"{len(ids)} ids ({names}) stay within 1 % of their way of another one, on no side of it. If they are one "
+            "body, with two tags or two estimates of its places, leave all but one out."
+        )
 
 
 def _doubt_jumps(tracks: Samples, jumps: Jumps) -> Iterator[str]:

@@ -23,6 +23,7 @@ from usnet_env.drawing import CLUSTER_COLORS, write_figure
 from usnet_env.files import as_path, replace_files, reserve_folder, write_html, write_text
 from usnet_env.tracks import draw
 from usnet_env.tracks.found import CONFOUNDS, DetectedWindow, Event, Leader, find_events
+from usnet_env.tracks.samples import Clock
 from usnet_env.tracks.tracks import Tracks, TrackWindow
 from usnet_env.window import Window
 
@@ -113,8 +114,17 @@ class FoundLeaders:
         """A row for each window and each id that leads or follows in it.
 
         The columns are ``start``, ``end``, ``id``, ``leader`` (the id that it follows directly, missing for a head),
-        ``head``, ``delay`` in seconds, and ``probability`` and ``group`` of the head.
+        ``head``, ``delay`` in seconds, and ``probability`` and ``group`` of the head. Timestamps are datetimes, in the
+        time zone of the file.
         """
+        frame, clock = self._list_rows(), self.tracks.clock if self.tracks else Clock()
+        if clock.timestamps and not clock.recordings:
+            moments = {end: pd.to_datetime(frame[end], utc=True).dt.tz_convert(clock.zone) for end in ("start", "end")}
+            frame = frame.assign(**moments)
+        kind = "Int64" if all(isinstance(name, int) for name in self.ids) else object
+        return frame.astype(dict.fromkeys(("id", "leader", "head"), kind))
+
+    def _list_rows(self) -> pd.DataFrame:
         rows = []
         for window in self.windows:
             of = {leader.id: {"probability": leader.probability, "group": leader.group} for leader in window.leaders}
@@ -133,7 +143,7 @@ class FoundLeaders:
 
     def plot_timeline(self) -> Figure:
         """Draw which head each id follows in each window."""
-        return draw.draw_timeline(self.to_frame(), self.ids, [window.start for window in self.windows], self.colors)
+        return draw.draw_timeline(self._list_rows(), self.ids, [window.start for window in self.windows], self.colors)
 
     def plot_maps(self, title: str = "tracks") -> Figure:
         """Draw up to six windows from above, in the coordinates of the file; ``title`` is what the tracks are."""

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
+from itertools import pairwise
 from typing import Any, Literal, TypeVar
 
 import numpy as np
@@ -15,6 +17,9 @@ from numpy.typing import NDArray
 from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.config import ArgumentError, format_count, quote
 
+_INSTANTS = 64  # at which ids are compared
+_NEAR, _SLOW = 0.01, 0.03  # of the way, and of the movement
+_LITTLE, _BEHIND = 0.3, 0.7  # of the square, and of the size of an offset
 _DIGITS = 9  # decimals of a time that is written as a number, where float64 has as many
 _EPOCH = datetime(1970, 1, 1)
 _NO_VALUE = {"", "-", "na", "n/a", "#n/a", "nan", "null", "none", "nat", "\\n", "?"}
@@ -188,6 +193,39 @@ def split_gaps(tracks: SamplesT, gap: float) -> SamplesT:
         part = np.searchsorted(owner * length + start, leader * length + tracks.time, side="right") - 1
         leader = np.where(leader < 0, -1, np.maximum(part, np.searchsorted(owner, leader)))
     return replace(tracks, ids=ids, offsets=np.append(parts, tracks.samples), leader=leader)
+
+
+def find_one_body(tracks: Samples) -> list[str | int]:
+    """The ids that may be one body with another: all the time as near as 1 % of their way, and as if tied to it.
+
+    Two estimates of a vehicle's places drift apart slowly, and neither is behind. The offsets between two tags of an
+    animal are noise: successive ones are not alike.
+    """
+    interval, long = 2 * np.median(np.diff(tracks.time)[tracks.inner_steps]), tracks.duration / _INSTANTS / 8
+    start = np.linspace(0.0, tracks.duration - max(interval, long), _INSTANTS)
+    times, plane = np.concatenate([start, start + interval, start + long]), tracks.position @ (1, 1j, 0)
+    parts = [slice(*ends) for ends in pairwise(tracks.offsets)]
+    place = np.array([np.interp(times, tracks.time[part], plane[part], np.nan, np.nan) for part in parts])
+    now, soon, later = np.split(place, 3, axis=1)
+    found: set[int] = set()
+    with np.errstate(all="ignore"), warnings.catch_warnings(action="ignore"):  # of ids that are never seen together
+        extent = 2 * np.nanmax(np.abs(now - np.nanmean(now, axis=1, keepdims=True)), axis=1)
+        for k in range(len(now) - 1):
+            offset, way = now[k + 1 :] - now[k], later[k] - now[k]
+            near = _mean(abs(offset)) < _NEAR * np.minimum(extent[k], extent[k + 1 :])
+            near = np.flatnonzero(near & (np.isfinite(offset).sum(axis=1) > _INSTANTS // 4))
+            then, last = (each[k + 1 + near] - each[k] for each in (soon, later))
+            offset, size = offset[near], _mean(abs(offset[near]) ** 2)
+            noise = _mean((offset * then.conj()).real) < _LITTLE * size
+            slow = _mean(abs(last - offset) ** 2) < _SLOW**2 * _mean(abs(way[None]) ** 2)
+            behind = abs(_mean((offset * (way / abs(way)).conj()).real)) > _BEHIND * np.sqrt(size)
+            tied = k + 1 + near[noise | (slow & ~behind)]
+            found.update([k, *tied.tolist()] if len(tied) else [])
+    return [tracks.ids[k] for k in sorted(found)]
+
+
+def _mean(values: Any) -> Any:
+    return np.nanmean(values, axis=1)
 
 
 def number_labels(labels: pd.Series[Any]) -> tuple[Indices, tuple[str | int, ...]]:

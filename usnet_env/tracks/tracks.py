@@ -12,7 +12,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from usnet_env.arrays import Floats, Indices
-from usnet_env.config import ArgumentError, format_count, quote, real_number, whole_number
+from usnet_env.config import ArgumentError, MissingExtraError, format_count, quote, real_number, whole_number
 from usnet_env.tracks.report import TrackReport, describe_samples, find_problems
 from usnet_env.tracks.resample import (
     choose_step,
@@ -201,6 +201,24 @@ class Tracks(Samples):
         if last - first > _MOST_STEPS:
             return None
         return _cut(self, np.round(self.time / step).astype(np.int64), first, last - first, 0, track_window.rows)
+
+    def to_dataset(self) -> Any:
+        """A dataset of xarray with ``position`` in metres ``(time, space, individuals)``, as that of movement."""
+        try:
+            import xarray
+        except ModuleNotFoundError:
+            raise MissingExtraError("to_dataset needs xarray; `pip install xarray` installs it.") from None
+        times, when = np.unique(self.time, return_inverse=True)
+        place = np.full((len(times), 3, len(self.ids)), np.nan)
+        place[when, :, np.repeat(np.arange(len(self.ids)), np.diff(self.offsets))] = self.position + self._corner
+        known: Any = {"time": times, "space": [*"xyz"][: self.dimensions], "individuals": [*self.ids]}
+        about = {"time_unit": "seconds", "source_software": "usnet"} | ({"fps": 1 / self.step} if self.step else {})
+        return xarray.Dataset({"position": ([*known], place[:, : self.dimensions])}, known, about)
+
+    @property
+    def _corner(self) -> Floats:
+        """``(3,)`` metres to add to positions for those of the file; degrees have none."""
+        return self.origin * ("degrees" not in self.frame)
 
     def windows(
         self, length: int | None = None, stride: int | None = None, *, least_steps: int | None = None
