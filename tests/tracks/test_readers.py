@@ -2,13 +2,15 @@
 
 import itertools
 import json
+import sqlite3
 import struct
+from contextlib import closing
 
 import numpy as np
 import pytest
 from track_files import HEADER, refusal, rows_of, straight, write_csv
 
-from usnet_env import parts
+from usnet_env import ArgumentError, parts
 from usnet_env.tracks import read_tracks
 
 PLACES = straight()[..., :2]  # (20, 3, 2)
@@ -51,6 +53,24 @@ def write_idtracker(path):
     return path
 
 
+def write_archive(path):
+    h5py = pytest.importorskip("h5py")
+    kinds = [("id", "S1"), ("frame", int), ("x", float), ("y", float)]
+    with h5py.File(path, "w") as file:
+        file["trajectory"] = np.array([tuple(row) for row in FRAMES], kinds)
+        file["trajectory"].attrs["fps"] = 2.0
+    return path
+
+
+def write_jupedsim(path):
+    with closing(sqlite3.connect(path)) as base:
+        base.execute("CREATE TABLE trajectory_data (id, frame, pos_x, pos_y)")
+        base.executemany("INSERT INTO trajectory_data VALUES (?, ?, ?, ?)", FRAMES)
+        base.execute("CREATE TABLE metadata AS SELECT 'fps' AS key, '2.0' AS value")
+        base.commit()
+    return path
+
+
 def write_deeplabcut(path):
     names = [["scorer", *["net"] * 18], ["individuals", *np.repeat(list("abc"), 6)]]
     names += [["bodyparts", *["nose"] * 3, *["tail"] * 3] * 1 + ["nose", "nose", "nose", "tail", "tail", "tail"] * 2]
@@ -78,17 +98,33 @@ def write_trajnet(path):
         (lambda folder: write_sleap(folder / "s.h5", [], order=("frame", "track", "node", "xy")), {"time_unit": 0.5}),
         (lambda folder: write_movement(folder / "m.nc"), {}),
         (lambda folder: write_idtracker(folder / "trajectories.h5"), {}),
+        (lambda folder: write_archive(folder / "p.h5"), {}),
+        (lambda folder: write_jupedsim(folder / "j.sqlite"), {}),
         (lambda folder: write_deeplabcut(folder / "d.csv"), {"format": "deeplabcut", "time_unit": 0.5}),
         (lambda folder: write_mot(folder / "gt.txt"), {"format": "mot", "time_unit": 0.5}),
         (lambda folder: write_trajnet(folder / "t.ndjson"), {"time_unit": 0.5}),
     ],
-    ids=["sleap", "sleap-axes", "movement", "idtracker", "deeplabcut", "mot", "trajnet"],
+    ids=["sleap", "sleap-axes", "movement", "idtracker", "archive", "jupedsim", "deeplabcut", "mot", "trajnet"],
 )
 def test_trackers_files_are_read(tmp_path, write, options):
     read = read_tracks(write(tmp_path), **options)
     assert len(read.ids) == 3
     assert read.duration == 9.5
     np.testing.assert_allclose((read.position + read.origin)[:, :2], PLACES.transpose(1, 0, 2).reshape(-1, 2))
+
+
+def test_datasets_of_xarray_are_read_and_made():
+    xarray = pytest.importorskip("xarray")
+    axes = {"time": np.arange(20) / 2, "space": ["x", "y"], "keypoints": ["nose", "tail"], "individuals": list("abc")}
+    position = BODIES.transpose(0, 3, 2, 1).copy()
+    position[5, :, :, 1] = np.nan
+    read = read_tracks(xarray.Dataset({"position": ([*axes], position)}, axes, {"time_unit": "seconds"}))
+    assert (read.ids, read.samples, read.duration) == (("a", "b", "c"), 59, 9.5)
+    made = read.resample(0.5, max_gap=0.5).to_dataset()
+    assert (made.position.dims, made.attrs["fps"]) == (("time", "space", "individuals"), 2.0)
+    np.testing.assert_allclose(made.position, np.where(np.isnan(position[:, :, 0]), np.nan, PLACES.transpose(0, 2, 1)))
+    with pytest.raises(ArgumentError, match=r"xarray\.Dataset of positions"):
+        read_tracks(made.drop_vars("position"))
 
 
 def test_a_file_for_each_animal(tmp_path):
@@ -141,35 +177,57 @@ def test_geoparquet_has_degrees_or_metres(tmp_path):
             np.testing.assert_allclose((read.position + read.origin)[:, :2], places)
 
 
-def write_bag(folder, suffix, topics="abc"):
-    """A bag with a point at each place, beside a topic of texts."""
+def write_bag(folder, suffix, topics="abc", kind="PointStamped", stamped=True):
+    """A bag with a message at each place, beside a topic of texts; the log has those of ``c`` 3 s late."""
     typesys = pytest.importorskip("rosbags.typesys")
     from rosbags import rosbag1, rosbag2
 
     first = suffix == ".bag"
     store = typesys.get_typestore(typesys.Stores.ROS1_NOETIC if first else typesys.Stores.LATEST)
     kinds = {name.rpartition("/")[2]: kind for name, kind in store.types.items()}
-    time = store.types["builtin_interfaces/msg/Time"](0, 0)
-    stamp = kinds["Header"](stamp=time, frame_id="map", **{"seq": 0} if first else {})
+
+    def tell_place(name, frame, x, y, parent="map"):
+        time = store.types["builtin_interfaces/msg/Time"](stamped * (1000 + frame // 2), frame % 2 * 500_000_000)
+        header = kinds["Header"](stamp=time, frame_id=parent, **{"seq": 0} if first else {})
+        if kind == "PointStamped":
+            return kinds[kind](header, kinds["Point"](x, y, 0.0))
+        transform = kinds["Transform"](kinds["Vector3"](x, y, 0.0), kinds["Quaternion"](0.0, 0.0, 0.0, 1.0))
+        return kinds["TransformStamped"](header, name, transform)
+
     path = folder / f"bag{suffix}" if first else folder / suffix[1:]
     plugin = rosbag2.StoragePlugin.MCAP if suffix == ".mcap" else rosbag2.StoragePlugin.SQLITE3
     with rosbag1.Writer(path) if first else rosbag2.Writer(path, version=9, storage_plugin=plugin) as bag:
         said = [("/rosout", 0, kinds["String"]("ready"))]
-        points = [(name, frame, kinds["Point"](x, y, 0.0)) for name, frame, x, y in FRAMES if name in topics]
-        said += [(f"/{name}/point", frame, kinds["PointStamped"](stamp, point)) for name, frame, point in points]
+        places = [(name, frame, tell_place(name, frame, x, y)) for name, frame, x, y in FRAMES if name in topics]
+        if kind == "TFMessage":
+            places = [
+                ("tf", frame, kinds[kind]([each, tell_place("leg", 0, 1.0, 0.0, "a")])) for _, frame, each in places
+            ]
+        said += [(f"/{name}", frame, message) for name, frame, message in places]
         kind_of = {name: message.__msgtype__ for name, _, message in said}
         topic_of = {name: bag.add_connection(name, kind, typestore=store) for name, kind in kind_of.items()}
         for name, frame, message in said:
             write = store.serialize_ros1 if first else store.serialize_cdr
-            bag.write(topic_of[name], int((1e9 + frame / 2) * 1e9), write(message, kind_of[name]))
+            time = int((1e9 + frame / 2 + 3 * (name == "/c")) * 1e9)
+            bag.write(topic_of[name], time, write(message, kind_of[name]))
     return path if first else path / f"{path.name}{suffix}"
 
 
-@pytest.mark.parametrize("suffix", [".bag", ".mcap", ".db3"])
-def test_bags_have_an_id_for_each_topic_with_places(tmp_path, suffix):
-    path = write_bag(tmp_path, suffix)
+@pytest.mark.parametrize(
+    ("suffix", "kind", "stamped"),
+    [
+        (".bag", "PointStamped", True),
+        (".mcap", "PointStamped", True),
+        (".db3", "PointStamped", False),
+        (".db3", "TFMessage", True),
+    ],
+)
+def test_bags_have_an_id_for_each_topic_with_places(tmp_path, suffix, kind, stamped):
+    path = write_bag(tmp_path, suffix, kind=kind, stamped=stamped)
     read = read_tracks(path.parent if suffix == ".mcap" else path)
-    assert (read.ids, read.duration) == (("/a/point", "/b/point", "/c/point"), 9.5)
+    assert read.ids == (("a", "b", "c") if kind == "TFMessage" else ("/a", "/b", "/c"))
+    assert (read.duration, read.time[40]) == ((9.5, 0.0) if stamped else (12.5, 3.0))
+    assert ["no stamps" in each for each in read.report().warnings] == [True] * (not stamped)
     np.testing.assert_allclose((read.position + read.origin)[:, :2], PLACES.transpose(1, 0, 2).reshape(-1, 2))
 
 

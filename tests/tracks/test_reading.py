@@ -189,6 +189,18 @@ def test_x_and_y_that_may_be_degrees_are_doubted(tmp_path):
     assert [*doubts.values()] == [[True], [], []]
 
 
+def test_ids_that_may_be_one_body_are_doubted():
+    rng = np.random.default_rng(0)
+    way, other = rng.normal(0, 1, (2, 400, 2)).cumsum(axis=1).cumsum(axis=1)
+    drift = rng.normal(0, 0.01, way.shape).cumsum(axis=0)
+    beside = {"estimates": way + drift, "tags": way + rng.normal(0, 1, way.shape), "behind": np.roll(way, 2, axis=0)}
+    for name, each in beside.items():
+        place = np.stack([way, each, other], axis=1)[2:]
+        tracks = Tracks.from_samples([*"abc"] * 398, np.repeat(np.arange(398.0), 3), place.reshape(-1, 2))
+        doubts = [sentence for sentence in tracks.report().warnings if "one body" in sentence]
+        assert [sentence[:12] for sentence in doubts] == ["2 ids (a, b)"] * (name != "behind")
+
+
 def test_gpx_files(tmp_path):
     read = read_tracks(write_gpx(tmp_path / "log.gpx", 0, "Walk", "Rex", "Walk", "", "Run", height=120))
     assert read.ids == ("Walk-1", "Rex", "Walk-3", "log-4", "Run")
@@ -209,7 +221,7 @@ def test_gpx_files(tmp_path):
     assert "at least 2 ids" in refusal(tmp_path / "none.gpx")
 
 
-def write_ulog(path, north):
+def write_ulog(path, north, start=0):
     """A ULog file with four samples of ``vehicle_local_position``, 0.5 s apart: north, east 2 m, up 10 m."""
 
     def message(kind, payload):
@@ -217,6 +229,9 @@ def write_ulog(path, north):
 
     parts = [b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0)]
     parts.append(message("B", bytes(40)))
+    if start:
+        key = b"uint64_t boot_time_utc_us"
+        parts.append(message("I", bytes([len(key)]) + key + struct.pack("<Q", start * 1_000_000)))
     parts.append(message("F", b"vehicle_local_position:uint64_t timestamp;float x;float y;float z;"))
     parts.append(message("A", struct.pack("<BH", 0, 0) + b"vehicle_local_position"))
     for k in range(4):
@@ -230,6 +245,10 @@ def test_ulog_files_are_one_track_each(tmp_path):
     pytest.importorskip("pyulog")
     read = read_tracks([write_ulog(tmp_path / name, north) for name, north in (("one.ulg", 0), ("two.ulg", 50))])
     assert (read.ids, read.duration) == (("one", "two"), 1.5)
+    assert any("each drone's own start" in each for each in read.report().warnings)
+    clocks = read_tracks([write_ulog(tmp_path / f"{k}.ulg", 9 * k, 1_700_000_000 + k) for k in range(2)])
+    assert (clocks.duration, clocks.time[4], clocks.file_time(0.0)) == (2.5, 1.0, "2023-11-14T22:13:20.000Z")
+    assert not any("start" in each for each in clocks.report().warnings)
     place = read.position + read.origin
     np.testing.assert_allclose(place[:4], [[2, k, 10 + k] for k in range(4)], atol=1e-5)
     np.testing.assert_allclose(place[4:, 1], np.arange(4) + 50, atol=1e-5)

@@ -32,7 +32,7 @@ def table(names, *columns):
 
 X, Y = ([row[k] for row in ROWS] for k in (2, 3))
 MILLIS, DATES = [1000 * t for t in TIMES], [each.split() for each in stamps()]
-CENTS, FEET = np.array(X) * 100, np.array(Y) / 0.3048
+CENTS, FEET, FRAMES = np.array(X) * 100, np.array(Y) / 0.3048, [int(t) // 10 for t in TIMES]
 CASES = {  # rows of the file, delimiter, options
     "names": (table(["uid", "fixtime", "X", "Y"], IDS, TIMES, X, Y), ",", {}),
     "id of rows": (table(["id", "trajectory_id", "t", "x", "y"], range(60), IDS, TIMES, X, Y), ",", {}),
@@ -40,6 +40,18 @@ CASES = {  # rows of the file, delimiter, options
     "lengths": (table(HEADER, IDS, TIMES, np.array(X) / 0.3048, np.array(Y) / 0.3048), ",", {"length_unit": "ft"}),
     "blanks": (table(["t", "id", "x", "y"], TIMES, IDS, X, Y)[1:], " ", {"header": ["t", "id", "x", "y"]}),
     "comments": ([["# by a tracker"], HEADER, *rows()], ",", {}),
+    "names in a comment": ([["#", "id", "t", "x", "y"], *rows()], " ", {}),
+    "a rate": (
+        [["#", "framerate:", "0.1", "fps"], *table(["#", "PersID", "FR", "x/cm", "y/ft"], IDS, FRAMES, CENTS, FEET)],
+        " ",
+        {},
+    ),
+    "units below": (
+        [["ID", "TRACK_ID", "POSITION_T", "POSITION_X", "POSITION_Y"], ["Spot ID", "Track ID", "T", "X", "Y"],
+         ["", "", "(ms)", "(cm)", "(ft)"], *table([], range(60), IDS, MILLIS, CENTS, FEET)[1:]],
+        ",",
+        {"columns": {"x": "POSITION_X"}},
+    ),
     "one digit": ([HEADER, *rows(stamps(hours="{}"))], ",", {}),
     "days first": ([HEADER, *rows(stamps("31/03/2024"))], ",", {}),
     "months first": ([HEADER, *rows(stamps("3/31/2024"))], ";", {}),
@@ -77,7 +89,7 @@ def test_other_ways_to_write_tracks_are_read(tmp_path, case):
         )
 
 
-def test_wide_tables_json_and_a_file_for_each_id(tmp_path):
+def test_wide_tables_and_a_file_for_each_id(tmp_path):
     places = straight()
     wide = [[t / 2, *place[:, :2].ravel()] for t, place in enumerate(places)]
     wide[3][1:3] = ["", ""]
@@ -87,15 +99,69 @@ def test_wide_tables_json_and_a_file_for_each_id(tmp_path):
     frames = [row[1:] for row in wide]
     read = read_tracks(write_csv(tmp_path / "w.csv", frames, ["a_x", "a_y", "b_x", "b_y", "c_x", "c_y"]), time_unit=0.5)
     assert (read.ids, read.samples, read.duration) == (("a", "b", "c"), 59, 9.5)
-    (tmp_path / "t.json.gz").write_bytes(
-        gzip.compress(json.dumps([dict(zip(HEADER, row, strict=True)) for row in ROWS]).encode())
-    )
-    assert read_tracks(tmp_path / "t.json.gz").ids == ("a", "b", "c")
     files = [
         write_csv(tmp_path / f"{name}.csv", [row[1:] for row in ROWS if row[0] == name], HEADER[1:]) for name in "ab"
     ]
     assert read_tracks(files).ids == ("a", "b")
     assert "for id" in refusal(files[0])
+
+
+def records(name, *cells):
+    return [dict(zip(name.split(), row, strict=True)) for row in zip(*cells, strict=True)]
+
+
+POINTS = [
+    {"properties": each, "geometry": {"type": "Point", "coordinates": place}}
+    for each, place in zip(records("id t", IDS, TIMES), zip(X, np.array(Y) / 100, strict=True), strict=True)
+]
+FIELD = [
+    {
+        "frame": k,
+        "period": 1,
+        "ball": [{"x": 9}],
+        "home": records("playerId xyz", IDS[:3], [[*row[2:], 0] for row in now]),
+    }
+    for k, now in enumerate(np.reshape(np.array(ROWS, object), (20, 3, 4)).tolist())
+]
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("t.json", records("id t x y", IDS, TIMES, X, Y)),
+        ("t.geojson", {"type": "FeatureCollection", "features": POINTS}),
+        ("t.json", {"frames": FIELD}),
+        ("t.jsonl", FIELD),
+    ],
+    ids=["records", "GeoJSON", "nested", "lines"],
+)
+def test_json_may_nest_records(tmp_path, name, content):
+    lines = [json.dumps(each) for each in (content if name.endswith("l") else [content])]
+    (tmp_path / f"{name}.gz").write_bytes(gzip.compress("\n".join(lines).encode()))
+    read = read_tracks(tmp_path / f"{name}.gz")
+    assert (read.ids, read.samples, read.dimensions) == (("a", "b", "c"), 60, 2)
+    assert read.frame.endswith("degrees") == ("geo" in name)
+    if "geo" not in name:
+        np.testing.assert_allclose((read.position + read.origin)[:20, :2], straight()[:, 0, :2], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "expected"),
+    [
+        ("a.xml", "<?xml version='1.0'?><Positions/>", "kloppy"),
+        ("a.igc", "AXSX004SKYTRAXX V1\r\nHFDTE010524\r\n", "GPSBabel"),
+        ("a.txt", "!AIVDM,1,1,,A,15M67FC000G?ufbE`FepT@3n00Sa,0*5C\n", "pyais"),
+        ("a.dat", "1848000:0,1,1,396,-1244,1.0;:0,0,0,0.0,H,Alive;:\n", "kloppy"),
+        ("a.log", '{"id": 1}', "--format json"),
+        ("a.json", '{"full_count": 9, "4b1": [1, 2]}', "neither records nor columns"),
+        ("a.mine", "one two\n1 2\n", "no format has the suffix .mine"),
+        ("a.csv", "a,b,c\n1,2,3\n", "its columns are a, b, c."),
+        ("a.txt", "0 0 1 2 9\n", "its 5 columns in order"),
+    ],
+)
+def test_other_files_are_refused_by_their_name(tmp_path, name, text, expected):
+    (tmp_path / name).write_bytes(text.encode())
+    assert expected in refusal(tmp_path / name)
 
 
 def test_what_cannot_be_known_is_refused_with_the_option_that_helps(tmp_path):
@@ -119,9 +185,20 @@ def test_an_id_that_is_used_again_is_another_one(tmp_path):
 
 def test_no_window_has_parts_of_two_pooled_recordings(tmp_path):
     paths = [tmp_path / f"{k}.csv" for k in range(2)]
-    for k, path in enumerate(paths):
-        write_csv(path, [[row[0], row[1] + 100 * k, *row[2:]] for row in ROWS])
+    both = [[[row[0], row[1] + 100 * k, *row[2:], k] for row in ROWS] for k in range(2)]
+    for path, part in zip(paths, both, strict=True):
+        write_csv(path, part, [*HEADER, "period"])
     read = read_tracks(paths, pool=True)
+    halves = write_csv(tmp_path / "halves.csv", both[0] + both[1], [*HEADER, "period"])
+    one = read_tracks(halves, pool_by="period")
+    np.testing.assert_array_equal(one.time, read.time)
+    assert [name for name, *_ in one.clock.recordings] == ["period 0", "period 1"]
+    assert "--pool-by" in refusal(halves, pool_by="half")
+    again = [[*row, 0] for row in ROWS] + [[*row[:2], row[2] + 1, row[3], 1] for row in ROWS]
+    restarts = write_csv(tmp_path / "restarts.csv", again, [*HEADER, "period"])
+    assert "60 of 120 rows" in refusal(restarts)
+    assert "--pool-by period" in refusal(restarts)
+    assert read_tracks(restarts, pool_by="period").duration == 3 * 19 * 60
     even = read.resample(60.0)
     assert (read.ids, read.report().warnings, even.choose_length()) == (("a", "b", "c"), (), 19)
     assert [(even.file_time(cut.start), even.file_time(cut.end)) for cut in even.windows(10)] == [

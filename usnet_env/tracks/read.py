@@ -19,7 +19,7 @@ from usnet_env.files import as_path
 from usnet_env.tracks import columns as roles
 from usnet_env.tracks.readers import read_dataset
 from usnet_env.tracks.samples import Clock, match_leaders, number_labels, sort_samples, split_gaps
-from usnet_env.tracks.tables import Options, Table, open_table, split_wide
+from usnet_env.tracks.tables import Options, open_table, split_wide
 from usnet_env.tracks.tracks import Tracks
 from usnet_env.tracks.units import guess_time_unit, project_positions, scale_lengths
 
@@ -100,7 +100,7 @@ def read_tracks(
     asked = {name: value for name, value in locals().items() if name != "path"}
     where, options = "the frame", Options(**asked)
     try:
-        if hasattr(path, "data_vars"):
+        if "position" in getattr(path, "data_vars", ()):
             path, where = read_dataset(path), "the dataset"
         if isinstance(path, pd.DataFrame):
             plain = path.reset_index() if any(path.index.names) else path
@@ -108,7 +108,7 @@ def read_tracks(
             return _make_tracks([where], [_read_rows(table, options, where, None)], options, where)
         listed = path if isinstance(path, list | tuple) else [path]
         if not listed or not isinstance(listed[0], str | os.PathLike):
-            what = "a file of tracks, a list of such files, a pandas.DataFrame, or an xarray.Dataset"
+            what = "a file of tracks, a list of such files, a pandas.DataFrame, or an xarray.Dataset of positions"
             raise ArgumentError(f"path must be {what}, got {quote(path)}.")
         files = [as_path("path", file) for file in listed]
         paths = list({file.resolve(): file for file in reversed(files)}.values())[::-1]  # two paths may be of one file
@@ -145,7 +145,7 @@ def _read_file(path: Path, options: Options, several: bool) -> _FileRows:
         raise ArgumentError(f"path must be an intact file of tracks, got {where}: {reason}{hint}.") from error
 
 
-def _read_rows(table_of_file: Table, options: Options, where: str, stem: str | None) -> _FileRows:
+def _read_rows(table_of_file: roles.Table, options: Options, where: str, stem: str | None) -> _FileRows:
     """Read the columns of a table; ``stem`` is its id if it has none."""
     (header, read_columns, about), mapping = table_of_file, options.columns or {}
     sure = {"confidence": options.min_confidence is not None}

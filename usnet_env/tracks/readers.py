@@ -98,7 +98,11 @@ def _check_size(size: int, most: float) -> None:
 def read_json(path: Path) -> pd.DataFrame:
     """A list of records, GeoJSON, or an object with lists of records, whose other values are those of each record."""
     data = json.loads(path.read_bytes())  # pandas.read_json would take the text 007 for a number
-    return _table_records(data if isinstance(data, list) or not _list_nested(data) else [data])
+    if isinstance(data, dict) and not _list_nested(data):
+        if len({len(cell) if isinstance(cell, list) else -1 for cell in data.values()} - {0}) != 1:
+            raise ValueError(f"it holds neither records nor columns, but {quote(list(data))}")
+        return pd.DataFrame(data)
+    return _table_records(data if isinstance(data, list) else [data])
 
 
 def read_lines(path: Path) -> pd.DataFrame:
@@ -112,25 +116,29 @@ def _list_nested(record: Mapping[str, Any]) -> list[str]:
     return [name for name, cell in record.items() if isinstance(cell, list) and cell and isinstance(cell[0], dict)]
 
 
-def _table_records(records: Any) -> pd.DataFrame:
+def _table_records(records: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
     """A frame of records, in which a list of coordinates is a column for each."""
-    rows = [row for each in records for row in _flatten(each, {})] if isinstance(records, list) else records
-    frame = pd.DataFrame(rows)
+    frame = pd.DataFrame([row for record in records for row in _flatten(record, {})])
     for name, axes in _VECTORS.items():
         if name in frame:
-            frame = frame.assign(**{axis: frame[name].str[k] for k, axis in enumerate(axes)}).drop(columns=name)
-            frame = frame if frame[axes[2]].notna().any() else frame.drop(columns=axes[2])
+            vectors = frame.pop(name)
+            frame = frame.drop(columns=[*axes], errors="ignore").assign(
+                **{axis: vectors.str[k] for k, axis in enumerate(axes) if vectors.str[k].notna().any()}
+            )
     return frame
 
 
 def _flatten(record: Mapping[str, Any], outer: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """The rows of a record: itself, or one for each record in its lists."""
+    """The rows of a record: itself, or one for each record in its lists, but for those of a ball."""
     nested, plain = _list_nested(record), dict(outer)
     for name, cell in record.items():
         if name not in nested:
             plain |= cell if name in _GEOJSON and isinstance(cell, dict) else {name: cell}
-    rows = [row for name in nested for row in record[name]]
-    yield from (deep for row in rows for deep in _flatten(row, plain)) if rows else [plain]
+    for name in nested:
+        for row in record[name] if not name.lower().startswith("ball") else ():
+            yield from _flatten(row, plain)
+    if not nested:
+        yield plain
 
 
 def read_parquet(path: Path) -> pd.DataFrame:

@@ -89,8 +89,8 @@ def _doubt_bodies(tracks: Samples) -> Iterator[str]:
     if ids := find_one_body(tracks):
         names = ", ".join(map(str, ids[:6])) + ", …" * (len(ids) > 6)
         yield (
-            f"{len(ids)} ids ({names}) stay within 1 % of their way of another one, on no side of it. If they are one "
-            "body, with two tags or two estimates of its places, leave all but one out."
+            f"{len(ids)} ids ({names}) are hardly ever apart from another of them. If they are one body, with two tags "
+            "or two estimates of its places, keep the rows of one."
         )
 
 

@@ -201,6 +201,8 @@ def find_one_body(tracks: Samples) -> list[str | int]:
     Two estimates of a vehicle's places drift apart slowly, and neither is behind. The offsets between two tags of an
     animal are noise: successive ones are not alike.
     """
+    if not tracks.inner_steps.any():
+        return []
     interval, long = 2 * np.median(np.diff(tracks.time)[tracks.inner_steps]), tracks.duration / _INSTANTS / 8
     start = np.linspace(0.0, tracks.duration - max(interval, long), _INSTANTS)
     times, plane = np.concatenate([start, start + interval, start + long]), tracks.position @ (1, 1j, 0)
