@@ -125,7 +125,7 @@ def guess_columns(header: Sequence[str]) -> dict[str, str]:
 
 def find_recording(header: Sequence[str]) -> str | None:
     """The column that probably tells recordings apart."""
-    return next((name for name in header if _letters(name) in RECORDINGS), None)
+    return next((name for name in header if _letters(name) in RECORDINGS and header.count(name) == 1), None)
 
 
 def _letters(name: str) -> str:
@@ -140,8 +140,12 @@ def choose_columns(
     Degrees, which name their datum, go before x and y, unless the caller's ``mapping`` has these. ``one_id``: the file
     may have no id, as all of it is one track. ``confidence``: it must have that column, which is otherwise left out.
     """
-    whole = {name.partition(" (")[0]: name for name in header} | {name: name for name in header}
-    chosen = {role: whole.get(name, name) for role, name in mapping.items() if name}
+
+    def add_unit(name: str) -> str:
+        whole = [each for each in header if each.partition(" (")[0] == name]
+        return whole[0] if name not in header and len(whole) == 1 else name
+
+    chosen = {role: add_unit(name) for role, name in mapping.items() if name}
     mapped = set(chosen)
     for role, name in guess_columns(header).items():
         if role not in mapping and name not in chosen.values():
