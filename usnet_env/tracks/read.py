@@ -160,7 +160,8 @@ def _read_rows(table_of_file: roles.Table, options: Options, where: str, stem: s
     marks = {"visible": "visible"} if movebank and "visible" in header else {}
     if "t" in names and (dates := [name for name in header if name.strip().lower() == "date"]):
         marks["date"] = dates[0]
-    if recording := options.pool_by or roles.find_recording(header):
+    recording = roles.find_recording(header) if options.pool_by is None else options.pool_by
+    if recording is not None:
         marks["recording"], about = recording, {**about, "recording": recording}
         if header.count(recording) != 1:
             listed = ", ".join(header)
