@@ -40,7 +40,7 @@ LADDER: dict[str, tuple[str, dict[str, Any]]] = {
 _FIELD: dict[str, Any] = {"distribution": "field-v1", "memory": 12}
 _AROUND: dict[str, Any] = _FIELD | {"formation": {"around": 3.0, "uniform": 1.0}}  # heads in the middle
 TRACKS = "USNET/Tracks-v0"  # replays a file, which is a required argument; so it has no presets
-PROBING = "USNET/Probing-v0"  # its agent also steers intruders
+PROBING = "USNET/Probing-v1"  # its agent also steers intruders
 OTHERS = {TRACKS: "usnet_env.tracks.env:TracksEnv", PROBING: "usnet_env.envs.probing:ProbingEnv"}
 
 # id -> (class, arguments). The arguments are what JSON can hold, so that `env.spec.to_json()` is complete.
@@ -74,4 +74,5 @@ def register_environments() -> None:
             )
     for name, entry_point in OTHERS.items():
         if name not in gym.registry:
-            gym.register(id=name, entry_point=entry_point)
+            batch = entry_point.replace("Env", "VectorEnv") if name == PROBING else None
+            gym.register(id=name, entry_point=entry_point, vector_entry_point=batch)

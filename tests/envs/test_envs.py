@@ -171,7 +171,7 @@ def test_the_empty_answer():
 
 
 @pytest.mark.parametrize("make", [gym.make, gym.make_vec])
-@pytest.mark.parametrize("name", [MULTI, SINGLE, "USNET/Probing-v0"])
+@pytest.mark.parametrize("name", [MULTI, SINGLE])
 def test_free_candidates_are_warned_of_unless_a_budget_limits_them(make, name):
     make(name, redundancy_price=0, shot_budget=1)
     with pytest.warns(UserWarning, match="redundancy_price is 0, so to name all UAVs is the best answer"):

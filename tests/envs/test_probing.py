@@ -14,7 +14,7 @@ from usnet_env.swarm import SwarmConfig, start
 from usnet_env.swarm.kinematics import Avoidance, find_push
 from usnet_env.swarm.simulator import fly_steps
 
-PROBING = "USNET/Probing-v0"
+PROBING = "USNET/Probing-v1"
 SMALL = {"followers": 6, "observation_steps": 12}
 
 
@@ -60,17 +60,18 @@ def test_alike_heads_and_decoys_differ_in_nothing_but_their_places():
     assert np.ptp(window["velocity"][:, ~free], axis=1).all()
 
 
-def test_gymnasium_s_checker_has_nothing_to_say():
-    env = gym.make(PROBING, **SMALL, intruders=2, render_mode="rgb_array")
+@pytest.mark.parametrize("actions", ["dict", "flat"])
+def test_gymnasium_s_checker_has_nothing_to_say(actions):
+    env = gym.make(PROBING, **SMALL, intruders=2, render_mode="rgb_array", actions=actions)
     check_env(env.unwrapped)
     assert list(env.reset(seed=0)[0]) == list(env.observation_space)
 
 
 def wait(env, speed=0.0):
-    """The action that names nobody, with intruders that fly along the first axis."""
-    velocity = np.zeros((env.unwrapped.arguments.intruders, 3), np.float32)
-    velocity[:, 0] = speed
-    return {"velocity": velocity, "candidates": np.zeros(env.unwrapped.config.uavs, np.int8)}
+    """The action that names no UAV yet, with intruders that fly along the first axis."""
+    steer = np.zeros((env.unwrapped.arguments.intruders, 3), np.float32)
+    steer[:, 0] = speed
+    return {"steer": steer, "name": env.unwrapped.config.uavs}
 
 
 @pytest.mark.parametrize("sample_every", [1, 2])
@@ -92,15 +93,15 @@ def test_a_window_grows_and_its_past_stays(sample_every):
 
 
 def test_the_reward_is_the_objective_minus_time_and_moves():
-    """The last look is shorter, and the moves are the mean of the intruders."""
+    """The last look is shorter, and every intruder's way has its price."""
     env = gym.make(PROBING, **SMALL, look_every=8, time_price=0.3, move_price=0.6, intruders=2)
     for named, objective in ((None, -1.0), ("head", 0.0), ("follower", -1.0)):
         env.reset(seed=2)
         rewards = [env.step(wait(env, speed))[1] for speed in ([1.0, 0.5], [0.0, 0.5])]
-        assert rewards == pytest.approx([-0.2 - 0.3, -0.1 - 0.05])
+        assert rewards == pytest.approx([-0.2 - 0.6, -0.1 - 0.1])
         action, head = wait(env, 1.0), env.unwrapped.swarm.head
         if named:
-            action["candidates"][np.flatnonzero(head == (named == "head"))[0]] = 1
+            action["name"] = np.flatnonzero(head == (named == "head"))[0]
         _, reward, terminated, truncated, info = env.step(action)
         assert (reward, terminated, truncated, info["J"]) == (objective, True, False, objective)
         assert sum(value for name, value in info.items() if name.startswith("reward_")) == reward
@@ -129,17 +130,51 @@ def test_a_state_restores_the_episode():
     assert one[1:] == other[1:]
 
 
+def test_a_flat_action_names_whose_score_stands_out_or_the_best_at_the_end():
+    env = gym.make(PROBING, **SMALL, look_every=6, actions="flat")
+    head = {}
+    for seed, scores in enumerate(([1.0, -0.1], [1.0, 0.0], [0.5, -0.4])):
+        env.reset(seed=seed)
+        head[seed] = int(env.unwrapped.swarm.head.argmax())
+        action = np.full(3 + 7 + 1, scores[1], np.float32)
+        action[:3] = [0.6, 0, 0.8]
+        action[3 + head[seed]] = scores[0]
+        steps = []
+        while not steps or not steps[-1][2]:
+            steps.append(env.step(action))
+        assert len(steps) == (1 if scores[0] - scores[1] > 1 else 3)
+        assert steps[-1][1] == 0.0
+        assert [step[1] for step in steps[:-1]] == pytest.approx([-0.15] * (len(steps) - 1))
+    action[-1] = 1.0  # none is named, though the window is full
+    env.reset(seed=2)
+    assert [env.step(action)[1] for _ in range(3)] == pytest.approx([-0.15, -0.15, -1.0])
+
+
+def test_an_agent_that_knows_nothing_mostly_waits():
+    env = gym.make_vec(PROBING, 64, observation_steps=12, actions="flat", autoreset_mode="Disabled")
+    env.reset(seed=0)
+    rng, waiting = np.random.default_rng(0), 1.0
+    for _ in range(3):
+        actions = rng.standard_normal(env.action_space.shape).clip(-1, 1)  # of a new policy of Stable-Baselines3
+        over = env.step(actions)[2]
+        waiting *= 1 - over.mean()
+        env.reset(options={"reset_mask": over}) if over.any() else None
+    assert waiting > 0.9
+
+
 @pytest.mark.parametrize(
     ("action", "words"),
     [
         ([0] * 7, "action must have the keys"),
-        ({"velocity": np.full((1, 3), 2.0), "candidates": np.zeros(7)}, "velocity must have shape"),
-        ({"velocity": np.zeros(3), "candidates": np.zeros(7)}, "velocity must have shape"),
-        ({"velocity": np.zeros((1, 3)), "candidates": np.zeros(6)}, "candidates must have shape"),
+        ({"steer": np.full((1, 3), 2.0), "name": 7}, "steer must have shape"),
+        ({"steer": np.zeros(3), "name": 7}, "steer must have shape"),
+        ({"steer": np.zeros((1, 3)), "name": 8}, "name must hold whole numbers from 0 to 7"),
+        (np.zeros(10), "action must have shape"),
     ],
 )
 def test_a_wrong_action_is_refused(action, words):
-    env = gym.make(PROBING, **SMALL, disable_env_checker=True)
+    flat = "flat" if isinstance(action, np.ndarray) else "dict"
+    env = gym.make(PROBING, **SMALL, actions=flat, disable_env_checker=True)
     env.reset(seed=0)
     with pytest.raises(ArgumentError, match=words):
         env.step(action)

@@ -10,7 +10,7 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from usnet_env import ArgumentError
 from usnet_env.envs import ENVIRONMENTS
 
-MULTI, SINGLE = "USNET/MultiCluster-v0", "USNET/SingleCluster-v0"
+MULTI, SINGLE, PROBING = "USNET/MultiCluster-v0", "USNET/SingleCluster-v0", "USNET/Probing-v1"
 SMALL = {"clusters": 2, "uavs": 12, "max_rounds": 2}
 # Swarms with and without references and compiled loops, in one batch.
 KINDS = {
@@ -49,6 +49,7 @@ def equal(one, other):
         ("USNET/Field-v1", "SameStep", {"max_rounds": 2}),
         (MULTI, "Disabled", {**SMALL, "reveal_truth": True}),
         *((MULTI, mode.value, {**KINDS, "reveal_truth": True}) for mode in AutoresetMode),
+        *((PROBING, mode.value, {"followers": 2, "miss_rate": 0.1, "reveal_truth": True}) for mode in AutoresetMode),
         *((name, "NextStep", {"follow": "f7", "reveal_truth": True}) for name in (SINGLE, MULTI, "USNET/Field-v1")),
         (MULTI, "NextStep", {"follow": ["none", "independent"], "max_rounds": 2}),
     ],
@@ -62,8 +63,11 @@ def test_equal_to_single_envs_over_many_episodes(name, mode, arguments):
     assert batch.np_random_seed == singles.np_random_seed == (0, 1, 2, 3, 4)
     rng, ends = np.random.default_rng(3), 0
     for k in range(15):
-        share = rng.choice([0.05, 0.5, 1.0], size=(5, 1))
-        actions = (rng.random(batch.action_space.shape) < share).astype(np.int8)
+        if name == PROBING:
+            actions = {"steer": rng.uniform(-1, 1, (5, 1, 3)), "name": rng.integers(4, size=5)}
+        else:
+            share = rng.choice([0.05, 0.5, 1.0], size=(5, 1))
+            actions = (rng.random(batch.action_space.shape) < share).astype(np.int8)
         one, other = batch.step(actions), singles.step(actions)
         assert equal(one, other)
         assert batch.observation_space.contains(one[0])

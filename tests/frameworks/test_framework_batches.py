@@ -71,6 +71,17 @@ def test_the_pair_policy_learns_raw_windows_in_stable_baselines():
     assert result.summary[0]["metrics"]["J"]["mean"] > -0.5  # a guess has -0.8
 
 
+def test_stable_baselines_steers_and_names_in_one_action():
+    pytest.importorskip("stable_baselines3")
+    from stable_baselines3 import PPO
+
+    from usnet_env.frameworks.sb3 import SwarmVecEnv
+
+    envs = SwarmVecEnv("USNET/Probing-v1", 8, followers=4, observation_steps=12, actions="flat", intruders=2)
+    model = PPO("MultiInputPolicy", envs, n_steps=8, batch_size=32, n_epochs=1, seed=0, device="cpu").learn(64)
+    assert {game["l"] for game in model.ep_info_buffer} >= {4}  # waits until the window is full
+
+
 @pytest.mark.parametrize("name", ["PairNetwork", "AttentionNetwork"])
 def test_a_network_sees_no_order_and_no_destroyed_uav_and_the_pair_network_no_direction(name):
     torch = pytest.importorskip("torch")
@@ -123,16 +134,19 @@ def test_the_attention_policy_trains_and_is_loaded_again(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:Creating .* which inherits from WeightUpdaterBase:DeprecationWarning")
-@pytest.mark.parametrize("name", ["SingleCluster", "MultiCluster"])
+@pytest.mark.parametrize("name", ["SingleCluster-v0", "MultiCluster-v0", "Probing-v1"])
 def test_torchrl_plays_the_games_of_the_batch(name):
     torch = pytest.importorskip("torch")
     envs = pytest.importorskip("torchrl.envs")
     from usnet_env.frameworks.torchrl import SwarmEnv
 
-    arguments = SMALL if name == "MultiCluster" else {"followers": 9, "observation_steps": 12}
-    env = SwarmEnv(f"USNET/{name}-v0", 4, **arguments)
+    arguments = SMALL if name == "MultiCluster-v0" else {"followers": 9, "observation_steps": 12}
+    if name == "Probing-v1":
+        envs.check_env_specs(SwarmEnv(f"USNET/{name}", 4, **arguments), seed=0)
+        arguments["actions"] = "flat"
+    env = SwarmEnv(f"USNET/{name}", 4, **arguments)
     envs.check_env_specs(env, seed=0)
-    batch = gym.make_vec(f"USNET/{name}-v0", num_envs=4, autoreset_mode="SameStep", **arguments)
+    batch = gym.make_vec(f"USNET/{name}", num_envs=4, autoreset_mode="SameStep", **arguments)
     env.set_seed(7)
     played = env.rollout(5, break_when_any_done=False)
     observation, _ = batch.reset(seed=7)

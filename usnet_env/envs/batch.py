@@ -27,8 +27,8 @@ Generator = np.random.Generator
 class SwarmGames:
     """``num_envs`` games as arrays with a leading axis B, each with its own configuration and generator.
 
-    A step is :meth:`play_round`, which may end games, :meth:`start` of those that begin anew, and :meth:`fly`, which
-    shows the next windows.
+    A step is :meth:`act`, which may end games, :meth:`start` of those that begin anew, and :meth:`fly`, which shows the
+    next windows.
 
     Args:
         num_envs: B, number of games.
@@ -139,6 +139,14 @@ class SwarmGames:
         self.candidates, self.answered = self.candidates & others[:, None], self.answered & others
         for b in chosen if self.pictures else ():
             self._frames[b] = EpisodeFrames()
+
+    def parse_action(self, action: Any, lead: tuple[int, ...] = ()) -> Any:
+        """Check the action of one game, or with ``lead`` ``(B,)`` of all games: the candidates ``(*lead, N)``."""
+        return game.parse_candidates(action, (*lead, self.config.uavs))
+
+    def act(self, action: Any, playing: Mask) -> Floats:
+        """Do what :meth:`parse_action` returned in the games that are ``playing``, ``(B,)``; the rewards, ``(B,)``."""
+        return self.play_round(action, playing)
 
     def play_round(self, candidates: Mask, playing: Mask) -> Floats:
         """Destroy the candidates ``(B, N)`` in the games that are ``playing``, ``(B,)``; the rewards, ``(B,)``."""

@@ -53,4 +53,5 @@ def play_probe(env: gym.Env[Any, Any], prober: Any, seed: int) -> tuple[PlayedRo
         truth, action, seen = game.swarm, prober.act(observation), observation
         observation, reward, over, _, info = env.step(action)
         total += float(reward)
-    return PlayedRound(seen, truth, Detection(action["candidates"], prober.belief), 0.0, info), total
+    answer = Detection(np.arange(len(prober.belief)) == action["name"], prober.belief)
+    return PlayedRound(seen, truth, answer, 0.0, info), total

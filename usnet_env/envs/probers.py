@@ -1,4 +1,4 @@
-"""Scripted probers of ``USNET/Probing-v0``: a detector's probabilities, and what the reactions to intruders add."""
+"""Scripted probers of ``USNET/Probing-v1``: a detector's probabilities, and what the reactions to intruders add."""
 
 from __future__ import annotations
 
@@ -73,10 +73,10 @@ class Prober:
         reactions = weigh_reactions(window, observation["intruders"][:elapsed], self.arguments)
         return np.stack([np.log(np.clip(probability, 1e-3, 1)), reactions])
 
-    def stay(self, named: int = -1) -> dict[str, Any]:
-        """The action that leaves the intruders where they are, and names a UAV; -1: nobody."""
-        candidates = (np.arange(len(self.belief)) == named).astype(np.int8)
-        return {"velocity": np.zeros(self._intruders.shape, np.float32), "candidates": candidates}
+    def stay(self, named: int | None = None) -> dict[str, Any]:
+        """The action that leaves the intruders where they are, and names a UAV; ``None``: none yet."""
+        name = len(self.belief) if named is None else named
+        return {"steer": np.zeros(self._intruders.shape, np.float32), "name": name}
 
     def count_steps(self) -> Floats:
         """The steps of the way of each intruder to each UAV, ``(K, N)``; NaN to one that has not been seen."""
@@ -98,7 +98,7 @@ class Prober:
             goal = self._place[chosen] + self.arguments.reach / 3 * outward / max(float(np.linalg.norm(outward)), 1e-6)
             velocity[k] = (goal - self._intruders[k]) / (speed * self.arguments.look_every)
         length = np.linalg.norm(velocity, axis=1, keepdims=True)
-        return self.stay() | {"velocity": (velocity / np.maximum(length, 1 + 1e-6)).astype(np.float32)}
+        return self.stay() | {"steer": (velocity / np.maximum(length, 1 + 1e-6)).astype(np.float32)}
 
 
 def weigh_reactions(window: Window, intruders: Singles, arguments: ProbingArguments) -> Floats:

@@ -130,7 +130,6 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         self.observation_space, self.observe = seen, tuple(seen)  # type: ignore[assignment]  # Dict is invariant
         self.action_space = spaces.MultiBinary(sampler.widest.uavs)
         self._games, self._number = self._make_games(1), 0
-        self._scene: dict[str, Any] = {}  # what pictures show besides the swarm
 
     def _make_games(self, num_envs: int) -> SwarmGames:
         """A batch of games with the arguments of this environment."""
@@ -183,8 +182,7 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         """
         games, number = self._games, self._number
         games.require_running(number)
-        candidates = game.parse_candidates(action, self.action_space.shape or ())
-        reward = float(games.play_round(candidates, games.all_games == number)[number])
+        reward = float(games.act(games.parse_action(action), games.all_games == number)[number])
         self._fly()
         over = bool(games.game.terminated[number]), bool(games.game.truncated[number])
         return self._observe(self.observe), reward, *over, self._info()
@@ -249,7 +247,7 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         Raises:
             MissingExtraError: matplotlib is not installed.
         """
-        return self._games.draw(self._number, **self._scene) if game.has_mode(self.render_mode) else None
+        return self._games.draw(self._number) if game.has_mode(self.render_mode) else None
 
 
 @list_arguments(observation=OBSERVATION, info=INFO)

@@ -70,18 +70,18 @@ class UsnetVectorEnv(SyncVectorEnv):
         return self._games.observe(self.observe), self._infos(chosen)
 
     def step(self, actions: Any) -> tuple[Observation, Floats, Mask, Mask, dict[str, Any]]:
-        """Play one round of every running game, with candidates ``(B, N)`` of 0 and 1; see the class on resets.
+        """Play one round of every running game, with actions of :attr:`action_space`; see the class on resets.
 
         Raises:
             ArgumentError: actions of another shape or with other values, no call of :meth:`reset` before, or a game
                 that is over while ``autoreset_mode`` is ``Disabled``.
         """
         games, before, mode = self._games, self._games.game, self.autoreset_mode
-        candidates = game.parse_candidates(actions, (self.num_envs, self.config.uavs))
+        parsed = games.parse_action(actions, (self.num_envs,))
         if mode is AutoresetMode.DISABLED:
             games.require_running()
         over = before.terminated | before.truncated
-        reward = np.zeros(self.num_envs) if over.all() else games.play_round(candidates, ~over)
+        reward = np.zeros(self.num_envs) if over.all() else games.act(parsed, ~over)
         final: dict[str, Any] = {}
         terminated, truncated = games.game.terminated & ~over, games.game.truncated & ~over
         if mode is AutoresetMode.SAME_STEP:

@@ -20,7 +20,7 @@ class SwarmVecEnv(VecEnv):
     ``TimeLimit.truncated``; that of another game is empty. MaskablePPO finds ``action_masks``.
 
     Args:
-        id: id of the environment, ``USNET/SingleCluster-v0`` or another one.
+        id: id of the environment, ``USNET/SingleCluster-v0`` or another one; of probing with ``actions="flat"``.
         num_envs: B, number of games.
         arguments: the arguments of the environment; ``observe=("velocity", "alive")`` keeps buffers small.
     """
@@ -38,11 +38,11 @@ class SwarmVecEnv(VecEnv):
         return observation
 
     def step_async(self, actions: Any) -> None:
-        """Keep the candidates ``(B, N)`` for :meth:`step_wait`."""
+        """Keep the actions of all games for :meth:`step_wait`."""
         self._actions = actions
 
     def step_wait(self) -> tuple[Observation, Floats, Mask, list[dict[str, Any]]]:
-        """Play a round of each game; one that ends begins again."""
+        """Step all games; one that ends begins again."""
         observation, reward, terminated, truncated, info = self.envs.step(self._actions)
         self._return += reward
         self._length += 1

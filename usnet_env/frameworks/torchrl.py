@@ -12,7 +12,7 @@ import torch
 from gymnasium.spaces.utils import flatdim
 from numpy.typing import NDArray
 from tensordict import TensorDict
-from torchrl.data import Binary, Categorical, Composite, Unbounded
+from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from usnet_env.arrays import Indices, Mask
@@ -56,7 +56,8 @@ class _Batch(EnvBase):  # type: ignore[misc]  # TorchRL is an extra
 class SwarmEnv(_Batch):
     """``num_envs`` games of one environment, simulated in one batch; ``batch_size`` is ``(B,)``.
 
-    The actions are candidates ``(B, N)``. All arrays of an observation are entries of the same name.
+    The entry ``action`` holds candidates ``(B, N)``; of probing it is flat, or there are ``steer`` and ``name``.
+    All arrays of an observation are entries of the same name.
 
     Args:
         id: id of the environment, ``USNET/SingleCluster-v0`` or another one.
@@ -69,15 +70,15 @@ class SwarmEnv(_Batch):
         self.envs = cast(Any, gym.make_vec(id, num_envs, autoreset_mode="Disabled", **arguments).unwrapped)
         parts = {name: _make_spec(space) for name, space in self.envs.observation_space.items()}
         self.observation_spec = Composite(parts, shape=self.batch_size)
-        shape = self.envs.action_space.shape
-        self.action_spec = Binary(shape[1], shape=shape, dtype=torch.int8)
+        self.action_spec = _make_action_spec(self.envs.single_action_space, num_envs)
         self.reward_spec = Unbounded((num_envs, 1), dtype=torch.float32)
 
     def _begin(self, seed: int | None, games: Mask | None) -> dict[str, Any]:
         return self.envs.reset(seed=seed, options=None if games is None else {"reset_mask": games})[0]
 
     def _step(self, tensordict: TensorDict) -> TensorDict:
-        observation, reward, terminated, truncated, _ = self.envs.step(tensordict["action"].numpy())
+        taken = {name: tensordict[name].numpy() for name in self.action_keys}
+        observation, reward, terminated, truncated, _ = self.envs.step(taken.get("action", taken))
         return self._pack(observation | {"reward": reward.astype(np.float32)[:, None]}, terminated, truncated)
 
 
@@ -150,6 +151,16 @@ class GamesEnv(_Batch):
 
 def _make_spec(space: Any) -> Unbounded:
     return Unbounded(space.shape, dtype=torch.from_numpy(np.zeros(0, space.dtype)).dtype)
+
+
+def _make_action_spec(space: Any, num_envs: int) -> Any:
+    if isinstance(space, gym.spaces.Dict):
+        parts = {name: _make_action_spec(part, num_envs) for name, part in space.items()}
+        return Composite(parts, shape=torch.Size([num_envs]))
+    shape = (num_envs, *space.shape)
+    if isinstance(space, gym.spaces.MultiBinary):
+        return Binary(shape[1], shape=shape, dtype=torch.int8)
+    return Categorical(space.n, shape=shape) if isinstance(space, gym.spaces.Discrete) else Bounded(-1, 1, shape)
 
 
 def _number_actions(space: Any, legal: int) -> tuple[NDArray[Any], Indices]:

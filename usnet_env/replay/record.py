@@ -50,7 +50,7 @@ def record_episode(
 
 
 def record_probe(env: gym.Env[Any, Any], prober: Prober, seed: int) -> EpisodeRecord:
-    """Play an episode of ``USNET/Probing-v0`` with a scripted prober, and record its window when it names the head.
+    """Play an episode of ``USNET/Probing-v1`` with a scripted prober, and record its window when it names the head.
 
     Raises:
         ArgumentError: ``env`` is no such environment.
