@@ -68,14 +68,13 @@ def test_springs_pull_one_of_two_and_forces_find_them():
 
 
 def test_probers_are_played_and_listed_in_their_order(tmp_path, monkeypatch, capsys):
-    pytest.importorskip("stable_baselines3")
-    monkeypatch.setattr(probing, "WEIGHTS", tmp_path / "weights.safetensors")
-    monkeypatch.setattr(probing, "SETTINGS", {"n_steps": 4, "batch_size": 32})
     monkeypatch.setattr(probing, "CELLS", {"short": {"observation_steps": 10}, "decoy": {"decoys": 1}})
-    words = ["--rows", str(tmp_path / "rows.csv"), "--episodes", "1", "--detector", "lagged-regression"]
-    probing.main([*words, "--train", "64"])
+    words = ["--rows", str(tmp_path / "rows.csv"), "--episodes", "1"]
+    probing.main(words)
+    capsys.readouterr()
+    probing.main([*words, "--detector", "lagged-regression"])
     rows = read_rows(tmp_path / "rows.csv")
-    assert set(rows.target) == {"none", "random", "nearest", "information", "ppo", "oracle"}
+    assert set(rows.target) == {"guess", "none", "park", "random", "nearest", "oracle"}
     assert (rows[rows["cell"] == "short"].elapsed <= 10).all()
     assert rows.reward.between(-1.3, 0).all()
-    assert capsys.readouterr().out.count("| short |") == 6
+    assert capsys.readouterr().out.count("| short |") == 5 + 3

@@ -57,7 +57,7 @@ def record_probe(env: gym.Env[Any, Any], prober: Prober, seed: int) -> EpisodeRe
     """
     _check_environment(env)
     played, _ = play_probe(env, prober, seed)
-    label = f"{detector_label(prober.detector)}, target {prober.target}"
+    label = f"{'copies' if prober.detector is None else detector_label(prober.detector)}, target {prober.target}"
     return _make_record(env, [played], seed, None, label)
 
 
