@@ -112,6 +112,7 @@ def test_an_episode_in_the_middle_fails_alone_and_is_played_again(tmp_path):
 def test_detectors_that_end_hang_or_eat_memory_fail_and_the_others_play_on():
     reasons = {
         "hang": "round 2: it took longer than 3 seconds, the time limit",
+        "os._exit": "round 2: its process ended itself with status 0",
         "kill": "round 2: its process was ended by SIGKILL",
         "memory": "round 2: MemoryError: it needed more than 1000 MB, the memory limit",
     }

@@ -130,16 +130,6 @@ def test_a_cell_that_was_drawn_at_random_has_swarms_of_its_own(path):
     )
 
 
-def test_detectors_are_compared_over_cells_by_groups_of_a_swarm(path):
-    played = evaluate_suite(path, ["destroy-all", "none", "one-per-round"], episodes=3)
-    found = played.compare("destroy-all", "one-per-round")
-    wide = played.rows.pivot(index=["cell", "episode"], columns="detector", values="J")
-    assert found.episodes == 6
-    assert found.difference == pytest.approx((wide["destroy-all"] - wide["one-per-round"]).mean())
-    assert found.p * 2**3 == round(found.p * 2**3)  # three groups, not six episodes
-    assert [each.b for each in played.compare("none")] == ["destroy-all", "one-per-round"]
-
-
 @pytest.mark.parametrize(
     ("text", "argument"),
     [

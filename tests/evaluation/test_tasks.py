@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import signal
 import subprocess
@@ -11,7 +10,6 @@ import time
 
 import pytest
 
-from usnet_env import evaluate
 from usnet_env.config import MissingExtraError
 from usnet_env.evaluation import EvaluationError
 from usnet_env.evaluation.tasks import map_tasks
@@ -91,18 +89,6 @@ def test_there_are_no_more_workers_than_tasks():
     ((_, _, _, process),) = map_tasks(Counting(), [1], workers=1_000)
     assert process == os.getpid()
     assert list(map_tasks(Counting(), [], workers=1_000)) == []
-
-
-def play_with_workers():
-    assert len(evaluate("USNET/MultiCluster-v0", "none", episodes=3, workers=2).rows) == 3
-
-
-@pytest.mark.slow
-def test_workers_end_after_a_call_so_that_its_process_can_end():
-    process = multiprocessing.get_context("spawn").Process(target=play_with_workers)
-    process.start()
-    process.join(600)
-    assert process.exitcode == 0
 
 
 SCRIPT = """

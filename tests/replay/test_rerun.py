@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import resource
-import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -44,14 +42,6 @@ def column(chunks, entity, component):
             times = [0] * batch.num_rows if chunk.is_static else batch.column("time").cast("int64").to_pylist()
             rows += [(time, row) for time, row in zip(times, batch.column(component).to_pylist(), strict=True) if row]
     return [row for _, row in sorted(rows, key=lambda row: row[0])]
-
-
-def test_rerun_verifies_the_file(recording):
-    tool = Path(sys.executable).with_name("rerun")
-    if not tool.exists():
-        pytest.skip("the rerun command is not beside this Python")
-    done = subprocess.run([tool, "rrd", "verify", recording], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
 
 
 def test_positions_and_roles_are_those_of_the_record(chunks):

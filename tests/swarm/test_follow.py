@@ -11,7 +11,7 @@ from usnet_env import ArgumentError, register_follow_strategy
 from usnet_env.swarm import FOLLOW_STRATEGIES, FollowStrategy, SwarmConfig, advance, destroy, start
 from usnet_env.swarm.follow import LaggedSum, TanhNetworkStrategy
 from usnet_env.swarm.random_follow import random_follow_strategy
-from usnet_env.swarm.strategy import FollowInputs, TrajectoryBatch
+from usnet_env.swarm.strategy import FollowInputs
 
 NAMES = ["f1", "f2", "f3", "f4", "f5", "f6", "f7"]
 
@@ -43,13 +43,17 @@ def test_noise_free_flight_obeys_the_row_of_table_2(name, formation):
     assert share > 0.5 if formation == "around" else share < 0.5  # both branches of f6's indicator are flown
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_proposition_1_holds(name):
-    """The loss (15) is 0 where the IFSN is the strategy and all attention is on the head, by (16) and (17)."""
-    swarm, window = fly(replace(FOLLOW_STRATEGIES[name], noise=0.0), formation="around", memory=4, uavs=9)
+@pytest.mark.parametrize(("name", "seed"), [*((name, 0) for name in NAMES), *(("random", seed) for seed in range(4))])
+def test_proposition_1_holds(name, seed):
+    """The loss (15) is 0 where the IFSN is the strategy and all attention is on the head, by (16) and (17).
+
+    So compiled loops fly what ``numpy_laws.py`` says.
+    """
+    strategy = FOLLOW_STRATEGIES[name]
+    swarm, window = fly(replace(strategy, noise=0.0), seed=seed, formation="around", memory=4, uavs=9)
     p, v = window.position[0].astype(float), window.velocity[0].astype(float)
     i = np.flatnonzero(~swarm.head)
-    network = slow(FOLLOW_STRATEGIES[name], swarm.parameters)
+    network = slow(strategy, swarm.parameters)
     losses = []
     for noticed in (swarm.root[i], np.roll(swarm.root[i], 1)):
         alpha, loss = (noticed[:, None] == np.arange(9)).astype(float), 0.0
@@ -64,35 +68,6 @@ def test_proposition_1_holds(name):
         losses.append(loss)
     assert losses[0] == pytest.approx(0.0, abs=1e-3)
     assert losses[1] > 10.0
-
-
-@pytest.mark.parametrize("name", [*NAMES, "random"])
-def test_compiled_flight_equals_the_general_loop(name):
-    config = SwarmConfig(follow=name, clusters=3, uavs=20, formation="around", observation_steps=50)
-    rngs = generators([0, 1])
-    state = start(config, rngs)
-    strategy = config.follow_strategy
-    memory, steps = config.memory, config.steps
-    flights = []
-    for _ in range(2):
-        rng = np.random.default_rng(5)
-        position = np.zeros((2, memory + steps + 1, 20, 3), np.float32)
-        velocity = np.zeros((2, memory + steps, 20, 3), np.float32)
-        position[:, : memory + 1], velocity[:, :memory] = state.past_position, state.past_velocity
-        motion = np.full((2, 20), 2, np.int8)
-        np.put_along_axis(motion, state.free, np.int8(1), axis=1)
-        for b in range(2):
-            free = rng.standard_normal((steps, 3, 3)).astype(np.float32)
-            velocity[b, memory:, state.free[b]] = (free / np.linalg.norm(free, axis=-1, keepdims=True)).swapaxes(0, 1)
-        noise = rng.standard_normal((2, steps, 20, 3), dtype=np.float32)
-        swarm = state.root, state.parameters, state.source, state.not_led, state.clock
-        flights.append(TrajectoryBatch(position, velocity, noise, motion, *swarm))
-    strategy.fly(flights[0])
-    for b in range(2):  # each swarm has parameters of its own
-        arrays = {name: part[b : b + 1] for name, part in vars(flights[1]).items() if name != "plan"}
-        slow(strategy, state.parameters[b]).fly(TrajectoryBatch(**arrays))
-    np.testing.assert_allclose(flights[0].velocity, flights[1].velocity, atol=2e-4)
-    np.testing.assert_allclose(flights[0].position, flights[1].position, atol=5e-3)
 
 
 def test_followers_noise_has_the_table_s_size():
@@ -112,13 +87,6 @@ def test_f7_draws_a_network_an_episode_unless_seeded():
     assert not np.array_equal(free[0], free[1])
     assert np.array_equal(fixed[0], fixed[1])
     assert np.array_equal(fixed[0], start(SwarmConfig(follow="f7", follow_seed=3), generators([9])).parameters[0])
-
-
-def test_followers_of_nobody_fly_like_heads():
-    config = SwarmConfig(follow="none", clusters=2, uavs=9, mobility="straight")
-    rngs = generators([0])
-    _, window = advance(config, start(config, rngs), rngs)
-    assert np.allclose(window.velocity[0], window.velocity[0][:1])
 
 
 def test_a_registered_function_is_used_by_name():

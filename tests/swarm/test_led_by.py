@@ -6,7 +6,7 @@ from flights import fly, generators
 
 from usnet_env.config import ArgumentError
 from usnet_env.swarm import SwarmConfig, advance, destroy, start
-from usnet_env.swarm.follow import LED_MODELS, FollowFunction, LaggedSum
+from usnet_env.swarm.follow import FollowFunction, LaggedSum
 
 COPY = LaggedSum(1, noise=0.0)
 
@@ -100,8 +100,3 @@ def test_what_it_takes():
             SwarmConfig(led_by=wrong)
     assert SwarmConfig(led_by=[1, 4]).unseen_levels == (1, 4)
     assert SwarmConfig(led_by=2).unseen_levels == (2, 2)
-
-
-def test_models_for_led_swarms_are_their_field_models_with_other_numbers():
-    assert set(LED_MODELS) == {f"{name}-led" for name in ("chain", "vicsek", "couzin", "informed", "predator")}
-    assert all(getattr(model, "link", 1.0) >= 1.0 for model in LED_MODELS.values())

@@ -10,15 +10,6 @@ from usnet_env.swarm import SwarmConfig, advance, destroy, start
 from usnet_env.swarm.follow import LaggedSum
 
 
-def test_positions_integrate_velocities_and_speeds_are_one():
-    _, window = fly("f1", uavs=20)
-    assert window.position.shape == (1, 101, 20, 3)
-    assert window.velocity.shape == (1, 100, 20, 3)
-    np.testing.assert_allclose(np.diff(window.position, axis=1), window.velocity, atol=2e-4)
-    np.testing.assert_allclose(np.linalg.norm(window.velocity, axis=-1), 1.0, atol=1e-5)
-    assert window.seen.all()
-
-
 def test_a_window_holds_one_regime_only():
     """After a re-merge every observed step of an orphan obeys the new head: T_0 steps pass unobserved."""
     config = SwarmConfig(follow=LaggedSum(3, noise=0.0), clusters=3, uavs=20, observation_steps=20)
