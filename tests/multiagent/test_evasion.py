@@ -6,18 +6,12 @@ import pytest
 from gymnasium.utils.env_checker import data_equivalence
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from small_games import drawn, small
+from small_games import assert_single_game, drawn, small
 
 import usnet_env  # noqa: F401  # registers the single-agent environments
 from usnet_env import ArgumentError
 from usnet_env.multiagent import usnet_evasion_v0
-from usnet_env.multiagent.evasion import (
-    Manoeuvres,
-    Plan,
-    compute_prices,
-    fly_windows,
-    select_decoys,
-)
+from usnet_env.multiagent.evasion import Manoeuvres, Plan, compute_prices, fly_windows, select_decoys
 from usnet_env.swarm import FollowInputs, SwarmConfig, start
 from usnet_env.swarm.follow import FollowFunction, LaggedSum, StayInRange
 
@@ -63,16 +57,7 @@ def test_truthful_heads_fly_as_in_the_single_agent_game(follow, seed):
     env.reset(seed=seed)
     observations, rewards, *_ = env.step(act(env))
     assert set(rewards.values()) == {0.0}
-    rng, over = np.random.default_rng(0), False
-    while not over:
-        got = observations[OBSERVER]
-        assert data_equivalence(expected, {key: got[key] for key in expected}, exact=True)
-        candidates = rng.random(20) < 0.2
-        expected, reward, terminated, truncated, _ = single.step(candidates)
-        observations, rewards, terminations, truncations, _ = env.step(act(env, np.flatnonzero(candidates)))
-        assert rewards[OBSERVER] == reward
-        assert (terminations[OBSERVER], truncations[OBSERVER]) == (terminated, truncated)
-        over = terminated or truncated
+    assert_single_game(single, env, expected, observations, lambda named: act(env, np.flatnonzero(named)))
 
 
 def pull_from_afar(inputs):

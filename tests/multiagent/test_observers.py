@@ -3,10 +3,9 @@
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import data_equivalence
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from small_games import SMALL, small
+from small_games import SMALL, assert_single_game, small
 
 import usnet_env  # noqa: F401  # registers the single-agent environments
 from usnet_env import ArgumentError, Window
@@ -35,17 +34,7 @@ def test_one_observer_that_sees_all_plays_the_single_agent_game(more):
     env = usnet_observers_v0.parallel_env(**SMALL, **more, observers=1, sensing_range=1e5)
     expected, _ = single.reset(seed=0)
     observations, _ = env.reset(seed=0)
-    rng, over = np.random.default_rng(0), False
-    while not over:
-        got = observations["observer_0"]
-        assert data_equivalence(expected, {key: got[key] for key in expected}, exact=True)
-        candidates = (rng.random(20) < 0.2) & expected["alive"].astype(bool)
-        expected, reward, terminated, truncated, info = single.step(candidates)
-        observations, rewards, terminations, truncations, infos = env.step({"observer_0": candidates})
-        assert rewards["observer_0"] == reward
-        assert infos["observer_0"] == info
-        assert (terminations["observer_0"], truncations["observer_0"]) == (terminated, truncated)
-        over = terminated or truncated
+    assert_single_game(single, env, expected, observations, lambda named: {"observer_0": named})
 
 
 def test_an_observer_sees_only_the_uavs_in_range():
@@ -78,16 +67,11 @@ def test_a_record_has_the_velocity_of_a_uav_whose_ends_two_observers_saw(sample_
 # --- votes -----------------------------------------------------------------------------------------------------------
 
 
-def masks(seed, count=4, uavs=9):
-    rng = np.random.default_rng(seed)
-    seen = rng.random((count, uavs)) < 0.7
-    return rng, seen
-
-
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 2**31))
 def test_the_rules_by_their_definitions(seed):
-    rng, seen = masks(seed)
+    rng = np.random.default_rng(seed)
+    seen = rng.random((4, 9)) < 0.7
     named = (rng.random(seen.shape) < 0.5) & seen
     scores = rng.random(seen.shape) * seen
     union, majority = (combine_votes(name, named.astype(float), seen) for name in ("union", "majority"))

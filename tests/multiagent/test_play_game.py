@@ -8,14 +8,9 @@ from small_games import drawn, small
 from usnet_env import ArgumentError, Detection, make_detector
 from usnet_env.multiagent import usnet_evasion_v0, usnet_observers_v0
 from usnet_env.multiagent.play import play_game
-from usnet_env.multiagent.policies import (
-    CamouflagedHead,
-    DetectorObserver,
-    RandomHead,
-    RandomObserver,
-    TruthfulHead,
-)
+from usnet_env.multiagent.policies import CamouflagedHead, DetectorObserver, RandomHead, RandomObserver, TruthfulHead
 from usnet_env.replay import EpisodeRecord
+from usnet_env.replay.story import tell_round
 from usnet_env.swarm.follow import LaggedSum
 
 HEADS = {"truthful": TruthfulHead(), "camouflaged": CamouflagedHead(), "random": RandomHead()}
@@ -141,9 +136,14 @@ def test_a_game_is_kept(game, tmp_path):
     assert record.objective[-1] == played.J
     assert (record.env_id, record.detector) == (f"usnet_{game}_v0", "random pair")
     assert record.config["follow"].startswith("LaggedSum(")
-    assert EpisodeRecord.load(record.save(tmp_path / "episode.npz")).rounds == record.rounds
-    words = " ".join(text for chosen in record.choices or [] for text in chosen.values())
+    loaded = EpisodeRecord.load(record.save(tmp_path / "episode.npz"))
+    assert (loaded.rounds, loaded.choices) == (record.rounds, record.choices)
+    assert (loaded.observers is not None) == (game == "observers")
+    words = " ".join(
+        text for k in range(record.rounds) for text in tell_round(loaded, k + 1, list(map(str, range(20))))
+    )
     assert ("followers delayed by 4 steps; price" in words) == (game == "evasion")
+    assert ("What the heads chose" in words) == (game == "evasion")
 
 
 def test_decoys_of_a_window_have_no_head_in_the_record():

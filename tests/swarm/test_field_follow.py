@@ -295,11 +295,8 @@ def test_after_a_destruction_every_follower_has_a_living_leader(name):
 
 
 def test_bystanders_and_traffic_are_no_heads_and_follow_no_uav():
-    config = SwarmConfig(follow="f1", clusters=2, uavs=40, bystanders=5, traffic=6, head_jitter=True)
-    rngs = [np.random.default_rng(0)]
-    state = start(config, rngs)
-    _, window = advance(config, state, rngs)
-    one, v = state.episode(), window.velocity[0].astype(float)
+    one, window = fly(uavs=40, bystanders=5, traffic=6, head_jitter=True)
+    v, _ = flown(window)
     assert one.not_led.sum() == 11
     with pytest.warns(DeprecationWarning, match="bystander is now not_led"):
         assert one.bystander is one.not_led

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from flights import fly
 from hypothesis import given
 from hypothesis import strategies as st
 
-from usnet_env.swarm import SwarmConfig, start
+from usnet_env.swarm import SwarmConfig, destroy, start
 from usnet_env.swarm.formation import ARENA, FORMATIONS, register_formation
-from usnet_env.swarm.kernels import remerge
 from usnet_env.swarm.simulator import draw_roles, random_cluster_sizes
 
 
@@ -43,9 +43,8 @@ def test_roles_are_consistent(seed, decoys):
 
 
 def test_given_cluster_sizes_are_kept():
-    state = start(SwarmConfig(clusters=3, uavs=15, cluster_sizes=(2, 7, 3)), [np.random.default_rng(0)]).episode()
-    followers = ~state.head
-    assert sorted(np.bincount(state.root[followers], minlength=15)[state.head]) == [2, 3, 7]
+    state, _ = fly(clusters=3, uavs=15, cluster_sizes=(2, 7, 3))
+    assert sorted(np.bincount(state.root[~state.head], minlength=15)[state.head]) == [2, 3, 7]
 
 
 def first_positions(formation, seeds=200):
@@ -94,15 +93,13 @@ def test_orphans_take_the_nearest_remaining_head(seed, uavs, share):
     """Against a literal reading: living followers without a living head look at all remaining heads."""
     rng = np.random.default_rng(seed)
     clusters = int(rng.integers(1, uavs // 3 + 1))
-    (roles,) = draw_roles([rng], SwarmConfig(clusters=clusters, uavs=uavs)).split()
-    alive = rng.random(uavs) >= share
-    position = rng.uniform(0, 1000, (uavs, 3)).astype(np.float32)
-    leader = roles.root.copy()
-    remerge(roles.head[None], alive[None], roles.decoy[None], position[None], leader[None], leader[None].copy())
-    remaining = np.flatnonzero(roles.head & alive)
+    state = start(SwarmConfig(clusters=clusters, uavs=uavs), [rng])
+    before, after = state.episode(), destroy(state, rng.random((1, uavs)) < share).episode()
+    alive, leader, position = after.alive, after.root, before.position
+    remaining = np.flatnonzero(before.head & alive)
     for i in range(uavs):
-        if roles.head[i] or not alive[i] or alive[roles.root[i]]:
-            assert leader[i] == roles.root[i]
+        if before.head[i] or not alive[i] or alive[before.root[i]]:
+            assert leader[i] == before.root[i]
         elif len(remaining) == 0:
             assert leader[i] == -1
         else:

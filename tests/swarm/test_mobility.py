@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from flights import flown, fly, turns
+from flights import flown, fly, turns, unit
 
 from usnet_env import ArgumentError, register_mobility
 from usnet_env.swarm import FOLLOW_STRATEGIES, MOBILITIES, SwarmConfig, advance, start
@@ -88,15 +88,10 @@ def test_flight_goes_on_smoothly_between_rounds(name):
 @pytest.mark.parametrize("noise", [0.05, 0.2])
 def test_jitter_gives_heads_the_followers_noise(noise):
     follow = replace(FOLLOW_STRATEGIES["f1"], noise=noise)
-    config = SwarmConfig(
-        follow=follow, mobility="straight", head_jitter=True, clusters=2, uavs=9, observation_steps=2000
-    )
-    rngs = [np.random.default_rng(0)]
-    state = start(config, rngs)
-    _, window = advance(config, state, rngs)
-    flown = window.velocity[0][:, state.head[0]].astype(float)
-    mean = flown.mean(axis=0) / np.linalg.norm(flown.mean(axis=0), axis=-1, keepdims=True)
-    across = flown - (flown * mean).sum(axis=-1, keepdims=True) * mean
+    state, window = fly(follow, mobility="straight", head_jitter=True, uavs=9, observation_steps=2000)
+    velocity = flown(window)[0][:, state.head]
+    mean = unit(velocity.mean(axis=0))
+    across = velocity - (velocity * mean).sum(axis=-1, keepdims=True) * mean
     assert np.sqrt((across**2).sum(axis=-1).mean() / 2) == pytest.approx(noise, rel=0.05)
 
 
@@ -122,12 +117,8 @@ def test_a_registered_function_is_used_by_name_and_keeps_its_state():
 
 
 def test_bad_mobilities_are_refused():
-    with pytest.raises(ArgumentError, match=r"mobility must be one of .*iid"):
-        SwarmConfig(mobility="iids")
     with pytest.raises(ArgumentError, match="model must be a Mobility or a function"):
         register_mobility("test-x", 3)
-    with pytest.raises(ArgumentError, match="name must"):
-        register_mobility("iid", lambda *a: None)
     register_mobility("test-short", lambda rng, position, steps, state: np.zeros((1, 3)), replace=True)
     with pytest.raises(ValueError, match="reshape"):
         tracks("test-short")

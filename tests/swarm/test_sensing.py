@@ -13,15 +13,16 @@ def observed(**arguments):
     return fly("f1", **{"memory": 4, "clusters": 5, "uavs": 82, "mobility": "gauss_markov", **arguments})[1]
 
 
-def test_noise_has_its_size_and_velocities_are_differences_of_what_is_seen():
-    truth, window = observed(), observed(position_noise=2.0)
-    noise = (window.position - truth.position)[0]
-    assert noise.std() == pytest.approx(2.0, rel=0.02)
-    assert abs(noise.mean()) < 0.05
-    assert abs(np.mean(noise[1:] * noise[:-1])) < 0.1  # fresh at every instant
+@pytest.mark.parametrize("memory", [0.0, 0.8])
+def test_noise_has_its_size_and_memory_and_velocities_are_differences_of_what_is_seen(memory):
+    truth, window = observed(), observed(position_noise=2.0, noise_memory=memory)
+    noise = (window.position - truth.position)[0].astype(float)
+    assert noise.std() == pytest.approx(2.0, rel=0.05)
+    assert abs(noise.mean()) < 0.1
+    assert np.mean(noise[1:] * noise[:-1]) / noise.var() == pytest.approx(memory, abs=0.03)
     np.testing.assert_allclose(window.velocity, np.diff(window.position, axis=1), atol=1e-6)
     error = (window.velocity - truth.velocity)[0]
-    assert error.std() == pytest.approx(2.0 * np.sqrt(2), rel=0.02)
+    assert error.std() == pytest.approx(2.0 * np.sqrt(2 * (1 - memory)), rel=0.05)
 
 
 def test_misses_have_their_rate_and_are_masked():
@@ -79,14 +80,6 @@ def test_false_tracks_begin_and_end_and_are_no_uavs():
         assert not window.position[~window.seen].any()
         assert not window.velocity[~(window.seen[:, 1:] & window.seen[:, :-1])].any()
     assert (seen[0] != seen[1]).any(axis=0).all()
-
-
-def test_noise_with_a_memory_keeps_its_size_and_has_its_correlation():
-    truth, window = observed(), observed(position_noise=2.0, noise_memory=0.8)
-    noise = (window.position - truth.position)[0].astype(float)
-    assert noise.std() == pytest.approx(2.0, rel=0.05)
-    assert np.mean(noise[1:] * noise[:-1]) / noise.var() == pytest.approx(0.8, abs=0.03)
-    np.testing.assert_allclose(window.velocity, np.diff(window.position, axis=1), atol=1e-6)
 
 
 def test_missed_detections_come_in_bursts():
