@@ -6,13 +6,11 @@ from functools import partial
 from typing import Annotated, Any, Literal
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.base import Detector
 from detectors.gassl.agat import AgatSizes, Width, draw_agat
-from detectors.gassl.algorithm_1 import algorithm_1
 from detectors.gassl.ifsn import draw_ifsn
 from detectors.gassl.topology_matrix import build_batch
 from detectors.gassl.training import Fit, train
@@ -43,10 +41,10 @@ class Gassl(Detector):
             attention is before training.
         memory: T_0.
         implementation: ``"compiled"``, or ``"printed"``: the readable loop of :mod:`detectors.gassl.algorithm_1`,
-            much slower, the same to float rounding.
+            much slower, the same to float rounding; it needs PyTorch.
     """
 
-    tags = Tags(needs=("torch",), most_uavs=10_000, least_steps=5, needs_unit_speed=True)
+    tags = Tags(most_uavs=10_000, least_steps=5, needs_unit_speed=True)
 
     top_k: Count = 1
     times: Literal["mean", "votes"] = "votes"
@@ -105,6 +103,10 @@ class Gassl(Detector):
         training = plain.steps, plain.learning_rate
         if self.implementation == "compiled":
             return train(inputs, phi, gamma, agat, *training)
+        import torch  # an extra, which the compiled loops don't need
+
+        from detectors.gassl.algorithm_1 import algorithm_1
+
         return algorithm_1(inputs, torch.from_numpy(phi), torch.from_numpy(gamma), agat, plain.ifsn_hidden, *training)
 
 
