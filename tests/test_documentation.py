@@ -10,6 +10,7 @@ import os
 import re
 import runpy
 import shlex
+import subprocess
 import sys
 import tomllib
 from multiprocessing import forkserver
@@ -126,6 +127,8 @@ def test_the_commands_of_a_page_run(page, tmp_path):
         sizes = {path.suffix: path.stat().st_size for path in (tmp_path / "runs" / "demo").iterdir()}
         assert set(sizes) == {".npz", ".rrd", ".png", ".html"}
         assert min(sizes.values()) > 1000
+        verify = [Path(sys.executable).with_name("rerun"), "rrd", "verify", tmp_path / "runs/demo/replay.rrd"]
+        subprocess.run(verify, check=True)
     if page.name == "tracks.md":  # its tables are shown with fewer spaces and rows
         shown = "".join(text for kind, text, _ in blocks_of(page) if kind == "text")
         lines = {" ".join(line.split()) for line in printed.splitlines()}

@@ -22,13 +22,6 @@ def run_python(program: str, folder: Path = ROOT) -> None:
     assert done.returncode == 0, done.stderr
 
 
-def test_the_arrows_point_down():
-    linter = Path(sys.executable).with_name("lint-imports")
-    done = subprocess.run([linter, "--no-cache"], cwd=ROOT, capture_output=True, text=True, timeout=600)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert " 0 broken" in done.stdout
-
-
 def test_the_core_works_without_any_extra():
     run_python("""
 import sys
