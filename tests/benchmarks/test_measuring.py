@@ -77,13 +77,20 @@ def test_rows_of_other_swarms_or_with_gaps_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize("path", sorted((RESULTS / "suites").glob("*-v*.csv.gz")), ids=lambda path: path.name)
-def test_the_seed_of_published_rows_is_that_of_their_swarms(path, capsys):
+def test_published_rows_are_of_all_cells_and_of_the_swarms_of_their_seed(path, capsys):
     name, _, version = path.name.removesuffix(".csv.gz").rpartition("-v")
-    assert int(version) == load_suite(name).version
+    suite, published = load_suite(name), results(name)
+    assert int(version) == suite.version
     suites.main([name, "--print-seed"])
-    seed, rows = int(capsys.readouterr().out), results(name).rows.drop_duplicates("episode")
-    assert results(name).config["seed"] == seed
-    assert [episode_seeds(seed, episode)[0] for episode in rows.episode] == list(rows.swarm_seed)
+    seed, rows = int(capsys.readouterr().out), published.rows
+    assert published.config["seed"] == seed
+    assert set(rows["cell"]) == set(suite.cells)
+    assert (rows.groupby(["cell", "episode"]).swarm_seed.nunique() == 1).all()
+    counts = rows.groupby(["detector", "cell"]).episode.agg(["size", "nunique", "max"])
+    assert (counts["size"] == counts["nunique"]).all()
+    assert (counts["size"] == counts["max"] + 1).all()
+    first = rows.drop_duplicates("episode")
+    assert [episode_seeds(seed, episode)[0] for episode in first.episode] == list(first.swarm_seed)
 
 
 def test_a_seed_is_drawn_once_after_the_weights_were_committed(tmp_path):

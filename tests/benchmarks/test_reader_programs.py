@@ -1,8 +1,5 @@
 """The programs that draw scenarios, probes and others' suites, each at a tiny size."""
 
-import subprocess
-import sys
-
 import numpy as np
 import peers
 import probing
@@ -29,14 +26,6 @@ def test_a_scenario_is_played_once_and_knows_its_leader(tmp_path):
     assert (rows[rows.scenario == "0 independent"].due == 0).all()
     scenarios.main([*words, "--detector", "destroy-all"])
     assert path.read_bytes() == content
-
-
-@pytest.mark.slow
-def test_scenarios_are_answered_in_other_processes(tmp_path):
-    words = ["--files", "2", "--scenario", "path N2 2Hz tau3s", "--detector", "destroy-all", "--workers", "2"]
-    program = [sys.executable, scenarios.__file__, *words, "--rows", str(tmp_path / "rows.csv")]
-    subprocess.run(program, check=True, capture_output=True)
-    assert set(read_rows(tmp_path / "rows.csv").file) == {0, 1}
 
 
 @pytest.mark.parametrize("name", list(scenarios.SCENARIOS))

@@ -8,7 +8,7 @@ import pandas as pd
 import pivot
 import pytest
 import tables
-from paper.shared import RESULTS, ROOT, interval, read_rows, write_rows
+from paper.shared import ROOT, write_rows
 
 from usnet_env.evaluation import list_suites
 from usnet_env.evaluation.stats import rate_interval
@@ -35,14 +35,6 @@ def test_a_cell_without_rows_or_values_is_a_dash():
     assert list(across) == ["cell x", "cell z"]
     assert [say(rows) for say in across.values()] == ["1.00", "–"]
     assert pivot.mean("J")(rows[2:]) == pivot.median("J")(rows[2:]) == "–"
-
-
-def test_rows_of_an_episode_are_one_group():
-    rows = pd.DataFrame({"episode": np.repeat(np.arange(10), 30), "exact": np.repeat([1, 0] * 5, 30)})
-    alone = rows.assign(episode=np.arange(300))
-    wide, narrow = interval(rows, "exact"), interval(alone, "exact")
-    assert wide.mean == narrow.mean == 0.5
-    assert wide.high - wide.low > 3 * (narrow.high - narrow.low)
 
 
 def test_only_the_blocks_of_a_page_are_replaced():
@@ -94,17 +86,6 @@ def test_a_failed_episode_is_not_exact_and_has_no_other_metric():
     assert line.endswith("| – | – | – | – |")
 
 
-@pytest.mark.parametrize("name", ["paper-hard", "paper", "field-v3", "scale"])
-def test_committed_rows_of_a_suite_have_the_same_swarms_for_all(name):
-    suite = list_suites()[name]
-    rows = read_rows(RESULTS / "suites" / f"{name}-v{suite.version}.csv.gz")
-    assert set(rows["cell"]) == set(suite.cells)
-    assert (rows.groupby(["cell", "episode"]).swarm_seed.nunique() == 1).all()
-    counts = rows.groupby(["detector", "cell"]).episode.agg(["size", "nunique", "max"])
-    assert (counts["size"] == counts["nunique"]).all()
-    assert (counts["size"] == counts["max"] + 1).all()
-
-
 def test_laws_are_the_unit_of_the_tables_of_open(tmp_path, monkeypatch):
     monkeypatch.setattr(tables, "RESULTS", tmp_path)
     monkeypatch.setattr(tables, "read_suite", tables.read_suite.__wrapped__)  # without its memory
@@ -131,11 +112,3 @@ def test_the_paper_s_rates_are_rows_of_1000_runs():
     assert "70,000 | 98.9 % (98.8–98.9) |" in paper_tables.table2_block()  # Wilson's
     assert "| the paper | 98.9; 70,000 |" in paper_tables.paper_algorithms()
     assert "3.06–4.06; – |" in paper_tables.paper_algorithms()
-
-
-def test_equal_rows_give_equal_bytes(tmp_path):
-    rows = make_rows(J=[1.0, 2.0, 3.0, np.nan])
-    for name in ("a.csv.gz", "b.csv.gz"):
-        write_rows(tmp_path / name, rows)
-    assert (tmp_path / "a.csv.gz").read_bytes() == (tmp_path / "b.csv.gz").read_bytes()
-    pd.testing.assert_frame_equal(read_rows(tmp_path / "a.csv.gz"), rows)
