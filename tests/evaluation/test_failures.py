@@ -12,8 +12,10 @@ from sample_detectors import AllAlive, Answering, Ending, FailingWithOne, untime
 
 from usnet_env import ArgumentError, Detection, evaluate
 from usnet_env.evaluation import METRICS, EvaluationResult
+from usnet_env.evaluation.child import limit_memory
 
 MULTI = "USNET/MultiCluster-v0"
+on_linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="memory is limited on Linux only")
 SMALL = {"clusters": 3, "uavs": 20, "observation_steps": 20, "max_rounds": 5}
 
 
@@ -108,7 +110,7 @@ def test_an_episode_in_the_middle_fails_alone_and_is_played_again(tmp_path):
     assert_frame_equal(untimed(again), untimed(play(detectors | {"all": AllAlive()}, episodes=5)))
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="memory is limited on Linux only")
+@on_linux
 def test_detectors_that_end_hang_or_eat_memory_fail_and_the_others_play_on():
     reasons = {
         "hang": "round 2: it took longer than 3 seconds, the time limit",
@@ -119,3 +121,28 @@ def test_detectors_that_end_hang_or_eat_memory_fail_and_the_others_play_on():
     detectors = {how: Ending(how) for how in reasons} | {"good": AllAlive()}
     result = play(detectors, episodes=1, time_limit=3, memory_limit=1000)
     assert dict(zip(result.rows["detector"], result.rows["error"], strict=True)) == reasons | {"good": ""}
+
+
+@on_linux
+def test_memory_is_limited_in_the_block_and_a_hard_limit_stays():
+    with pytest.raises(MemoryError, match="more than 100 MB, the memory limit"), limit_memory(100):
+        bytearray(1_000_000_000)
+    with limit_memory(100):
+        bytearray(50_000_000)
+    bytearray(200_000_000)
+
+
+@on_linux
+def test_a_hard_limit_that_is_there_already_is_respected(fresh_process):
+    program = """
+import resource
+from usnet_env.evaluation.child import limit_memory
+hard = 20_000_000_000
+resource.setrlimit(resource.RLIMIT_DATA, (hard, hard))
+with limit_memory(10_000_000):
+    print(resource.getrlimit(resource.RLIMIT_DATA) == (hard, hard))
+with limit_memory(100):
+    print(resource.getrlimit(resource.RLIMIT_DATA)[0] < hard)
+print(resource.getrlimit(resource.RLIMIT_DATA) == (hard, hard))
+"""
+    assert fresh_process.run(program).split() == ["True"] * 3

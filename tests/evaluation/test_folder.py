@@ -155,9 +155,7 @@ def test_a_run_names_every_build_that_has_added_rows(tmp_path, monkeypatch):
 LABELS = st.text(st.characters(exclude_categories=["C", "Zl", "Zp"]), min_size=1)
 
 
-@given(
-    st.lists(st.tuples(LABELS, st.floats(allow_nan=False), st.integers(0, 2**63 - 1), st.text()), max_size=5),
-)
+@given(st.lists(st.tuples(LABELS, st.floats(allow_nan=False), st.integers(0, 2**63 - 1), st.text()), max_size=5))
 def test_any_rows_survive_the_file(tmp_path_factory, values):
     folder = tmp_path_factory.mktemp("run")
     config = {"cells": {}, "detectors": [], "episodes": 1, "seed": 0}

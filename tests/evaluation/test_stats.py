@@ -22,13 +22,6 @@ def test_wilson_is_scipy_s():
             assert ours[1:] == pytest.approx(tuple(theirs), rel=1e-12, abs=1e-15)
 
 
-@given(st.lists(st.booleans(), min_size=1))
-def test_a_rate_s_interval_holds_it_and_stays_within_0_and_1(values):
-    interval = rate_interval(values)
-    assert 0 <= interval.low <= interval.mean <= interval.high <= 1
-    assert interval.low < interval.high  # even where all are equal, n says how sure that is
-
-
 def slow_bca(sample, level):
     """Efron's bias-corrected and accelerated interval, in loops (Efron and Tibshirani, 1993, chapter 14.3)."""
     rng, n = np.random.default_rng(7), len(sample)
@@ -65,12 +58,11 @@ def test_the_interval_of_a_large_sample_is_the_limit_of_the_bootstrap(monkeypatc
     assert computed.high == pytest.approx(drawn.high, abs=0.1 * width)
 
 
-@pytest.mark.parametrize("n", [5, *(pytest.param(n, marks=pytest.mark.slow) for n in (10, 40))])
-def test_the_interval_covers_the_mean_as_often_as_it_says(n, monkeypatch):
-    """Also of few values, of which the plain bootstrap interval covers 82 % (n = 5) and 90 % (n = 10)."""
+def test_the_interval_covers_the_mean_as_often_as_it_says(monkeypatch):
+    """Also of few values: the plain bootstrap interval covers 82 % with 5."""
     monkeypatch.setattr(stats, "_RESAMPLES", 1_000)
-    rng = np.random.default_rng(n)
-    intervals = [mean_interval(rng.normal(size=n)) for _ in range(1_000)]
+    rng = np.random.default_rng(5)
+    intervals = [mean_interval(rng.normal(size=5)) for _ in range(1_000)]
     assert 0.90 <= np.mean([interval.low <= 0 <= interval.high for interval in intervals]) <= 0.98
 
 

@@ -1,4 +1,4 @@
-"""Suites: their files do not change without a new version, and detectors are compared on all cells."""
+"""Suites: their files do not change without a new version, and published rows load by name."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import pytest
 from pandas.testing import assert_frame_equal
 from sample_detectors import SUITE, untimed
 
+import usnet_env
 from usnet_env import ArgumentError, Detection, evaluate
 from usnet_env.evaluation import EvaluationResult, evaluate_suite, list_suites, load_suite
 from usnet_env.evaluation.environments import make_environment
@@ -150,3 +151,19 @@ def test_a_wrong_file_is_refused_in_one_sentence_before_anything_is_played(path,
     with pytest.raises(ArgumentError, match=rf"^{argument} "):
         evaluate_suite(path, "none", out=tmp_path / "run")
     assert not (tmp_path / "run").exists()
+
+
+def test_a_run_of_mine_joins_the_published_rows():
+    published = usnet_env.results("paper")
+    assert set(published.cells) == set(load_suite("paper").cells)
+    mine = evaluate_suite("paper", {"mine": "none"}, seed=published.config["seed"], episodes=1)
+    difference = published.merge(mine).compare("mine", "none", "J")
+    assert (difference.episodes, difference.difference) == (len(published.cells), 0)
+
+
+def test_a_suite_without_rows_is_refused(tmp_path):
+    with pytest.raises(ArgumentError, match=r"^suite must"):
+        usnet_env.results("nowhere")
+    (tmp_path / "own.yaml").write_text("extends: paper\nversion: 9999\n")
+    with pytest.raises(ArgumentError, match=r"^suite must"):
+        usnet_env.results(str(tmp_path / "own.yaml"))

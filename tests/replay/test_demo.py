@@ -44,9 +44,7 @@ def test_the_game_of_the_demo_has_an_error_and_a_recovery(tmp_path, quick):
     assert record.redundant.sum() > 0
     assert record.heads_left[0] > 0 == record.heads_left[-1]
     assert record.config["mobility"] == "gauss_markov"
-    again = EpisodeRecord.load(run_demo(tmp_path / "again")["episode"])
-    assert record.position.tobytes() == again.position.tobytes()
-    assert record.detector_seed == again.detector_seed != record.seed
+    assert record.detector_seed != record.seed
 
 
 def test_without_an_extra_the_rest_is_written(tmp_path, monkeypatch, capsys):

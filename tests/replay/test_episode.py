@@ -116,10 +116,7 @@ def rewritten(path, change):
 def test_refuses_other_versions_and_incomplete_files(tmp_path, episode):
     path = episode.save(tmp_path / "e.npz")
     assert "version 99" in refusal(rewritten(path, lambda arrays, words: words.update(version=99)))
-    for change in (
-        lambda arrays, words: arrays.pop("position"),
-        lambda arrays, words: words.update(surprise=1),
-    ):
+    for change in (lambda arrays, words: arrays.pop("position"), lambda arrays, words: words.update(surprise=1)):
         refusal(rewritten(episode.save(path), change))
 
 

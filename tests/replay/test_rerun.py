@@ -24,13 +24,8 @@ def read(path):
 
 
 @pytest.fixture(scope="module")
-def recording(tmp_path_factory):
-    return write_recording(small_episode(), tmp_path_factory.mktemp("recording") / "new" / "replay.rrd")
-
-
-@pytest.fixture(scope="module")
-def chunks(recording):
-    return read(recording)
+def chunks(tmp_path_factory):
+    return read(write_recording(small_episode(), tmp_path_factory.mktemp("recording") / "new" / "replay.rrd"))
 
 
 def column(chunks, entity, component):
@@ -129,11 +124,8 @@ def test_the_game_is_told_and_counted(chunks):
     ((about,),) = column(chunks, "/about", "TextDocument:text")
     assert "**by hand:** 2 of 2 heads found in 2 rounds" in about
     curves = {name: [x for (x,) in column(chunks, f"/game/{name}", "Scalars:scalars")] for name in ("heads_left", "J")}
-    assert curves == {"heads_left": [1.0, 0.0], "J": pytest.approx([1 + 1 / UAVS, 2 + 1 / UAVS])}
-
-
-def test_timelines_are_named(chunks):
     assert {name for chunk in chunks for name in chunk.timeline_names} == {"round", "time"}
+    assert curves == {"heads_left": [1.0, 0.0], "J": pytest.approx([1 + 1 / UAVS, 2 + 1 / UAVS])}
 
 
 def test_observers_are_shown(tmp_path):
@@ -178,7 +170,6 @@ def test_nothing_global_is_touched_and_a_place_that_cannot_be_written_is_named(t
     write_recording(small_episode(), tmp_path / "e.rrd")
     assert rr.get_global_data_recording() is None
     assert rr.get_thread_local_data_recording() is None
-    assert [file.name for file in tmp_path.iterdir()] == ["e.rrd"]
     with pytest.raises(ArgumentError, match=r"^path must"):
         write_recording(small_episode(), tmp_path)
 

@@ -7,7 +7,7 @@ import pytest
 from small_episode import MIND, ROUNDS, UAVS, large_episode, small_episode
 
 from usnet_env import ArgumentError
-from usnet_env.replay import EpisodeRecord, draw_episode, write_picture
+from usnet_env.replay import draw_episode, write_picture
 from usnet_env.replay.story import annotated_uavs, describe_outcome, describe_round, explain_replay, tell_round
 
 pytest.importorskip("matplotlib")
@@ -139,21 +139,3 @@ def test_the_file_is_whole_and_of_the_kind_that_its_name_says(tmp_path):
     for place in (tmp_path / "file" / "e.png", tmp_path / "e.jpg"):
         with pytest.raises(ArgumentError, match=r"^path must"):
             write_picture(small_episode(), place)
-
-
-@pytest.mark.parametrize("name", ["observers", "evasion"])
-def test_games_of_several_agents_have_records(name, tmp_path):
-    """Their observers, choices and decoys of one window are kept, told and drawn."""
-    pytest.importorskip("pettingzoo")
-    from usnet_env.multiagent import usnet_evasion_v0, usnet_observers_v0
-    from usnet_env.multiagent.play import play_game
-    from usnet_env.multiagent.policies import RandomHead, RandomObserver
-
-    module = {"observers": usnet_observers_v0, "evasion": usnet_evasion_v0}[name]
-    env = module.parallel_env(clusters=2, uavs=12, observation_steps=12, max_rounds=3)
-    record = EpisodeRecord(**play_game(env, {"observer": RandomObserver(), "head": RandomHead()}, 1).record)
-    loaded = EpisodeRecord.load(record.save(tmp_path / "game.npz"))
-    assert loaded.choices == record.choices
-    assert (loaded.observers is not None) == (name == "observers")
-    assert ("What the heads chose" in tell(loaded)) == (name == "evasion")
-    assert len(draw_episode(loaded).axes) == min(loaded.rounds, 6)
