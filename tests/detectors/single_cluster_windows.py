@@ -24,6 +24,12 @@ def clusters(count, first_seed=0, **arguments):
     return [window for window, _ in pairs], np.array([head for _, head in pairs])
 
 
+def detect_each(detector, windows, seed=0):
+    """The answers of a detector to all windows, as if they were of one episode."""
+    detector.reset(seed)
+    return [detector.detect(window) for window in windows]
+
+
 def named(detections):
     """The candidate of each detection; -1 where none is named."""
     return np.array([int(np.flatnonzero(d.candidates)[0]) if d.candidates.any() else -1 for d in detections])

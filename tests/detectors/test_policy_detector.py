@@ -111,9 +111,7 @@ def test_each_mistake_has_its_sentence(policy, arguments, sentence):
 def test_it_keeps_the_contract():
     check_detector(
         PolicyDetector(Bits(below=2)),
-        expected_failed_checks={
-            "check_order_of_uavs": "the policy always names the first two UAVs",
-        },
+        expected_failed_checks={"check_order_of_uavs": "the policy always names the first two UAVs"},
     )
 
 

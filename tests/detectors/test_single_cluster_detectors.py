@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from single_cluster_windows import cluster, without
+from synthetic_windows import answer
 
 from detectors.checks.windows import pick_uavs
 from detectors.gassl import Gassl
@@ -19,31 +20,19 @@ def kind(request):
     return request.param
 
 
-@pytest.fixture
-def detector(kind):
-    """Makes detectors."""
-
-    def make(seed=0, **arguments):
-        made = kind(**arguments)
-        made.reset(seed)
-        return made
-
-    return make
-
-
 @pytest.mark.parametrize("top_k", [1, 3, 50])
-def test_the_top_k_are_named(detector, top_k):
+def test_the_top_k_are_named(kind, top_k):
     window, _ = cluster(followers=4)
-    got = detector(top_k=top_k, **FEW).detect(window)
+    got = answer(kind(top_k=top_k, **FEW), window)
     assert got.candidates.sum() == min(top_k, 5)
     if top_k == 3:
         assert got.scores[got.candidates].min() >= got.scores[~got.candidates].max()
 
 
-def test_destroyed_uavs_are_left_out(detector):
+def test_destroyed_uavs_are_left_out(kind):
     window, head = cluster(followers=6)
     gone = [i for i in range(7) if i != head][1:3]
-    got = detector(top_k=7, **FEW).detect(without(window, gone))
+    got = answer(kind(top_k=7, **FEW), without(window, gone))
     assert not got.candidates[gone].any()
     assert got.candidates.sum() == 5
     assert (got.scores[gone] == 0).all()
@@ -54,20 +43,19 @@ def test_destroyed_uavs_are_left_out(detector):
     np.testing.assert_allclose(np.delete(got.attention, gone, axis=0).sum(axis=1), 1.0, atol=1e-5)
 
 
-def test_a_window_that_is_too_short_is_refused(detector):
+def test_a_window_that_is_too_short_is_refused(kind):
     window, _ = cluster(followers=4)
     short = replace(window, position=window.position[:5], velocity=window.velocity[:4], seen=window.seen[:5])
     with pytest.raises(ArgumentError, match="window must hold more than 4 velocities"):
-        detector().detect(short)
+        kind().detect(short)
 
 
-def test_windows_that_show_nothing(detector):
+def test_windows_that_show_nothing(kind):
     window, _ = cluster(followers=4)
     two = pick_uavs(window, np.arange(2))
     unseen = replace(window, seen=np.zeros_like(window.seen))
     for poor in (two, unseen):
-        answer = detector(top_k=2).detect(poor)
-        assert answer.candidates.sum() == 2
-        assert not answer.scores.any()
-    answer = detector().detect(without(window, list(range(5))))
-    assert not answer.candidates.any()
+        got = answer(kind(top_k=2), poor)
+        assert got.candidates.sum() == 2
+        assert not got.scores.any()
+    assert not answer(kind(), without(window, list(range(5)))).candidates.any()

@@ -6,13 +6,7 @@ import broken_detectors as broken
 import numpy as np
 import pytest
 
-from detectors.checks import (
-    CHECKS,
-    DetectorChecksError,
-    check_detector,
-    parametrize_with_checks,
-    results_table,
-)
+from detectors.checks import CHECKS, DetectorChecksError, check_detector, parametrize_with_checks, results_table
 from detectors.checks.contract import compare_samples
 from usnet_env import ArgumentError, Detection
 

@@ -3,11 +3,7 @@
 import numpy as np
 import pytest
 
-from detectors.clustering.counts import (
-    compute_max_count,
-    estimate_count_by_eigengap,
-    estimate_count_by_gap,
-)
+from detectors.clustering.counts import compute_max_count, estimate_count_by_eigengap, estimate_count_by_gap
 
 
 def blobs(rng, clusters, dimensions=2, apart=10.0, each=20):

@@ -9,11 +9,7 @@ from synthetic_windows import swarm_window
 
 from detectors.clustering import CLUSTERERS, make_clusterer
 from detectors.clustering.clusterers import factorise_affinity
-from detectors.clustering.features import (
-    compute_raw_features,
-    compute_scaled_features,
-    correlate_both_ways,
-)
+from detectors.clustering.features import compute_raw_features, compute_scaled_features, correlate_both_ways
 from usnet_env import ArgumentError, Window
 from usnet_env.objectives import head_in_cluster, purity
 

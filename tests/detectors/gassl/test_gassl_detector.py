@@ -2,44 +2,34 @@
 
 import numpy as np
 import pytest
-from single_cluster_windows import cluster, clusters, rate
+from single_cluster_windows import cluster, clusters, detect_each, rate
+from synthetic_windows import answer
 
 from detectors.gassl import Gassl
 
 FEW = {"steps": 5}  # where the candidates don't matter
 
 
-def detector(seed=0, **arguments):
-    made = Gassl(**arguments)
-    made.reset(seed)
-    return made
-
-
-def detect_each(windows, **arguments):
-    made = detector(**arguments)
-    return [made.detect(window) for window in windows]
-
-
 @pytest.mark.parametrize("steps", [0, 100])
 def test_names_the_uav_that_is_unlike_the_others_even_untrained(steps):
     windows, heads = clusters(8, follow="f1", followers=5)
-    assert rate(detect_each(windows, steps=steps), heads) >= 0.75
+    assert rate(detect_each(Gassl(steps=steps), windows), heads) >= 0.75
 
 
 def test_training_finds_the_head_that_is_not_unlike_the_others():
     """Each follower of f6 is pulled its own way; without a gradient step this test fails."""
     windows, heads = clusters(10, follow="f6", followers=3)
-    trained, untrained = detect_each(windows), detect_each(windows, steps=0)
+    trained, untrained = (detect_each(made, windows) for made in (Gassl(), Gassl(steps=0)))
     assert rate(trained, heads) >= 0.8
     assert rate(untrained, heads) <= 0.5
-    assert min(answer.extras["explained"].mean() for answer in trained) > 0.6
-    assert max(answer.extras["explained"].mean() for answer in untrained) < 0.1
+    assert min(found.extras["explained"].mean() for found in trained) > 0.6
+    assert max(found.extras["explained"].mean() for found in untrained) < 0.1
 
 
 @pytest.mark.parametrize("memory", [4, 2])
 def test_an_answer_is_made_of_the_attention(memory):
     window, _ = cluster(followers=4)
-    got = detector(memory=memory, times="mean", **FEW).detect(window)
+    got = answer(Gassl(memory=memory, times="mean", **FEW), window)
     assert got.candidates.shape == (5,)
     assert got.candidates.sum() == 1
     assert got.scores[got.candidates] == got.scores.max()
@@ -60,19 +50,19 @@ def test_an_answer_is_made_of_the_attention(memory):
 
 def test_votes_are_counted_at_each_time():
     window, _ = cluster(followers=4, observation_steps=6)
-    got = detector(steps=0).detect(window)  # R = 2 times
+    got = answer(Gassl(steps=0), window)  # R = 2 times
     assert set(np.round(10 * got.scores, 4)) <= set(range(11))  # of 2 x 5 votes
     assert got.scores.sum() <= 1 + 1e-6
     assert got.scores[got.candidates] == got.scores.max()
     single, _ = cluster(followers=4, observation_steps=5)  # R = 1: both ways are one
-    one, other = (detector(times=times, **FEW).detect(single) for times in ("mean", "votes"))
+    one, other = (answer(Gassl(times=times, **FEW), single) for times in ("mean", "votes"))
     np.testing.assert_allclose(one.scores, other.scores, atol=1e-6)
     np.testing.assert_array_equal(one.extras["choice"], other.extras["choice"])
 
 
 def test_a_learning_rate_that_overflows_gives_even_attention():
     window, _ = cluster(followers=4)
-    got = detector(learning_rate=1e30).detect(window)
+    got = answer(Gassl(learning_rate=1e30), window)
     np.testing.assert_allclose(got.attention, 0.2, atol=1e-6)
     assert got.candidates.sum() == 1
     assert np.isfinite(got.scores).all()

@@ -2,15 +2,48 @@
 
 from dataclasses import replace
 
+import gymnasium as gym
 import numpy as np
 import pytest
-from swarm_games import InOrder, Known, game
 from synthetic_windows import swarm_window
 
 import usnet_env
+from detectors.clustering import Clustering
 from detectors.mc_gassl import McGassl
 
 SMALL = {"gassl": {"steps": 2}}
+
+
+def game(seed=0, **arguments):
+    """The environment and the first window of a swarm."""
+    arguments = {"follow": "f1", "clusters": 2, "uavs": 14, "observation_steps": 40} | arguments
+    env = gym.make("USNET/MultiCluster-v0", **arguments).unwrapped
+    observation, _ = env.reset(seed=seed)
+    return env, usnet_env.Window.from_observation(observation)
+
+
+class InOrder:
+    """A clusterer that divides the living UAVs by index into ``count`` clusters."""
+
+    def __init__(self, count=1):
+        self.count = count
+
+    def cluster(self, window, rng):
+        living = np.flatnonzero(window.alive)
+        labels = np.full(window.uavs, -1)
+        labels[living] = np.arange(len(living)) * self.count // len(living)
+        return Clustering(labels, self.count)
+
+
+class Known:
+    """A clusterer that knows the clusters."""
+
+    def __init__(self, leader):
+        self.leader = leader
+
+    def cluster(self, window, rng):
+        labels = np.unique(self.leader, return_inverse=True)[1]
+        return Clustering(labels, int(labels.max()) + 1)
 
 
 def test_training_finds_the_heads_if_the_clusters_are_right():

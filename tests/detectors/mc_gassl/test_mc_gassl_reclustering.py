@@ -21,31 +21,23 @@ def draw_gamma(inputs, hidden=8, seed=0):
 
 
 def predicted(gamma, hidden, values):
-    """The IFSN of one standardised concatenation, in float64: three hidden layers and a linear output."""
+    """The IFSN of standardised concatenations ``(R, d)``, in float64: three hidden layers and a linear output."""
     rest = torch.from_numpy(gamma).double()
     for layer in range(4):
-        rows, columns = len(values), hidden if layer < 3 else 3
+        rows, columns = values.shape[1], hidden if layer < 3 else 3
         matrix, bias, rest = rest.split([rows * columns, columns, len(rest) - (rows + 1) * columns])
-        values = matrix.view(rows, columns).T @ values + bias
+        values = values @ matrix.view(rows, columns) + bias
         values = torch.tanh(values) if layer < 3 else values
     return values
 
 
 def loss_of_pair(inputs, gamma, hidden, i, other):
-    """The squared error of UAV i's velocities if ``other`` is its head, one time after another."""
-    times = inputs.target.shape[1]
-    rows = []
-    for t in range(times):
-        own = torch.from_numpy(inputs.own[i, t]).double()  # P_i
-        source = [torch.from_numpy(inputs.value[column, :, other, t]).double() for column in range(len(inputs.value))]
-        rows.append(torch.cat([own, *source]))  # V_{i'}, newest first, and p_{i'}
-    mean = sum(rows) / times
-    variance = sum((row - mean) ** 2 for row in rows) / times
-    total = 0.0
-    for t, row in enumerate(rows):
-        error = predicted(gamma, hidden, (row - mean) / (variance + VARIANCE_FLOOR) ** 0.5)
-        total += inputs.weight[i, t] * ((error - torch.from_numpy(inputs.target[i, t]).double()) ** 2).sum().item()
-    return total
+    """The squared error of UAV i's velocities if ``other`` is its head."""
+    columns = [inputs.own[i], *(column[:, other].T for column in inputs.value)]  # P_i; V_{i'}, newest first, and p_{i'}
+    rows = torch.from_numpy(np.concatenate(columns, axis=1)).double()
+    variance, mean = torch.var_mean(rows, dim=0, correction=0)
+    error = predicted(gamma, hidden, (rows - mean) / (variance + VARIANCE_FLOOR) ** 0.5).numpy() - inputs.target[i]
+    return (inputs.weight[i] * (error**2).sum(axis=1)).sum()
 
 
 @pytest.mark.parametrize(("seed", "hidden", "miss_rate"), [(0, 8, 0.0), (1, 5, 0.3), (2, 8, 0.0)])

@@ -3,24 +3,16 @@
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from synthetic_windows import window_of
 
 from detectors.series.gaps import fill_gaps
-from usnet_env import Window
-
-
-def window_of(seed, steps=12, uavs=5, missed=0.3, gone=0.2):
-    """A window with gaps, and the same without them."""
-    rng = np.random.default_rng(seed)
-    alive = rng.random(uavs) >= gone
-    whole = np.cumsum(rng.standard_normal((steps + 1, uavs, 3)), axis=0)
-    seen = (rng.random((steps + 1, uavs)) >= missed) & alive
-    there = (seen[1:] & seen[:-1])[..., None]
-    return Window(whole * seen[..., None], np.diff(whole, axis=0) * there, seen, alive, 2), whole
 
 
 @given(st.integers(0, 2**31), st.integers(1, 15), st.integers(1, 6), st.sampled_from([0.0, 0.3, 0.8, 1.0]))
 def test_a_filled_window_has_no_gaps_and_keeps_what_was_seen(seed, steps, uavs, missed):
-    window, _ = window_of(seed, steps, uavs, missed)
+    rng = np.random.default_rng(seed)
+    seen, alive = rng.random((steps + 1, uavs)) >= missed, rng.random(uavs) >= 0.2
+    window = window_of(rng.standard_normal((steps, uavs, 3)), seen, alive, round=2)
     filled = fill_gaps(window)
     assert filled.round == window.round
     np.testing.assert_array_equal(filled.alive, window.alive)
@@ -38,14 +30,12 @@ def test_a_filled_window_has_no_gaps_and_keeps_what_was_seen(seed, steps, uavs, 
 
 
 def test_missed_positions_lie_on_the_line_between_their_neighbours():
-    window, whole = window_of(1, steps=6, uavs=3, missed=0.0, gone=0.0)
-    seen = np.ones((7, 3), bool)
+    velocity, seen = np.random.default_rng(1).standard_normal((6, 3, 3)), np.ones((7, 3), bool)
+    whole = window_of(velocity).position
     seen[2:4, 0] = False  # in the middle
     seen[:2, 1] = seen[6, 1] = False  # at both ends
     seen[:, 2] = False  # never seen
-    there = (seen[1:] & seen[:-1])[..., None]
-    holed = Window(window.position * seen[..., None], window.velocity * there, seen, np.ones(3))
-    filled = fill_gaps(holed)
+    filled = fill_gaps(window_of(velocity, seen))
     for step in (1, 2):
         np.testing.assert_allclose(
             filled.position[1 + step, 0], whole[1, 0] + step / 3 * (whole[4, 0] - whole[1, 0]), atol=1e-6

@@ -7,7 +7,7 @@ from sklearn.linear_model import Ridge
 from detectors.lagged import Granger, LaggedCorrelation, LaggedRegression
 from detectors.series.designs import centre_past
 from detectors.series.regressions import explain_beyond_own_past, explain_pairs, whiten
-from usnet_env.series import centre_columns, correlate_at_lag, correlate_over_lags
+from usnet_env.series import centre_columns
 
 
 def flight(seed, steps=40, uavs=6):
@@ -81,15 +81,3 @@ def test_the_share_beyond_the_own_past_is_the_ratio_of_two_least_squares(own_lag
 
             alone = left(own[i]) if own_lags else np.sum(target[:, i] ** 2)
             assert share[i, j] == pytest.approx(1 - left(np.concatenate([own[i], past[j]], axis=1)) / alone, abs=1e-4)
-
-
-def test_correlations_are_sums_over_time():
-    later, earlier = flight(8, 12, 3), flight(9, 12, 3)
-    found = np.array([correlate_at_lag(later, earlier, lag) for lag in range(12)])
-    for lag in range(12):
-        for i in range(3):
-            for j in range(3):
-                want = sum(later[t + lag, i] @ earlier[t, j] for t in range(12 - lag))
-                assert found[lag, i, j] == pytest.approx(want)
-    np.testing.assert_allclose(correlate_over_lags(later, earlier, 4), found[1:5].max(axis=0))
-    assert np.isneginf(correlate_over_lags(later, earlier, 0)).all()
