@@ -21,8 +21,9 @@ def as_array(name: str, value: Any) -> NDArray[Any]:
         raise ArgumentError(f"{name} must be an array without masked values, got {quote(value)}.")
     try:
         return np.asarray(value)
-    except (TypeError, ValueError) as error:
-        raise ArgumentError(f"{name} must be an array, got {quote(value)}: {error}.") from None
+    except (TypeError, ValueError, RuntimeError) as error:  # the last one from a tensor that requires a gradient
+        reason = str(error).rstrip(".")
+        raise ArgumentError(f"{name} must be an array, got {quote(value)}: {reason}.") from None
 
 
 def frozen_array(name: str, value: ArrayLike, dtype: type, shape: tuple[int | None, ...]) -> NDArray[Any]:
