@@ -107,10 +107,11 @@ def test_json_is_one_object_with_these_keys(run, folder):
     assert set(found) == {"windows", "leaders"}
     assert len(found["windows"]) == 5
     fields = {"id", "probability", "followers", "reason", "group", "score"}
+    link_fields = {"follower", "leader", "head", "delay", "delay_low", "delay_high", "direct"}
     for window in found["windows"]:
         fields_of_windows = {"start", "end", "leaders", "not_confirmed", "links", "left_out", "confound", "alike"}
         assert set(window) == fields_of_windows
-        assert [set(link) for link in window["links"]] == [{"follower", "leader", "head", "delay"}] * 11
+        assert [set(link) for link in window["links"]] == [link_fields] * 11
         for leader in window["leaders"]:
             assert set(leader) == fields
     assert [set(leader) for leader in found["leaders"]] == [{*fields, "share"}]
@@ -168,18 +169,33 @@ def test_missing_extras_leave_out_a_file_and_say_so(run, folder, tmp_path, monke
 
 
 def test_links_have_the_direct_leader_and_the_delay_in_seconds():
-    """b follows a after 1 s, and c follows b after 1.5 s: b is a relay."""
+    """b follows a after 1 s, and c follows b after 1.5 s: b is a relay, also if the detector says that c follows a."""
     rng = np.random.default_rng(3)
     turn = np.convolve(rng.normal(0, 1, 600), np.ones(4) / 4, "same")
     path = 4 * np.stack([np.cos(np.cumsum(turn)), np.sin(np.cumsum(turn))], axis=1)
-    velocity = np.stack([path, np.roll(path, 2, axis=0), np.roll(path, 5, axis=0)], axis=1)
-    place = np.cumsum(velocity + rng.normal(0, 0.3, velocity.shape), axis=0)
+    relay = np.roll(path, 2, axis=0) + rng.normal(0, 0.5, path.shape)
+    place = np.cumsum(np.stack([path, relay, np.roll(relay, 3, axis=0)], axis=1), axis=0)
+    place += rng.normal(0, 0.1, place.shape)
     time, who = np.repeat(np.arange(600) * 0.5, 3), ["a", "b", "c"] * 600
     tracks = Tracks.from_samples(who, time, place.reshape(-1, 2)).resample(0.5)
 
-    for window in find_leaders(tracks, CHAIN).windows[1:]:
-        found = {(link.follower, link.leader, link.head): link.delay for link in window.links}
-        assert found == {("b", "a", "a"): 1.0, ("c", "b", "a"): 1.5}
+    for window in (*find_leaders(tracks, CHAIN).windows[1:], *find_leaders(tracks, Sure(0)).windows[1:]):
+        assert [(link.follower, link.leader, link.head) for link in window.links] == [("b", "a", "a"), ("c", "b", "a")]
+        assert all(link.direct for link in window.links)
+        for link, delay in zip(window.links, (1.0, 1.5), strict=True):
+            assert link.delay == pytest.approx(delay, abs=0.1)
+            assert link.delay_low < delay < link.delay_high
+
+
+def test_copies_of_copies_have_no_direct_leader():
+    """Exact copies with different delays: a chain and a star look the same, so only the head is known."""
+    heading = np.cumsum(np.random.default_rng(3).normal(0, 0.3, 650))
+    path = np.cumsum(np.stack([np.cos(heading), np.sin(heading)], axis=1), axis=0)
+    place = np.stack([path[20:620], path[18:618], path[15:615]], axis=1) + 30 * np.eye(3)[:, :2]
+    tracks = Tracks.from_samples(["a", "b", "c"] * 600, np.repeat(np.arange(600) * 0.5, 3), place.reshape(-1, 2))
+    for window in find_leaders(tracks.resample(0.5), Sure(0)).windows:
+        assert [(link.leader, link.direct) for link in window.links] == [("a", False)] * 2
+        assert [link.delay for link in window.links] == pytest.approx([1.0, 2.5], abs=0.05)
 
 
 def test_ids_that_are_seen_too_little_are_named(folder, run, tmp_path):

@@ -38,14 +38,21 @@ class Link:
         follower: as in the file.
         leader: the id that it follows directly: a head, or a relay that follows the head itself.
         head: the leader of the whole group.
-        delay: seconds, a whole number of steps, after which the velocity of the follower agrees best with that of the
-            leader; ``None``: less than a step.
+        delay: seconds after which the velocity of the follower agrees best with that of the leader; ``None``: less than
+            half a sampling interval, or longer than 12 steps.
+        delay_low: lower end of its 95 % interval.
+        delay_high: upper end.
+        direct: whether the tracks tell that it follows this id directly. If not, ``leader`` is the head, which it
+            follows directly or through others.
     """
 
     follower: str | int
     leader: str | int
     head: str | int
     delay: float | None
+    delay_low: float | None = None
+    delay_high: float | None = None
+    direct: bool = True
 
 
 @dataclass(frozen=True)

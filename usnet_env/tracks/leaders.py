@@ -16,9 +16,9 @@ from usnet_env.detection import Detection, ask
 from usnet_env.objectives import list_followers
 from usnet_env.parts import describe_error
 from usnet_env.plugins import DetectorLike, detector_label, find_detector
-from usnet_env.series import centre_columns, correlate_at_lag
 from usnet_env.tracks.confirm import LEAST_STEPS, LEVEL, confirm_leaders, find_confound
 from usnet_env.tracks.found import DetectedWindow, Leader, Link
+from usnet_env.tracks.links import find_links, sample_finely
 from usnet_env.tracks.read import read_tracks
 from usnet_env.tracks.result import FoundLeaders
 from usnet_env.tracks.tracks import Tracks, TrackWindow
@@ -27,8 +27,6 @@ DEFAULT_DETECTOR = "reader(policy='map')"
 _SAME_GROUP = 0.25  # two groups are one if they share this part of all their members
 _SAME_LEADER = 0.25
 _UNLIKELY = 0.01  # a leader in as many windows is called chance if that is more probable than this
-_MOST_LAG = 12  # steps
-_STEPS_OF_LAG = 4  # of the window for each step of the longest lag
 
 Group = tuple[int, set[int]]  # the row of its leader in ``Tracks.ids``, and those of its members
 
@@ -82,10 +80,11 @@ def find_leaders(
     seen = np.zeros(len(tracks.ids), np.int64)
     length = length if window is None else window
     resampled = tracks if step is None and tracks.step is not None else tracks.resample(step, length=length or 0)
+    fine = sample_finely(resampled)
     for number, track_window in enumerate(resampled.windows(length, stride)):
         times = tracks.file_time(track_window.start), tracks.file_time(track_window.end)
         answer = _try_answer(player, resampled, track_window, seed, number, times)
-        windows.append(_detect_window(track_window, answer, confirm, groups, times))
+        windows.append(_detect_window(track_window, fine, answer, confirm, groups, times))
         track_windows.append(track_window)
         answers.append(replace(answer.detection, attention=None))  # of N by N numbers, which nothing here reads
         seen[track_window.rows] += 1
@@ -149,7 +148,7 @@ def _try_answer(
 
 
 def _detect_window(
-    track_window: TrackWindow, answer: Answer, confirm: bool, groups: list[Group], times: tuple[Any, Any]
+    track_window: TrackWindow, fine: Tracks, answer: Answer, confirm: bool, groups: list[Group], times: tuple[Any, Any]
 ) -> DetectedWindow:
     """The leaders that an answer names in a window; their groups update those of earlier windows."""
     detection, shortest_step_window = answer
@@ -166,29 +165,18 @@ def _detect_window(
     labels = _number_groups(members_of, groups)
     reasons = dict(zip(map(int, extras.get("heads", ())), extras.get("reasons", ()), strict=False))
     ranks = np.argsort(order) + 1
-    leaders, links = [], []
+    leaders, links = list[Leader](), list[Link]()
     for (head, members), label in zip(led.items(), labels, strict=True):
         why = f"Has score {scores[head]:.3g}, rank {ranks[head]} of {len(scores)}, and "
         why = str(reasons.get(head) or why + f"{format_count(len(members), 'follower')}.")
         probability = float(extras["probability"][head]) if "probability" in extras else None
         behind = tuple(ids[i] for i in members)
         leaders.append(Leader(ids[head], probability, behind, why, label, float(scores[head])))
-        for i in members:
-            ahead = head if detection.leader is None else int(detection.leader[i])
-            links.append(Link(ids[i], ids[ahead], ids[head], _measure_delay(track_window, i, ahead)))
+        links += find_links(fine, track_window, head, members, detection.leader)
     rejected = tuple(ids[head] for head in heads[~confirmed])
     confound, alike = find_confound(window) if confirm and not leaders else ("", [])
     others = tuple(ids[i] for i in alike)
     return DetectedWindow(*times, tuple(leaders), rejected, tuple(links), track_window.left_out, confound, others)
-
-
-def _measure_delay(track_window: TrackWindow, follower: int, leader: int) -> float | None:
-    """The lag, in seconds, at which the follower's velocity is most correlated with the leader's; ``None`` for 0."""
-    seen, velocity = track_window.window.velocity_seen, track_window.window.velocity
-    behind, ahead = (centre_columns(velocity[:, [i]].astype(np.float64), seen[:, [i]]) for i in (follower, leader))
-    lags = range(min(_MOST_LAG, len(seen) // _STEPS_OF_LAG) + 1)
-    lag = int(np.argmax([correlate_at_lag(behind, ahead, lag) for lag in lags]))
-    return round(lag * track_window.step, 9) if lag else None
 
 
 def _number_groups(present: list[Group], known: list[Group]) -> list[int]:

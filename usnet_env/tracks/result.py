@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 _COLUMNS = {  # of the tables
     "windows": "start end group id probability score followers reason not_confirmed left_out confound alike",
     "leaders": "id probability followers reason group score share",
-    "rows": "start end id leader head delay probability group",
-    "links": "start end follower leader head delay",
+    "rows": "start end id leader head delay probability group direct",
+    "links": "start end follower leader head delay delay_low delay_high direct",
 }
 _PICTURES = {
     "network.png": "The network of links: an arrow points from a follower to its leader",
