@@ -112,14 +112,17 @@ class DetectedWindow:
 
 @dataclass(frozen=True)
 class Event:
-    """A change from one window to the next; its text is a sentence.
+    """A change of who leads whom; its text is a sentence.
 
     Args:
-        time: of the first instant of the later window, as in the file.
+        time: when the ids begin to copy the new head, or else of the first instant of the later window, as in the file.
         kind: what happened.
         ids: those that follow another head than before, without the heads of both.
         old: the head before, or ``None``.
         new: the head from now on, or ``None``.
+        low: lower end of the 95 % interval of the time; ``None``: the time is that of a window.
+        high: upper end.
+        probability: that it happens at all, by the detector, or ``None``.
     """
 
     time: float | int | str
@@ -127,6 +130,9 @@ class Event:
     ids: tuple[Name, ...]
     old: Name | None
     new: Name | None
+    low: float | int | str | None = None
+    high: float | int | str | None = None
+    probability: float | None = None
 
     def __str__(self) -> str:
         more = f" and {len(self.ids) - _MOST_NAMES} more" * (len(self.ids) > _MOST_NAMES)
@@ -134,7 +140,8 @@ class Event:
         follow = "follow" if self.kind == "leaves" else follow
         group = f" and its {format_count(len(self.ids), 'follower')} follow" if self.ids else " follows"
         names = {"who": who, "follow": follow, "group": group, "old": self.old, "new": self.new}
-        return f"From {self.time}: {_SENTENCES[self.kind].format(**names)}"
+        interval = "" if self.low in (None, self.time) else f" ({self.low} to {self.high})"
+        return f"From {self.time}{interval}: {_SENTENCES[self.kind].format(**names)}"
 
 
 def find_events(windows: Iterable[DetectedWindow]) -> tuple[Event, ...]:
@@ -148,12 +155,13 @@ def find_events(windows: Iterable[DetectedWindow]) -> tuple[Event, ...]:
                 moves.setdefault((before.get(name), now.get(name)), []).append(name)
         for (old, new), ids in sorted(moves.items(), key=lambda move: (-len(move[1]), str(move[0]))):
             rest = tuple(name for name in ids if name not in (old, new))
-            events.append(Event(window.start, _name_kind(old in ids, new in ids, old, new), rest, old, new))
+            events.append(Event(window.start, name_kind(old in ids, new in ids, old, new), rest, old, new))
         before = now
     return tuple(event for event in events if event.ids or event.kind in ("ends", "merges"))
 
 
-def _name_kind(old_moves: bool, new_moves: bool, old: Name | None, new: Name | None) -> Kind:
+def name_kind(old_moves: bool, new_moves: bool, old: Name | None, new: Name | None) -> Kind:
+    """What happens to ids, perhaps with their old or new head among them, that follow ``new`` instead of ``old``."""
     if old is None:
         return "leads" if new_moves else "joins"
     if new is None:

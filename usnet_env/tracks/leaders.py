@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -16,6 +17,7 @@ from usnet_env.detection import Detection, ask
 from usnet_env.objectives import list_followers
 from usnet_env.parts import describe_error
 from usnet_env.plugins import DetectorLike, detector_label, find_detector
+from usnet_env.tracks.changes import trace_periods
 from usnet_env.tracks.confirm import LEAST_STEPS, LEVEL, confirm_leaders, find_confound
 from usnet_env.tracks.found import DetectedWindow, Leader, Link
 from usnet_env.tracks.links import find_links, sample_finely
@@ -97,7 +99,10 @@ def find_leaders(
     facts = [*resampled.facts]
     if confirm and track_windows[0].window.observation_steps < LEAST_STEPS:
         facts.append(f"Windows of fewer than {LEAST_STEPS} steps are too short for the test that confirms leaders.")
-    kept = tuple(facts), resampled, tuple(track_windows), tuple(answers), seed
+    periods = ()
+    if "probability" in answers[0].extras:
+        periods = trace_periods(resampled, windows, track_windows, partial(_ask_once, player, seed), confirm)
+    kept = tuple(facts), resampled, tuple(track_windows), tuple(answers), seed, periods
     return FoundLeaders(tuple(windows), leaders, detector_label(player), tracks.ids, *kept)
 
 
@@ -115,10 +120,7 @@ def answer_window(player: DetectorLike, resampled: Tracks, track_window: TrackWi
     hides a leader, so only those count at which an id probably leads. Of their answers, the one
     that names most nearly what all of them name is returned, or of several the one that is surest that somebody leads.
     """
-
-    def answer(each: TrackWindow) -> Detection:
-        player.reset(seed)
-        return ask(player, each.window)[0]
+    answer = partial(_ask_once, player, seed)
 
     def tell_silence(each: Detection) -> float:
         return float(each.extras.get("p_no_leader", each.extras.get("silent", 0.0)))
@@ -133,6 +135,11 @@ def answer_window(player: DetectorLike, resampled: Tracks, track_window: TrackWi
     usual = np.mean([each.candidates for each in answers], axis=0)
     detection = min(answers, key=lambda each: round(float(np.abs(each.candidates - usual).sum()), 6))
     return Answer(detection, min(track_windows, key=lambda each: each.step))
+
+
+def _ask_once(player: DetectorLike, seed: int, track_window: TrackWindow) -> Detection:
+    player.reset(seed)
+    return ask(player, track_window.window)[0]
 
 
 def _try_answer(

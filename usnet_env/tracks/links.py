@@ -27,6 +27,7 @@ _CHUNK = 16  # ids whose pasts are held at once
 _COPY = 1e-3  # a residual below this share is that of a copy: other copies leave as little
 _SURE, _MOST_SURE = 1.5, 0.4  # of z by blocks; fewer direct links than this share of a group are none
 _SAME_WAY = 0.1  # squared distance to where the leader was, as a share of that to where it is
+_LONGEST_WAY = 30.0  # seconds, at most a third of the window
 _QUANTILE = 2.36  # 97.5 % of Student's t with 7 degrees of freedom
 _LEAST_ERROR = 0.1  # samples
 
@@ -64,7 +65,7 @@ def find_links(
     group, ids = np.array([head, *followers]), track_window.ids
     step = float(fine.step or 1.0)
     half = max(1, round(track_window.step / step / 2))
-    position, seen = _cut_positions(fine, track_window.rows[group], track_window.start, track_window.end)
+    position, seen = cut_positions(fine, track_window.rows[group], track_window.start, track_window.end)
     named = np.full(len(group), -1)
     if leader is not None:
         place = {int(uav): k for k, uav in enumerate(group)}
@@ -75,7 +76,7 @@ def find_links(
     velocity = position[2 * half :] - position[: -2 * half]
     known = seen[2 * half :] & seen[: -2 * half]
     pairs = _compare_pairs(velocity, known, half, longest)
-    parent, direct = _choose_parents(pairs, named, _find_ways(position, named, longest))
+    parent, direct = _choose_parents(pairs, named, _find_ways(position, named, step))
     links = []
     for i, (j, sure) in enumerate(zip(parent, direct, strict=True)):
         if i:
@@ -120,7 +121,7 @@ def _find_peak(curve: Floats, half: int) -> float:
     return top + float(np.clip(-slope / (2 * bend), -half, half)) if bend < 0 else float(top)
 
 
-def _cut_positions(tracks: Tracks, rows: Indices, start: float, end: float) -> tuple[Floats, Mask]:
+def cut_positions(tracks: Tracks, rows: Indices, start: float, end: float) -> tuple[Floats, Mask]:
     """Positions ``(T, n, d)`` of some ids from second ``start`` to ``end``, interpolated in gaps, and where seen."""
     step = float(tracks.step or 1.0)
     times = np.arange(np.ceil(start / step - 1e-6), np.floor(end / step + 1e-6) + 1)
@@ -211,13 +212,13 @@ def _leave_least(sums: _Sums, peak: Indices) -> Floats:
     return left
 
 
-def _find_ways(position: Floats, named: Indices, longest: int) -> Mask:
+def _find_ways(position: Floats, named: Indices, step: float) -> Mask:
     """``(n,)`` whether each goes on the way of the id that the detector names, some time later."""
+    longest = min(round(_LONGEST_WAY / step), len(position) // 3)
     now, then = position[longest:], position[:, named]
     apart = [((now - then[longest - k : len(then) - k]) ** 2).sum(axis=2).mean(axis=0) for k in range(longest + 1)]
-    return np.asarray(
-        (np.min(apart[1:], axis=0) < _SAME_WAY * apart[0]) & (named >= 0) & (named != np.arange(len(named)))
-    )
+    other = (named >= 0) & (named != np.arange(len(named)))
+    return np.asarray((np.min(apart[1:], axis=0) < _SAME_WAY * apart[0]) & other)
 
 
 def _choose_parents(pairs: _Pairs, named: Indices, ways: Mask) -> tuple[Indices, Mask]:

@@ -22,6 +22,7 @@ from usnet_env.detection import Detection
 from usnet_env.drawing import CLUSTER_COLORS, write_figure
 from usnet_env.files import as_path, replace_files, reserve_folder, write_html, write_text
 from usnet_env.tracks import draw
+from usnet_env.tracks.changes import Period, list_events
 from usnet_env.tracks.found import CONFOUNDS, DetectedWindow, Event, Leader, find_events
 from usnet_env.tracks.samples import Clock
 from usnet_env.tracks.tracks import Tracks, TrackWindow
@@ -61,6 +62,7 @@ class FoundLeaders:
         track_windows: the windows of the tracks.
         answers: the detector's answer to each window.
         seed: that of the detector.
+        periods: who leads each group when, if windows differ and the detector gives probabilities.
     """
 
     windows: tuple[DetectedWindow, ...]
@@ -72,6 +74,7 @@ class FoundLeaders:
     track_windows: tuple[TrackWindow, ...] = ()
     answers: tuple[Detection, ...] = ()
     seed: int = 0
+    periods: tuple[Period, ...] = ()
 
     def __repr__(self) -> str:
         names = ", ".join(str(leader.id) for leader in self.leaders[:6]) + ", …" * (len(self.leaders) > 6)
@@ -101,8 +104,8 @@ class FoundLeaders:
 
     @property
     def events(self) -> tuple[Event, ...]:
-        """Who leads, joins, leaves and takes over when, from window to window."""
-        return find_events(self.windows)
+        """Who leads, joins, leaves and takes over when, by the periods, or else from window to window."""
+        return list_events(self.periods, self._resampled) if self.periods else find_events(self.windows)
 
     @property
     def colors(self) -> dict[str | int, str]:
