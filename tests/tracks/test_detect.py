@@ -104,10 +104,11 @@ def test_json_is_one_object_with_these_keys(run, folder):
     status, out, err = run("detect", folder / "flock.csv", *QUICK, "--json")
     assert (status, err) == (0, "")
     found = json.loads(out)
-    assert set(found) == {"windows", "leaders"}
+    assert set(found) == {"windows", "leaders", "probabilities", "events"}
     assert len(found["windows"]) == 5
     fields = {"id", "probability", "followers", "reason", "group", "score"}
     link_fields = {"follower", "leader", "head", "delay", "delay_low", "delay_high", "direct"}
+    link_fields |= {"behind_head", "correlation", "by_chance", "path"}
     for window in found["windows"]:
         fields_of_windows = {"start", "end", "leaders", "not_confirmed", "links", "left_out", "confound", "alike"}
         assert set(window) == fields_of_windows
@@ -137,7 +138,7 @@ def test_out_and_record_write_all_files(run, folder, tmp_path):
     page = (out / "page.html").read_text(encoding="utf-8")
     assert "<li>bird-0 leads " in page
     assert "<li>From 0.0: bird-0 leads bird-2, " in page
-    assert page.count('src="data:image/png;base64,') == 4
+    assert page.count('src="data:image/png;base64,') == 5
     assert "<link" not in page
     record = EpisodeRecord.load(out / "episode.npz")
     assert (record.rounds, record.uavs, record.labelled) == (7, 14, False)
@@ -164,7 +165,15 @@ def test_missing_extras_leave_out_a_file_and_say_so(run, folder, tmp_path, monke
     assert "[render]" in err
     assert "[replay]" in err
     written = {path.name for path in tmp_path.iterdir()}
-    assert written == {"episode.npz", "leaders.csv", "leaders.json", "links.csv", "page.html", "windows.csv"}
+    assert written == {
+        "episode.npz",
+        "leaders.csv",
+        "leaders.json",
+        "links.csv",
+        "page.html",
+        "windows.csv",
+        "probabilities.csv",
+    }
     assert EpisodeRecord.load(tmp_path / "episode.npz").probability[:, 0].tolist() == [1.0] * 5
 
 
@@ -210,16 +219,17 @@ def test_ids_that_are_seen_too_little_are_named(folder, run, tmp_path):
     assert err.startswith("usnet: warning: 1 gap longer")
 
 
-def test_a_leader_that_chance_may_have_made_is_called_so(folder):
+def test_the_leaders_that_chance_would_give_are_told_once_for_the_file(folder):
     def leads_in(windows):
         return Answers(lambda uavs, k: answer_of(uavs, 0 if k in windows else -1, np.zeros(uavs, np.int64)))
 
     tracks = read_tracks(folder / "flock.csv").resample(0.5)
-    (once,) = find_leaders(tracks, leads_in([1])).leaders
-    assert once.reason.startswith("Leads group 1 in 1 of 5 windows. By chance, ")
-    assert once.reason.endswith("probability 0.23.")  # 1 - 0.95^5
-    (always,) = find_leaders(tracks, leads_in(range(5))).leaders
-    assert always.reason == "Leads group 1 in 5 of 5 windows."
+    found = find_leaders(tracks, leads_in([1]))
+    assert found.leaders[0].reason.startswith(
+        "Leads group 1 in 1 of 5 windows. 11 followers repeat its velocity 0.47 to "
+    )
+    assert found.facts[-1] == "Confirmed in all windows: 1 of 1 candidate; about 0.05 expected by chance."
+    assert "5 of 5 candidates; about 0.25 " in find_leaders(tracks, leads_in(range(5))).facts[-1]
 
 
 @pytest.mark.parametrize(

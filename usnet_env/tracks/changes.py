@@ -18,7 +18,7 @@ from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.detection import Detection
 from usnet_env.objectives import find_roots
 from usnet_env.tracks.confirm import confirm_leaders
-from usnet_env.tracks.found import DetectedWindow, Event, name_kind
+from usnet_env.tracks.found import DetectedWindow, Event, Name, name_kind
 from usnet_env.tracks.links import cut_positions
 from usnet_env.tracks.tracks import Tracks, TrackWindow
 
@@ -73,9 +73,9 @@ def trace_periods(
             has the most.
     """
     step, most = float(resampled.step or 1.0), min(_MOST, max(1, _MOST_ANSWERS // len(resampled.ids)))
-    span: tuple[float, float] | None = (track_windows[0].start, track_windows[-1].end)
-    if span[1] - span[0] > most * _STRIDE * step:
-        span = _find_span(windows, track_windows)
+    ends = track_windows[0].start, track_windows[-1].end
+    long = ends[1] - ends[0] > most * _STRIDE * step
+    span = _find_span(windows, track_windows) if long else ends
     if span is None or span[1] - span[0] < _LENGTH * step:
         return ()
     stride = max(_STRIDE, -(-round((span[1] - span[0]) / step) // most))
@@ -85,7 +85,6 @@ def trace_periods(
     short = [each for each in part.windows(_LENGTH, stride) if each.end <= span[1] + step / 2]
     root, surely, silent = _read_roots(short, answer, len(resampled.ids))
     centres = np.array([(each.start + each.end) / 2 for each in short])
-    ends = track_windows[0].start, track_windows[-1].end
     periods = list[Period]()
     for rows in _find_groups(root):
         candidates = np.unique(root[:, rows][root[:, rows] >= 0])
@@ -301,10 +300,10 @@ def list_events(periods: Sequence[Period], tracks: Tracks) -> tuple[Event, ...]:
     before = dict[tuple[int, ...], int]()
     moves = dict[tuple[float, int, int], list[Period]]()
     for each in sorted(periods, key=lambda each: each.start):
-        old = before.get(each.rows, NOBODY)
+        known = before.get(each.rows, NOBODY)
         before[each.rows] = each.leader
-        if old != each.leader:
-            moves.setdefault((each.start, old, each.leader), []).append(each)
+        if known != each.leader:
+            moves.setdefault((each.start, known, each.leader), []).append(each)
     events = []
     for (time, *heads), parts in moves.items():
         rows = sorted(row for each in parts for row in each.rows)
@@ -318,3 +317,18 @@ def list_events(periods: Sequence[Period], tracks: Tracks) -> tuple[Event, ...]:
         event = Event(tracks.file_time(time), kind, ids, old, new, low, high, min(each.probability for each in parts))
         events += [event] if ids or kind in ("ends", "merges") else []
     return tuple(events)
+
+
+def blur_links(
+    window: DetectedWindow, track_window: TrackWindow, periods: Sequence[Period], ids: Sequence[Name]
+) -> DetectedWindow:
+    """A window in which links of groups that change their leader inside of it are not direct."""
+    inner = [each for each in periods if track_window.start < each.low and each.high < track_window.end]
+    moving = {ids[row] for each in inner for row in each.rows}
+    links = [
+        replace(link, leader=link.head, delay=link.behind_head, delay_low=None, delay_high=None, direct=False)
+        if link.follower in moving
+        else link
+        for link in window.links
+    ]
+    return replace(window, links=tuple(links))

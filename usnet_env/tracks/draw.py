@@ -24,6 +24,7 @@ _INNER = 0.42  # radius of the heads' circle
 _BOX = {"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 0.8}  # behind texts
 _MOST_LABELS, _LONGEST_NAME = 40, 18
 _MOST_MAPS, _COLUMNS = 6, 3
+_MOST_CURVES = 12  # of a picture of evidence
 _MAP, _MARGIN = 5.2, 2.0  # inches: a map, and the space for titles and legend
 _MOST_NAMES = 12  # leaders that a map names
 _LONGEST_ON_MAP = 24  # characters of a name
@@ -97,15 +98,15 @@ def _draw_map(
     return last, {mark: drawing.TRACK_WORDS.get(mark, mark) for mark, who in present.items() if who.any()}
 
 
-def draw_network(rows: pd.DataFrame, windows: int, colors: Mapping[Id, str]) -> Figure:
-    """Draw an arrow from each id to the one that it follows directly.
+def draw_network(rows: pd.DataFrame, windows: int, colors: Mapping[Id, str], ax: Any = None) -> Figure:
+    """Draw an arrow from each id to the one that it follows directly, and a dashed one to its head if that isn't known.
 
     It is as wide as the share of all ``windows`` in which it does so; the label is the median delay in seconds. Heads
     are in the middle. An id that leads in some window has its own colour; others, and arrows, have that of the head
     that they belong to most often.
     """
-    figure = drawing.new_figure(7, 7)
-    axes: Any = figure.add_axes((0.02, 0.02, 0.96, 0.9))
+    figure, axes = _make_axes(ax, 7, 7)
+    axes.set_position((0.02, 0.02, 0.96, 0.9)) if ax is None else None
     most = rows.groupby("id")["head"].agg(lambda heads: heads.value_counts().index[0])
     heads = [name for name in dict.fromkeys(rows["head"]) if (most == name).any()]
     members = sorted((name for name in most.index if name not in heads), key=lambda name: heads.index(most[name]))
@@ -113,11 +114,17 @@ def draw_network(rows: pd.DataFrame, windows: int, colors: Mapping[Id, str]) -> 
     position |= dict(zip(heads, _INNER * _circle(len(heads)), strict=True)) if len(heads) > 1 else {}
     position |= dict(zip(members, _circle(len(members)), strict=True))
     pairs = rows.dropna(subset="leader").groupby(["id", "leader"])
-    links = pairs.agg(times=("head", "size"), delay=("delay", "median"), head=("head", lambda head: head.mode()[0]))
-    for (name, leader), (times, delay, head) in links.iterrows():
+    links = pairs.agg(
+        times=("head", "size"),
+        delay=("delay", "median"),
+        head=("head", lambda head: head.mode()[0]),
+        direct=("direct", lambda direct: direct.mean() >= 0.5),
+    )
+    for (name, leader), (times, delay, head, direct) in links.iterrows():
         begin, end = position[name], position[leader]
         way, width = end - begin, 0.5 + 3.5 * times / windows
         arrow = {"arrowstyle": "-|>", "lw": width, "color": colors[head], "shrinkA": 12, "shrinkB": 14}
+        arrow["linestyle"] = "-" if direct else (0, (4, 2))
         axes.annotate("", end, begin, arrowprops=arrow | {"alpha": 0.8, "mutation_scale": 10 + 2 * width})
         if len(links) <= _MOST_LABELS and not np.isnan(delay):
             axes.text(*(begin + 0.45 * way), f"{delay:.3g} s", fontsize=7, ha="center", va="center", bbox=_BOX)
@@ -130,18 +137,27 @@ def draw_network(rows: pd.DataFrame, windows: int, colors: Mapping[Id, str]) -> 
         )
     axes.set(xlim=(-1.2, 1.2), ylim=(-1.2, 1.2), aspect="equal")
     axes.set_axis_off()
-    axes.set_title("Who follows whom" if len(rows) else "No leader was found.", fontsize=11)
+    dashed = "\n(dashed: in the group of, directly or not)" * (len(links) > 0 and not links["direct"].all())
+    axes.set_title(f"Who follows whom{dashed}" if len(rows) else "No leader was found.", fontsize=11)
     return figure
 
 
-def draw_delays(rows: pd.DataFrame) -> Figure:
-    """Draw a matrix with a row for each follower, a column for each that is followed, and the median delay."""
+def draw_delays(rows: pd.DataFrame, ax: Any = None) -> Figure:
+    """Draw a matrix with a row for each follower, a column for each that is followed, and the median delay.
+
+    The number beside it is half of the 95 % interval of a window. Links that are not direct are in brackets.
+    """
     links = rows.dropna(subset="leader")
-    table = links.pivot_table("delay", "id", "leader", "median", dropna=False, sort=False).astype(float)
-    figure = drawing.new_figure(2.5 + 0.55 * table.shape[1], 1.5 + 0.3 * table.shape[0])
-    figure.set_layout_engine("constrained")
-    axes: Any = figure.add_subplot()
-    axes.set_title("Median delay in seconds" if table.size else "No leader was found.", fontsize=10)
+    links = links.assign(error=(links["delay_high"].astype(float) - links["delay_low"].astype(float)) / 2)
+    table, error, direct = (
+        links.pivot_table(name, "id", "leader", how, dropna=False, sort=False).astype(float)
+        for name, how in (("delay", "median"), ("error", "median"), ("direct", "mean"))
+    )
+    error, direct = (each.reindex_like(table).to_numpy() for each in (error, direct))
+    figure, axes = _make_axes(ax, 2.5 + 0.9 * table.shape[1], 1.5 + 0.3 * table.shape[0])
+    figure.set_layout_engine("constrained") if ax is None else None
+    about = f"± half of the 95 % interval{'; in brackets: not surely direct' * bool((direct < 0.5).any())}"
+    axes.set_title(f"Median delay in seconds\n{about}" if table.size else "No leader was found.", fontsize=10)
     if table.size:
         image = axes.imshow(table.to_numpy(), cmap="viridis", aspect="auto", vmin=0.0)
         figure.colorbar(image, ax=axes)
@@ -150,23 +166,33 @@ def draw_delays(rows: pd.DataFrame) -> Figure:
         axes.set(xlabel="followed", ylabel="follower")
         for (i, j), delay in np.ndenumerate(table.to_numpy()):
             if not np.isnan(delay) and table.size <= 400:
-                axes.text(j, i, f"{delay:.3g}", ha="center", va="center", fontsize=7, bbox=_BOX)
+                text = f"{delay:.3g}" + f" ± {error[i, j]:.1g}" * bool(error[i, j] > 0)
+                text = text if direct[i, j] >= 0.5 else f"({text})"
+                axes.text(j, i, text, ha="center", va="center", fontsize=7, bbox=_BOX)
     return figure
 
 
 def draw_timeline(
-    rows: pd.DataFrame, ids: Sequence[Id], starts: Sequence[float | int | str], colors: Mapping[Id, str]
+    spans: Sequence[tuple[Id, Id, float, float]],
+    ids: Sequence[Id],
+    starts: Sequence[float | int | str],
+    colors: Mapping[Id, str],
+    ax: Any = None,
 ) -> Figure:
-    """Draw a row for each id: in the window of each start, the colour of its head, and a star if it is one itself."""
-    figure = drawing.new_figure(8, 1.5 + 0.24 * len(ids))
-    figure.set_layout_engine("constrained")
-    axes: Any = figure.add_subplot()
-    column = {start: k for k, start in enumerate(starts)}
+    """Draw a row for each id: the colour of its head, and stars where it is one itself.
+
+    ``spans`` are an id, its head, a begin and an end, which are numbers of windows from 0 on with the times ``starts``.
+    """
+    figure, axes = _make_axes(ax, 8, 1.5 + 0.24 * len(ids))
+    figure.set_layout_engine("constrained") if ax is None else None
     row = {name: k for k, name in enumerate(ids)}
-    for start, name, head in rows[["start", "id", "head"]].itertuples(index=False):
-        axes.barh(row[name], 0.96, left=column[start], height=0.8, color=colors[head])
+    for name, head, begin, end in spans:
+        axes.barh(row[name], end - begin - 0.04, left=begin, height=0.8, color=colors[head])
         if name == head:
-            axes.plot(column[start] + 0.48, row[name], "*", color="white", markersize=7, markeredgewidth=0)
+            middles = np.arange(np.floor(begin), np.ceil(end)) + 0.48
+            middles = middles[(middles > begin + 0.1) & (middles < end - 0.1)]
+            stars = middles if len(middles) else [(begin + end) / 2]
+            axes.plot(stars, [row[name]] * len(stars), "*", color="white", markersize=7, markeredgewidth=0)
     axes.set_yticks(range(len(ids)), _labels(ids), fontsize=8)
     shown = np.unique(np.linspace(0, len(starts) - 1, min(len(starts), 6)).astype(int))
     axes.set_xticks(shown, [str(starts[k]) for k in shown], fontsize=8)
@@ -177,6 +203,63 @@ def draw_timeline(
     axes.set_title("Whom each id follows (star: it leads)" if patches else "No leader was found.", fontsize=10)
     axes.spines[["top", "right"]].set_visible(False)
     return figure
+
+
+def draw_evidence(curves: pd.DataFrame, chance: float, leader: Id, ax: Any = None) -> Figure:
+    """Draw the correlation of each follower's velocity with that of the leader against the seconds after it.
+
+    The index of ``curves`` are seconds, and a column is a follower. ``chance`` is the largest value by chance.
+    """
+    figure, axes = _make_axes(ax, 7.6, 3.8)
+    figure.set_layout_engine("constrained") if ax is None else None
+    shown = curves[curves.max().sort_values(ascending=False, kind="stable").index[:_MOST_CURVES]]
+    for k, (name, curve) in enumerate(shown.items()):
+        style = {"color": drawing.CLUSTER_COLORS[k % len(drawing.CLUSTER_COLORS)], "label": _labels([name])[0]}
+        axes.plot(curve.index, curve, marker=".", markersize=4, linewidth=1.2, **style)
+        axes.plot(curve.idxmax(), curve.max(), "o", markersize=6, color=style["color"])
+    if np.isfinite(chance):
+        axes.axhline(chance, color="#777777", linestyle="--", linewidth=1)
+        axes.text(curves.index[0], chance, "by chance at most", fontsize=7, va="bottom", color="#555555")
+    axes.axvline(0, color="black", linewidth=0.8)
+    name = _labels([leader])[0]
+    more = f" ({_MOST_CURVES} of {curves.shape[1]})" * (curves.shape[1] > _MOST_CURVES)
+    axes.set_title(f"Why {name}: its followers{more} repeat its velocity later", fontsize=10)
+    axes.set(xlabel=f"seconds after {name}", ylabel="correlation of velocity")
+    axes.legend(fontsize=7, ncols=2, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    axes.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+def draw_probabilities(table: pd.DataFrame, colors: Mapping[Id, str], ax: Any = None) -> Figure:
+    """Draw the probability to lead of each id in each window, in colour if it leads in any, and that nobody leads.
+
+    The columns of ``table`` are ids, ``None`` for nobody, and the index are the times of the windows.
+    """
+    figure, axes = _make_axes(ax, 8, 3)
+    figure.set_layout_engine("constrained") if ax is None else None
+    x = np.arange(len(table)) + 0.5
+    for name in sorted(table.columns, key=lambda name: name in colors or name is None):
+        style: dict[str, Any] = {"color": "#bbbbbb", "linewidth": 0.8}
+        if name is None or name in colors:
+            style = {"label": "nobody leads" if name is None else _labels([name])[0], "linewidth": 1.6}
+            style |= {"color": "black", "linestyle": ":"} if name is None else {"color": colors[name]}
+        axes.plot(x, table[name], marker=".", **style)
+    shown = np.unique(np.linspace(0, len(table) - 1, min(len(table), 6)).astype(int))
+    axes.set_xticks(shown, [str(table.index[k]) for k in shown], fontsize=8)
+    axes.set(ylim=(-0.03, 1.03), xlim=(0, len(table)), xlabel="start of the window", ylabel="p")
+    axes.set_title("Probability to lead (grey: ids that lead in no window)", fontsize=10)
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8, frameon=False)
+    axes.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+def _make_axes(ax: Any, width: float, height: float) -> tuple[Figure, Any]:
+    """The figure and axes to draw in: those that are given, or new ones of so many inches."""
+    if ax is not None:
+        return ax.get_figure(), ax
+    figure = drawing.new_figure(width, height)
+    return figure, figure.add_subplot()
 
 
 def _circle(points: int) -> Any:

@@ -44,6 +44,10 @@ class Link:
         delay_high: upper end.
         direct: whether the tracks tell that it follows this id directly. If not, ``leader`` is the head, which it
             follows directly or through others.
+        behind_head: seconds at which its velocity agrees best with the earlier velocity of the head.
+        correlation: of both velocities, at this delay.
+        by_chance: the largest such correlation at any delay after 19 shifts in time.
+        path: mean squared distance to where the head was, some time before, as a share of that to where it is.
     """
 
     follower: str | int
@@ -53,6 +57,10 @@ class Link:
     delay_low: float | None = None
     delay_high: float | None = None
     direct: bool = True
+    behind_head: float | None = None
+    correlation: float | None = None
+    by_chance: float | None = None
+    path: float | None = None
 
 
 @dataclass(frozen=True)

@@ -11,14 +11,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from usnet_env.arrays import Indices
-from usnet_env.config import ArgumentError, format_count, quote, whole_number
+from usnet_env.config import ArgumentError, format_count, format_number, quote, whole_number
 from usnet_env.detection import Detection, ask
 from usnet_env.objectives import list_followers
 from usnet_env.parts import describe_error
 from usnet_env.plugins import DetectorLike, detector_label, find_detector
-from usnet_env.tracks.changes import trace_periods
+from usnet_env.tracks.changes import Period, blur_links, trace_periods
 from usnet_env.tracks.confirm import LEAST_STEPS, LEVEL, confirm_leaders, find_confound
+from usnet_env.tracks.evidence import add_evidence, compare_with_head, describe_lead
 from usnet_env.tracks.found import DetectedWindow, Leader, Link
 from usnet_env.tracks.links import find_links, sample_finely
 from usnet_env.tracks.read import read_tracks
@@ -28,7 +28,6 @@ from usnet_env.tracks.tracks import Tracks, TrackWindow
 DEFAULT_DETECTOR = "reader(policy='map')"
 _SAME_GROUP = 0.25  # two groups are one if they share this part of all their members
 _SAME_LEADER = 0.25
-_UNLIKELY = 0.01  # a leader in as many windows is called chance if that is more probable than this
 
 Group = tuple[int, set[int]]  # the row of its leader in ``Tracks.ids``, and those of its members
 
@@ -79,7 +78,6 @@ def find_leaders(
     seed = whole_number("seed", seed, 0)
     groups: list[Group] = []
     windows, track_windows, answers = list[DetectedWindow](), list[TrackWindow](), list[Detection]()
-    seen = np.zeros(len(tracks.ids), np.int64)
     length = length if window is None else window
     resampled = tracks if step is None and tracks.step is not None else tracks.resample(step, length=length or 0)
     fine = sample_finely(resampled)
@@ -89,19 +87,22 @@ def find_leaders(
         windows.append(_detect_window(track_window, fine, answer, confirm, groups, times))
         track_windows.append(track_window)
         answers.append(replace(answer.detection, attention=None))  # of N by N numbers, which nothing here reads
-        seen[track_window.rows] += 1
         if on_window is not None:
             on_window(track_window, answer.detection, windows[-1])
     if not windows:
         hint = "no window does (--window makes them shorter)"
         raise ArgumentError(f"tracks must hold a window in which 2 ids are seen in half of the steps; {hint}.")
-    leaders = _summarise(windows, tracks.ids, seen if confirm else None)
     facts = [*resampled.facts]
     if confirm and track_windows[0].window.observation_steps < LEAST_STEPS:
         facts.append(f"Windows of fewer than {LEAST_STEPS} steps are too short for the test that confirms leaders.")
-    periods = ()
+    elif confirm:
+        facts.append(_count_chance(windows))
+    periods: tuple[Period, ...] = ()
     if "probability" in answers[0].extras:
         periods = trace_periods(resampled, windows, track_windows, partial(_ask_once, player, seed), confirm)
+        pairs = zip(windows, track_windows, strict=True)
+        windows = [blur_links(window, track_window, periods, tracks.ids) for window, track_window in pairs]
+    leaders = _summarise(windows, tracks.ids)
     kept = tuple(facts), resampled, tuple(track_windows), tuple(answers), seed, periods
     return FoundLeaders(tuple(windows), leaders, detector_label(player), tracks.ids, *kept)
 
@@ -171,15 +172,15 @@ def _detect_window(
     members_of = [(int(rows[head]), set(rows[[head, *members]].tolist())) for head, members in led.items()]
     labels = _number_groups(members_of, groups)
     reasons = dict(zip(map(int, extras.get("heads", ())), extras.get("reasons", ()), strict=False))
-    ranks = np.argsort(order) + 1
     leaders, links = list[Leader](), list[Link]()
     for (head, members), label in zip(led.items(), labels, strict=True):
-        why = f"Has score {scores[head]:.3g}, rank {ranks[head]} of {len(scores)}, and "
-        why = str(reasons.get(head) or why + f"{format_count(len(members), 'follower')}.")
+        behind_head = find_links(fine, track_window, head, members, detection.leader) if members else []
+        behind_head = add_evidence(behind_head, compare_with_head(fine, track_window, head, members))
+        why = str(reasons.get(head) or describe_lead(behind_head))
         probability = float(extras["probability"][head]) if "probability" in extras else None
         behind = tuple(ids[i] for i in members)
         leaders.append(Leader(ids[head], probability, behind, why, label, float(scores[head])))
-        links += find_links(fine, track_window, head, members, detection.leader)
+        links += behind_head
     rejected = tuple(ids[head] for head in heads[~confirmed])
     confound, alike = find_confound(window) if confirm and not leaders else ("", [])
     others = tuple(ids[i] for i in alike)
@@ -203,10 +204,17 @@ def _number_groups(present: list[Group], known: list[Group]) -> list[int]:
     return [same[k] + 1 for k in range(len(present))]
 
 
-def _summarise(windows: list[DetectedWindow], ids: Sequence[str | int], seen: Indices | None) -> tuple[Leader, ...]:
-    """The leaders over the file; ``seen`` ``(N,)`` windows hold each id, ``None`` if leaders are not confirmed."""
-    from scipy.special import bdtrc
+def _count_chance(windows: list[DetectedWindow]) -> str:
+    """How many of the confirmed leaders chance would give if nobody led."""
+    found, left = (
+        sum(len(each) for each in all_) for all_ in zip(*((w.leaders, w.not_confirmed) for w in windows), strict=False)
+    )
+    expected = f"about {format_number(LEVEL * (found + left), 2)} expected by chance"
+    return f"Confirmed in all windows: {found} of {format_count(found + left, 'candidate')}; {expected}."
 
+
+def _summarise(windows: list[DetectedWindow], ids: Sequence[str | int]) -> tuple[Leader, ...]:
+    """The leaders over the file."""
     row = {name: k for k, name in enumerate(ids)}
     entries_of: dict[tuple[int, int], list[Leader]] = {}  # by the group and the row of its leader
     for window in windows:
@@ -220,10 +228,10 @@ def _summarise(windows: list[DetectedWindow], ids: Sequence[str | int], seen: In
         numbers = [(np.nan if leader.probability is None else leader.probability, leader.score) for leader in entries]
         probability, score = np.mean(numbers, axis=0).tolist()
         reason = f"Leads group {group} in {count} of {format_count(len(windows), 'window')}."
-        chance = 0.0 if seen is None else float(bdtrc(count - 1, int(seen[head]), LEVEL))
-        if chance > _UNLIKELY:
-            what = "By chance, a group without a leader has a confirmed leader in as many windows"
-            reason += f" {what} with probability {chance:.2g}."
+        links = [
+            link for window in windows for link in window.links if link.head == ids[head] and link.follower in behind
+        ]
+        reason += f" {describe_lead(links)}" * bool(links)
         sure = None if np.isnan(probability) else probability
         leaders.append(Leader(ids[head], sure, tuple(behind), reason, group, score, count / len(windows)))
     return tuple(leaders)

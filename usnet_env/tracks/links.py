@@ -62,21 +62,16 @@ def find_links(
         followers: those of the group.
         leader: ``(N,)`` the id that each follows by the detector's answer, -1: none; ``None``: the answer has none.
     """
-    group, ids = np.array([head, *followers]), track_window.ids
-    step = float(fine.step or 1.0)
-    half = max(1, round(track_window.step / step / 2))
-    position, seen = cut_positions(fine, track_window.rows[group], track_window.start, track_window.end)
+    group, ids, step = np.array([head, *followers]), track_window.ids, float(fine.step or 1.0)
+    position, velocity, known, half, longest = cut_velocities(fine, track_window, group)
     named = np.full(len(group), -1)
     if leader is not None:
         place = {int(uav): k for k, uav in enumerate(group)}
         named = np.array([place.get(int(leader[uav]), -1) for uav in group])
-    longest = min(1 + round(_MOST_LAG * track_window.step / step), len(position) // 3 - half)
-    if longest < 1 or len(position) - 2 * half - longest < 2 * _BLOCKS:
+    if longest < 1 or len(velocity) - longest < 2 * _BLOCKS:
         return [Link(ids[i], ids[head], ids[head], None, direct=False) for i in followers]
-    velocity = position[2 * half :] - position[: -2 * half]
-    known = seen[2 * half :] & seen[: -2 * half]
     pairs = _compare_pairs(velocity, known, half, longest)
-    parent, direct = _choose_parents(pairs, named, _find_ways(position, named, step))
+    parent, direct = _choose_parents(pairs, named, compare_ways(position, named, step) < _SAME_WAY)
     links = []
     for i, (j, sure) in enumerate(zip(parent, direct, strict=True)):
         if i:
@@ -95,7 +90,7 @@ def measure_delay(
     The interval is that of the delays without each of 8 parts of the window. ``None`` if the first isn't later.
     """
     lags = np.arange(-half - 1, longest + 1)
-    behind, past = _shift_past(velocity[:, :1], velocity[:, 1:], known[:, :1], lags)
+    behind, past = shift_past(velocity[:, :1], velocity[:, 1:], known[:, :1], lags)
     parts = np.array_split(np.arange(behind.shape[1]), _BLOCKS)
     cross, square, other = np.empty((3, _BLOCKS, len(lags)))
     for b, part in enumerate(parts):
@@ -103,7 +98,7 @@ def measure_delay(
         cross[b], square[b], other[b] = then @ own, own @ own, (then**2).sum(axis=1)
     kept = 1.0 - np.vstack([np.zeros(_BLOCKS), np.eye(_BLOCKS)])  # all parts, and all but each
     curves = kept @ cross / np.sqrt(np.maximum((kept @ square) * (kept @ other), 1e-300))
-    delay, *without = (_find_peak(curve, half) + lags[0] for curve in curves)
+    delay, *without = (find_peak(curve, half) + lags[0] for curve in curves)
     if not 0.5 < delay < lags[-1]:
         return None, None, None
     error = np.sqrt((_BLOCKS - 1) * np.var(without))
@@ -111,7 +106,7 @@ def measure_delay(
     return tuple(round(float(each) * step, 9) for each in (delay, max(delay - margin, 0.0), delay + margin))  # type: ignore[return-value]
 
 
-def _find_peak(curve: Floats, half: int) -> float:
+def find_peak(curve: Floats, half: int) -> float:
     """The index, with a fraction, of the largest value ``(K,)``: the peak of a parabola through those around it."""
     top = int(curve.argmax())
     near = np.arange(max(0, top - half), min(len(curve), top + half + 1))
@@ -121,23 +116,41 @@ def _find_peak(curve: Floats, half: int) -> float:
     return top + float(np.clip(-slope / (2 * bend), -half, half)) if bend < 0 else float(top)
 
 
+def cut_velocities(
+    fine: Tracks, track_window: TrackWindow, group: Sequence[int] | Indices
+) -> tuple[Floats, Floats, Mask, int, int]:
+    """Positions and velocities ``(T, n, d)`` of a group of a window, where both are seen, and two numbers of samples.
+
+    A velocity is the difference of positions half a step of the window before and after, which is the first number; the
+    second is the longest lag, less than 1 in a window that is too short.
+    """
+    step = float(fine.step or 1.0)
+    half = max(1, round(track_window.step / step / 2))
+    rows = track_window.rows[np.asarray(group)]
+    position, seen = cut_positions(fine, rows, track_window.start, track_window.end)
+    longest = min(1 + round(_MOST_LAG * track_window.step / step), len(position) // 3 - half)
+    velocity, known = position[2 * half :] - position[: -2 * half], seen[2 * half :] & seen[: -2 * half]
+    return position, velocity, known, half, longest
+
+
 def cut_positions(tracks: Tracks, rows: Indices, start: float, end: float) -> tuple[Floats, Mask]:
     """Positions ``(T, n, d)`` of some ids from second ``start`` to ``end``, interpolated in gaps, and where seen."""
     step = float(tracks.step or 1.0)
     times = np.arange(np.ceil(start / step - 1e-6), np.floor(end / step + 1e-6) + 1)
     position, seen = np.zeros((len(times), len(rows), 3)), np.zeros((len(times), len(rows)), bool)
     for k, row in enumerate(rows):
-        own = slice(tracks.offsets[row], tracks.offsets[row + 1])
-        number = np.round(tracks.time[own] / step)
-        inside = slice(*np.searchsorted(number, (times[0], times[-1] + 1)))
-        number, place = number[inside], tracks.position[own][inside]
+        first, last = tracks.offsets[row], tracks.offsets[row + 1]
+        low, high = first + np.searchsorted(
+            tracks.time[first:last], ((times[0] - 0.5) * step, (times[-1] + 0.5) * step)
+        )
+        number, place = np.round(tracks.time[low:high] / step), tracks.position[low:high]
         if len(number):
             seen[(number - times[0]).astype(int), k] = True
             position[:, k] = np.stack([np.interp(times, number, axis) for axis in place.T], axis=1)
     return position[..., : 3 if np.ptp(position[..., 2]) > 0 else 2], seen
 
 
-def _shift_past(behind: Floats, ahead: Floats, known: Mask, lags: Indices) -> tuple[Floats, Floats]:
+def shift_past(behind: Floats, ahead: Floats, known: Mask, lags: Indices) -> tuple[Floats, Floats]:
     """Centred velocities ``(n, T', d)``, and those of others at each lag ``(m, K, T', d)``, at the same instants."""
     first, last = int(lags[-1]), len(behind) + int(lags[0])
     weight = known[first:last, :, None].astype(np.float64)
@@ -155,7 +168,7 @@ def _compare_pairs(velocity: Floats, known: Mask, half: int, longest: int) -> _P
     square = np.empty(n)
     for begin in range(0, n, _CHUNK):
         some = slice(begin, begin + _CHUNK)
-        sums = _sum_products(*_shift_past(velocity, velocity[:, some], known, lags))
+        sums = _sum_products(*shift_past(velocity, velocity[:, some], known, lags))
         peak, shift = _find_peaks(sums)
         lag[:, some], last[:, some] = (lags[peak] + shift).T, (peak == len(lags) - 1).T
         left[:, :, some] = _leave_least(sums, peak)
@@ -212,13 +225,16 @@ def _leave_least(sums: _Sums, peak: Indices) -> Floats:
     return left
 
 
-def _find_ways(position: Floats, named: Indices, step: float) -> Mask:
-    """``(n,)`` whether each goes on the way of the id that the detector names, some time later."""
+def compare_ways(position: Floats, named: Indices, step: float) -> Floats:
+    """``(n,)`` mean squared distance to where a ``named`` id was some time before, as a share of that to where it is.
+
+    It is infinite for an id with none, -1, or itself.
+    """
     longest = min(round(_LONGEST_WAY / step), len(position) // 3)
     now, then = position[longest:], position[:, named]
     apart = [((now - then[longest - k : len(then) - k]) ** 2).sum(axis=2).mean(axis=0) for k in range(longest + 1)]
-    other = (named >= 0) & (named != np.arange(len(named)))
-    return np.asarray((np.min(apart[1:], axis=0) < _SAME_WAY * apart[0]) & other)
+    other = (named >= 0) & (named != np.arange(len(named))) & (apart[0] > 0)
+    return np.where(other, np.min(apart[1:], axis=0, initial=np.inf) / np.where(other, apart[0], 1.0), np.inf)
 
 
 def _choose_parents(pairs: _Pairs, named: Indices, ways: Mask) -> tuple[Indices, Mask]:

@@ -17,18 +17,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from usnet_env.config import ArgumentError, MissingExtraError, format_count, printable
+from usnet_env.config import ArgumentError, MissingExtraError, format_count, printable, quote
 from usnet_env.detection import Detection
 from usnet_env.drawing import CLUSTER_COLORS, write_figure
 from usnet_env.files import as_path, replace_files, reserve_folder, write_html, write_text
 from usnet_env.tracks import draw
 from usnet_env.tracks.changes import Period, list_events
+from usnet_env.tracks.evidence import compare_with_head
 from usnet_env.tracks.found import CONFOUNDS, DetectedWindow, Event, Leader, find_events
+from usnet_env.tracks.links import sample_finely
 from usnet_env.tracks.samples import Clock
 from usnet_env.tracks.tracks import Tracks, TrackWindow
 from usnet_env.window import Window
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from usnet_env.replay import EpisodeRecord
@@ -36,16 +39,19 @@ if TYPE_CHECKING:
 _COLUMNS = {  # of the tables
     "windows": "start end group id probability score followers reason not_confirmed left_out confound alike",
     "leaders": "id probability followers reason group score share",
-    "rows": "start end id leader head delay probability group direct",
-    "links": "start end follower leader head delay delay_low delay_high direct",
+    "rows": "start end id leader head delay delay_low delay_high direct probability group",
+    "links": "start end follower leader head delay delay_low delay_high direct behind_head correlation by_chance path",
+    "probabilities": "start end id probability",
 }
 _PICTURES = {
     "network.png": "The network of links: an arrow points from a follower to its leader",
     "timeline.png": "Whom each id follows in each window",
     "picture.png": "Windows from above",
     "delays.png": "The delay of each follower",
+    "evidence.png": "How the followers of the first leader repeat its velocity",
+    "probabilities.png": "The probability of each id to lead in each window",
 }
-_OPTIONAL = ("episode.npz", "replay.rrd", *_PICTURES)  # files
+_OPTIONAL = ("probabilities.csv", "episode.npz", "replay.rrd", *_PICTURES)  # files
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,14 +117,16 @@ class FoundLeaders:
     def colors(self) -> dict[str | int, str]:
         """The colour of each id that leads, in all pictures and in the replay."""
         leading = {leader.id for window in self.windows for leader in window.leaders}
+        leading |= {self.ids[period.leader] for period in self.periods if period.leader >= 0}
         return dict(zip((name for name in self.ids if name in leading), cycle(CLUSTER_COLORS), strict=False))
 
     def to_frame(self) -> pd.DataFrame:
         """A row for each window and each id that leads or follows in it.
 
         The columns are ``start``, ``end``, ``id``, ``leader`` (the id that it follows directly, missing for a head),
-        ``head``, ``delay`` in seconds, and ``probability`` and ``group`` of the head. Timestamps are datetimes, in the
-        time zone of the file.
+        ``head``, ``delay`` in seconds with its 95 % interval ``delay_low`` and ``delay_high``, ``direct`` (whether it
+        surely follows ``leader`` directly; if not, that is the head), and ``probability`` and ``group`` of the head.
+        Timestamps are datetimes, in the time zone of the file.
         """
         frame, clock = self._list_rows(), self.tracks.clock if self.tracks else Clock()
         if clock.timestamps and not clock.recordings:
@@ -136,17 +144,82 @@ class FoundLeaders:
             rows += [{"start": window.start, "end": window.end} | role | of[role["head"]] for role in roles]
         return pd.DataFrame(rows, columns=[*_COLUMNS["rows"].split()])
 
-    def plot(self) -> Figure:
+    def evidence(self, leader: str | int) -> pd.DataFrame:
+        """Why an id was named: a row for each of its followers, by the windows in which it leads them.
+
+        The columns are ``follower``, ``windows``, their number, ``behind_head``, the median delay behind the leader in
+        seconds, ``correlation`` of both velocities at this delay, ``by_chance``, the largest one after shifts in time,
+        and ``path``, the mean squared distance to where the leader was before, as a share of that to where it is.
+        """
+        numbers = ["behind_head", "correlation", "by_chance", "path"]
+        links = pd.DataFrame([vars(link) for window in self.windows for link in window.links if link.head == leader])
+        if links.empty:
+            raise ArgumentError(f"leader must be an id that leads in a window, got {quote(leader)}.")
+        parts = links.astype(dict.fromkeys(numbers, float)).groupby("follower", sort=False)
+        return parts.size().to_frame("windows").join(parts[numbers].median()).reset_index()
+
+    def plot_evidence(self, leader: str | int, ax: Axes | None = None) -> Figure:
+        """Draw how the velocity of each follower is correlated with that of its leader before and after."""
+        chance, fine, curves = self.evidence(leader)["by_chance"].max(), sample_finely(self._resampled), list[Any]()
+        for window, cut in zip(self.windows, self.track_windows, strict=True):
+            behind = [link.follower for link in window.links if link.head == leader]
+            found = (
+                compare_with_head(fine, cut, cut.ids.index(leader), [*map(cut.ids.index, behind)]) if behind else None
+            )
+            if found is not None:
+                curves.append(pd.DataFrame(found.correlation.T, found.lags.round(9), behind))
+        if not curves:
+            raise ArgumentError(f"leader must lead in a window of more steps, got {quote(leader)}.")
+        return draw.draw_evidence(pd.concat(curves).groupby(level=0).median(), chance, leader, ax)
+
+    def plot(self, ax: Axes | None = None) -> Figure:
         """Draw the network of links, with an arrow from a follower to its leader; see :mod:`usnet_env.tracks.draw`."""
-        return draw.draw_network(self.to_frame(), len(self.windows), self.colors)
+        return draw.draw_network(self.to_frame(), len(self.windows), self.colors, ax)
 
-    def plot_delays(self) -> Figure:
+    def plot_delays(self, ax: Axes | None = None) -> Figure:
         """Draw the median delay in seconds of each id behind each one that it follows."""
-        return draw.draw_delays(self.to_frame())
+        return draw.draw_delays(self.to_frame(), ax)
 
-    def plot_timeline(self) -> Figure:
-        """Draw which head each id follows in each window."""
-        return draw.draw_timeline(self._list_rows(), self.ids, [window.start for window in self.windows], self.colors)
+    def plot_timeline(self, ax: Axes | None = None) -> Figure:
+        """Draw which head each id follows when."""
+        return draw.draw_timeline(self._spans, self.ids, [window.start for window in self.windows], self.colors, ax)
+
+    def plot_probabilities(self, ax: Axes | None = None) -> Figure:
+        """Draw the detector's probability that each id leads in each window, and that nobody does."""
+        starts = [window.start for window in self.windows]
+        return draw.draw_probabilities(pd.DataFrame(self._probabilities, index=starts), self.colors, ax)
+
+    @property
+    def _probabilities(self) -> list[dict[Any, float]]:
+        """Of each window: the probability to lead of each id, and under ``None`` that nobody leads, if known."""
+        rows = []
+        for cut, answer in zip(self.track_windows, self.answers, strict=True):
+            own = np.asarray(answer.extras.get("probability", []), float).tolist()
+            row: dict[Any, float] = dict(zip(cut.ids, own, strict=False))
+            rows.append(row | ({None: float(answer.extras["p_no_leader"])} if "p_no_leader" in answer.extras else {}))
+        return rows
+
+    @property
+    def _probability_rows(self) -> list[dict[str, Any]]:
+        return [
+            {"start": window.start, "end": window.end, "id": name, "probability": chance}
+            for window, chances in zip(self.windows, self._probabilities, strict=False)
+            for name, chance in chances.items()
+        ]
+
+    @property
+    def _spans(self) -> list[tuple[str | int, str | int, float, float]]:
+        """An id, its head, begin and end in windows: by the periods, or else by windows."""
+        if not self.periods:
+            number = {window.start: k for k, window in enumerate(self.windows)}
+            rows = self.to_frame()[["id", "head", "start"]].itertuples(index=False)
+            return [(name, head, number[start], number[start] + 1) for name, head, start in rows]
+        starts = [*(cut.start for cut in self.track_windows), self.track_windows[-1].end]
+        spans = []
+        for each in (period for period in self.periods if period.leader >= 0):
+            begin, end = np.interp((each.start, each.end), starts, np.arange(len(starts))).tolist()
+            spans += [(self.ids[row], self.ids[each.leader], begin, end) for row in each.rows]
+        return spans
 
     def plot_maps(self, title: str = "tracks") -> Figure:
         """Draw up to six windows from above, in the coordinates of the file; ``title`` is what the tracks are."""
@@ -164,13 +237,16 @@ class FoundLeaders:
         for window in values["windows"]:
             for leader in window["leaders"]:
                 del leader["share"]
+        values["probabilities"] = self._probability_rows
+        values["events"] = [asdict(event) | {"text": str(event)} for event in self.events]
         return values
 
     def tables(self) -> dict[str, pd.DataFrame]:
-        """Three tables, as they are written to CSV: ``windows``, ``leaders`` and ``links``.
+        """Tables, as they are written to CSV: ``windows``, ``leaders``, ``links`` and ``probabilities``.
 
-        A window without leaders has one row without an id. Ids are joined by semicolons; in them, a semicolon or a
-        backslash has a backslash before it.
+        In the last one, a row without an id has the probability that nobody leads. A window without leaders has one row
+        without an id in ``windows``. Ids are joined by semicolons; in them, a semicolon or a backslash has a backslash
+        before it.
         """
         rows: dict[str, list[dict[str, Any]]] = {"leaders": [vars(leader) for leader in self.leaders]}
         rows["windows"] = [
@@ -178,6 +254,8 @@ class FoundLeaders:
             for window in self.windows
             for leader in window.leaders or (None,)
         ]
+        if self._probability_rows:
+            rows["probabilities"] = self._probability_rows
         rows["links"] = [vars(window) | vars(link) for window in self.windows for link in window.links]
         return {
             name: pd.DataFrame(rows[name], columns=names.split(), dtype=object).map(_cell)
@@ -235,6 +313,10 @@ class FoundLeaders:
             "picture.png": lambda path: write_figure(self.plot_maps(title), path),
             "delays.png": lambda path: write_figure(self.plot_delays(), path),
         }
+        if self.leaders and self.leaders[0].followers and self.tracks is not None:
+            writers["evidence.png"] = lambda path: write_figure(self.plot_evidence(self.leaders[0].id), path)
+        if any(self._probabilities):
+            writers["probabilities.png"] = lambda path: write_figure(self.plot_probabilities(), path)
         if record:
             from usnet_env.replay import write_recording
 
