@@ -127,3 +127,41 @@ def test_texts_are_short_and_names_are_listed():
         plot_detection(detection, cut)
     assert {"read_tracks", "find_leaders", "Tracks", "evaluate"} <= set(dir(usnet_env))
     assert usnet_env.read_tracks is read_tracks
+
+
+def test_a_change_of_the_leader_is_dated_within_a_window():
+    """All follow id 0 up to 88 s and id 5 from then on; one window holds all of it."""
+    rng = np.random.default_rng(4)
+    heading = np.cumsum(rng.normal(0, 0.3, (200, 2)), axis=0)
+    free = np.stack([np.cos(heading), np.sin(heading)], axis=2)
+    velocity = rng.normal(0, 0.1, (200, 6, 2))
+    for t in range(200):
+        lead, own = (0, 0) if t < 88 else (5, 1)
+        velocity[t] += velocity[max(0, t - 2), lead] - (t < 2) * velocity[0, lead]
+        velocity[t, lead] = free[t, own]
+    place = np.cumsum(velocity, axis=0) + 20 * rng.normal(size=(6, 2))
+    tracks = Tracks.from_samples([*range(6)] * 200, np.repeat(np.arange(200.0), 6), place.reshape(-1, 2)).resample(1.0)
+    first, change = find_leaders(tracks, "reader(policy='map')").events
+    assert (first.time, first.kind, first.new) == (0.0, "leads", 0)
+    assert (change.kind, change.old, change.new, change.ids) == ("takes over", 0, 5, (1, 2, 3, 4))
+    assert abs(change.time - 88) <= 2
+    assert change.low < change.time < change.high
+    assert change.probability > 0.9
+
+
+def test_evidence_has_the_delay_and_the_correlation_of_each_follower():
+    tracks = read_tracks(pd.DataFrame(example().flock(), columns=["id", "t", "x", "y", "leader"]))
+    found = find_leaders(tracks, Answers(lambda uavs, k: answer_of(uavs, 0, [0] * uavs)), length=100)
+    evidence = found.evidence("bird-0").set_index("follower")
+    assert len(evidence) == 11
+    assert (evidence["windows"] == 6).all()
+    assert np.abs(evidence["behind_head"] % 0.5 - 0.25).min() > 0.2  # true delays are 0.5, 1 and 1.5 s
+    assert (evidence["correlation"] > 0.9).all()
+    assert (evidence["by_chance"] < 0.6).all()
+    axes = found.plot().add_axes((0, 0, 1, 1))
+    for draw in (found.plot, found.plot_delays, found.plot_timeline, found.plot_probabilities):
+        assert draw(ax=axes) is axes.get_figure()
+    found.plot_evidence("bird-0", ax=axes)
+    assert "bird-0" in axes.get_title()
+    with pytest.raises(ArgumentError, match=r"^leader must be an id that leads in a window, got 'bird-1'"):
+        found.evidence("bird-1")

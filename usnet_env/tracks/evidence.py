@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from usnet_env.arrays import Floats
 from usnet_env.config import format_count, format_number
@@ -66,14 +67,13 @@ def add_evidence(links: Sequence[Link], curves: HeadCurves | None) -> list[Link]
 
 
 def describe_lead(links: Sequence[Link]) -> str:
-    """A sentence about the followers of one head, such as "6 followers repeat its velocity 0.5 to 1.5 s later …"."""
-    known = [link for link in links if link.behind_head is not None and link.behind_head > 0]
-    if not known:
-        return f"Has {format_count(len({link.follower for link in links}), 'follower')}."
-    low, high = (format_number(each, 2) for each in np.quantile([link.behind_head for link in known], (0, 1)))
-    numbers = [(link.correlation, link.by_chance) for link in known]
-    r, chance = np.median([r or 0.0 for r, _ in numbers]), np.max([by or 0.0 for _, by in numbers])
-    late = f"{low} to {high}" if low != high else low
-    who = format_count(len({link.follower for link in known}), "follower")
-    repeat = "repeat" if not who.startswith("1 ") else "repeats"
-    return f"{who} {repeat} its velocity {late} s later (r {r:.2f}; by chance at most {chance:.2f})."
+    """A sentence on the followers of a head in some windows: "6 followers repeat its velocity 0.5 to 1.5 s later …"."""
+    rows = pd.DataFrame([vars(link) for link in links], columns=["follower", "behind_head", "correlation", "by_chance"])
+    known = rows[rows["behind_head"].astype(float) > 0].astype(dict.fromkeys(rows.columns[1:], float))
+    if known.empty:
+        return f"Has {format_count(rows['follower'].nunique(), 'follower')}."
+    delays = known.groupby("follower")["behind_head"].median()
+    low, high = (format_number(each, 2) for each in (delays.min(), delays.max()))
+    who, repeat = format_count(len(delays), "follower"), "repeats" if len(delays) == 1 else "repeat"
+    r = f"r {known['correlation'].median():.2f}; by chance at most {known['by_chance'].max():.2f}"
+    return f"{who} {repeat} its velocity {low} to {high} s later ({r}).".replace(f" {low} to {low} s", f" {low} s")
