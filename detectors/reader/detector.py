@@ -25,7 +25,7 @@ _DECIMALS = 6  # of a probability: smaller differences are rounding errors, and 
 
 
 class Reader(Detector):
-    """Names heads by a network that was trained with labels on 50 families of simulated windows.
+    """Names heads by a network that was trained with labels on 56 families of simulated windows.
 
     f1 to f7 and the laws of the suite ``open`` are no families. The network reads statistics of every ordered pair of
     UAVs, and needs no PyTorch. More than 200 UAVs are read in neighbourhoods of UAVs that move alike.
@@ -35,8 +35,8 @@ class Reader(Detector):
             nobody where probably nobody leads; ``"map"`` names the UAVs with a probability above 1/2.
         objective: ``"P2"`` (destroy all heads in few rounds) or ``"P1"`` (name the single head in one round).
         round_price: the expected cost of one more round of P2, in rounds; used by ``"cost"`` only.
-        weights: ``"shipped"``; to compare with, ``"untrained"`` (random) and ``"blind"`` (trained on the same windows
-            without any feature of a pair); or a weights file of ``usnet train reader``.
+        weights: ``"shipped"``; to compare with, ``"untrained"`` (random) and ``"blind"`` (trained on windows of the
+            same prior without any feature of a pair); or a weights file of ``usnet train reader``.
 
     Raises:
         ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is refused, the weights file is missing or
