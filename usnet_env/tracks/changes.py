@@ -23,7 +23,8 @@ from usnet_env.tracks.links import cut_positions
 from usnet_env.tracks.tracks import Tracks, TrackWindow
 
 _LENGTH, _STRIDE = 40, 5  # steps of a short window, and to the next one
-_MOST, _MOST_ANSWERS = 400, 20_000  # short windows; ids in all of them
+_MOST, _MOST_IDS = 400, 20_000  # short windows; ids in all of them
+_FEW_IDS = 5_000  # in all short windows of a file that is read wholly
 _APART = 0.3  # share of windows in which the members of a group have different roots
 _PRICE = 24.0  # of a change, in nats
 _LEAST = -5.0  # the logarithm of a probability that a detector gives as 0
@@ -72,9 +73,9 @@ def trace_periods(
         confirm: whether a leader of each group must be confirmed in a period, or lead in a window of which the period
             has the most.
     """
-    step, most = float(resampled.step or 1.0), min(_MOST, max(1, _MOST_ANSWERS // len(resampled.ids)))
+    step, most = float(resampled.step or 1.0), min(_MOST, max(1, _MOST_IDS // len(resampled.ids)))
     ends = track_windows[0].start, track_windows[-1].end
-    long = ends[1] - ends[0] > most * _STRIDE * step
+    long = ends[1] - ends[0] > min(most, _FEW_IDS // len(resampled.ids)) * _STRIDE * step
     span = _find_span(windows, track_windows) if long else ends
     if span is None or span[1] - span[0] < _LENGTH * step:
         return ()

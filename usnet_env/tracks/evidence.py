@@ -51,7 +51,6 @@ def add_evidence(links: Sequence[Link], curves: HeadCurves | None) -> list[Link]
     if curves is None:
         return list(links)
     step, last = curves.lags[1] - curves.lags[0], len(curves.lags) - 1
-    peaks = [find_peak(curve, 1) for curve in curves.correlation]
     return [
         replace(
             link,
@@ -61,7 +60,7 @@ def add_evidence(links: Sequence[Link], curves: HeadCurves | None) -> list[Link]
             path=round(float(path), 6),
         )
         for link, peak, curve, chance, path in zip(
-            links, peaks, curves.correlation, curves.by_chance, curves.path, strict=True
+            links, find_peak(curves.correlation, 1), curves.correlation, curves.by_chance, curves.path, strict=True
         )
     ]
 

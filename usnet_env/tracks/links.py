@@ -98,7 +98,7 @@ def measure_delay(
         cross[b], square[b], other[b] = then @ own, own @ own, (then**2).sum(axis=1)
     kept = 1.0 - np.vstack([np.zeros(_BLOCKS), np.eye(_BLOCKS)])  # all parts, and all but each
     curves = kept @ cross / np.sqrt(np.maximum((kept @ square) * (kept @ other), 1e-300))
-    delay, *without = (find_peak(curve, half) + lags[0] for curve in curves)
+    delay, *without = find_peak(curves, half) + lags[0]
     if not 0.5 < delay < lags[-1]:
         return None, None, None
     error = np.sqrt((_BLOCKS - 1) * np.var(without))
@@ -106,14 +106,20 @@ def measure_delay(
     return tuple(round(float(each) * step, 9) for each in (delay, max(delay - margin, 0.0), delay + margin))  # type: ignore[return-value]
 
 
-def find_peak(curve: Floats, half: int) -> float:
-    """The index, with a fraction, of the largest value ``(K,)``: the peak of a parabola through those around it."""
-    top = int(curve.argmax())
-    near = np.arange(max(0, top - half), min(len(curve), top + half + 1))
-    if not 0 < top < len(curve) - 1:
-        return float(top)
-    bend, slope, _ = np.polyfit(near - top, curve[near], 2)
-    return top + float(np.clip(-slope / (2 * bend), -half, half)) if bend < 0 else float(top)
+def find_peak(curves: Floats, half: int) -> Floats:
+    """``(C,)`` indices, with fractions, of the peaks of curves ``(C, K)``.
+
+    A peak is that of a parabola fitted to the largest value and ``half`` ones on each side.
+    """
+    top, last = curves.argmax(axis=1), curves.shape[1] - 1
+    middle = top.clip(half, last - half)
+    at = np.arange(-half, half + 1)
+    near = np.take_along_axis(curves, middle[:, None] + at, axis=1)
+    square = at**2 - np.mean(at**2)
+    slope, bend = near @ at / (at @ at), near @ square / (square @ square)
+    inner = (top == middle) & (bend < 0)
+    shift = np.where(inner, -slope / 2 / np.where(inner, bend, 1.0), 0.0)
+    return np.where(inner, top + shift.clip(-half, half), top)
 
 
 def cut_velocities(
