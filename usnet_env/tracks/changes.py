@@ -30,6 +30,7 @@ _PRICE = 24.0  # of a change, in nats
 _LEAST = -5.0  # the logarithm of a probability that a detector gives as 0
 _MOST_LAG = 12  # steps
 _MARGIN = 0.025  # of the probability on each side of an interval
+_NEVER = -1e6  # evidence for what can't be
 NOBODY = -1
 
 
@@ -95,6 +96,7 @@ def trace_periods(
         if len(rows) == 1:
             candidates = candidates[candidates != rows]
         evidence = _weigh(root[there][:, rows], rows, surely[there], silent[there], candidates)
+        evidence[_are_led(rows, centres[there], resampled.ids, windows, track_windows), -1] = _NEVER
         path = _find_path(evidence, _PRICE)
         states = np.append(candidates, NOBODY)
         group = _list_periods(resampled, rows, states[path], evidence, states, centres[there], ends)
@@ -165,6 +167,22 @@ def _weigh(root: Indices, rows: Indices, surely: Floats, silent: Floats, candida
     share = (root[..., None] == candidates).sum(axis=1) / there[:, None]
     alone = (root == rows).sum(axis=1) / there
     return np.column_stack([_LEAST * (1.0 - share) + surely[:, candidates], _LEAST * (1.0 - alone) + silent])
+
+
+def _are_led(
+    rows: Indices,
+    centres: Floats,
+    ids: Sequence[Name],
+    windows: Sequence[DetectedWindow],
+    track_windows: Sequence[TrackWindow],
+) -> Mask:
+    """Which times are in a window in which most members of a group follow or lead: there, nobody is no answer."""
+    names, led = {ids[row] for row in rows}, np.zeros(len(centres), bool)
+    for window, cut in zip(windows, track_windows, strict=True):
+        roles = {link.follower for link in window.links} | {leader.id for leader in window.leaders}
+        if 2 * len(names & roles) > len(names):
+            led |= (centres >= cut.start) & (centres <= cut.end)
+    return led
 
 
 def _find_path(evidence: Floats, price: float) -> Indices:
