@@ -156,7 +156,7 @@ def draw_delays(rows: pd.DataFrame, ax: Any = None) -> Figure:
     error, direct = (each.reindex_like(table).to_numpy() for each in (error, direct))
     figure, axes = _make_axes(ax, 2.5 + 0.9 * table.shape[1], 1.5 + 0.3 * table.shape[0])
     figure.set_layout_engine("constrained") if ax is None else None
-    about = f"± half of the 95 % interval{'; in brackets: not surely direct' * bool((direct < 0.5).any())}"
+    about = "± half of the 95 % interval" + "\n(in brackets: not surely direct)" * bool((direct < 0.5).any())
     axes.set_title(f"Median delay in seconds\n{about}" if table.size else "No leader was found.", fontsize=10)
     if table.size:
         image = axes.imshow(table.to_numpy(), cmap="viridis", aspect="auto", vmin=0.0)

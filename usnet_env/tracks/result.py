@@ -142,7 +142,8 @@ class FoundLeaders:
             roles: list[Any] = [{"id": leader.id, "head": leader.id} for leader in window.leaders]
             roles += [vars(link) | {"id": link.follower} for link in window.links]
             rows += [{"start": window.start, "end": window.end} | role | of[role["head"]] for role in roles]
-        return pd.DataFrame(rows, columns=[*_COLUMNS["rows"].split()])
+        frame = pd.DataFrame(rows, columns=_COLUMNS["rows"].split())
+        return frame.assign(leader=pd.Series([row.get("leader") for row in rows], dtype=object))  # whole numbers stay
 
     def evidence(self, leader: str | int) -> pd.DataFrame:
         """Why an id was named: a row for each of its followers, by the windows in which it leads them.
