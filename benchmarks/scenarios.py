@@ -212,8 +212,8 @@ def play(game: Game, seed: int) -> list[dict[str, Any]]:
     def score(cut: Any, answer: Any, found: Any) -> None:
         following = np.full(cut.window.uavs, -1) if cut.leader is None else cut.leader
         inside = (tracks.time >= cut.start) & (tracks.time < cut.end)
-        whom, who = tracks.leader[inside] if tracks.leader is not None else owner[:0], owner[inside]
-        ever = np.isin(cut.rows, whom) & np.isin(cut.rows, who[: len(whom)][whom < 0])
+        leader, follower = tracks.leader[inside] if tracks.leader is not None else owner[:0], owner[inside]
+        ever = np.isin(cut.rows, leader) & np.isin(cut.rows, follower[: len(leader)][leader < 0])
         roots = find_roots(following)
         due = np.isin(np.arange(len(roots)), roots[roots != np.arange(len(roots))])
         sure = np.isin(np.arange(len(roots)), [cut.ids.index(one.id) for one in found.leaders])

@@ -196,9 +196,8 @@ def _summarise_lags(x: Singles, lags: Sequence[int]) -> tuple[Singles, Singles]:
 def _fill_answers(out: Singles, s: _Signals) -> None:
     """Fill how i's answers resemble j's turns and changes some steps before, and the largest of these with its lag."""
     size = len(_ANSWER_LAGS)
-    for rows, (later, earlier) in zip(
-        out.reshape(len(_ANSWERS), size + 2, *out.shape[1:]), _ANSWERS.items(), strict=True
-    ):
+    parts = out.reshape(len(_ANSWERS), size + 2, *out.shape[1:])
+    for rows, (later, earlier) in zip(parts, _ANSWERS.items(), strict=True):
         _correlate(s[later], s[earlier], [lag for lag in _ANSWER_LAGS if lag <= len(s["m"])], rows)
         rows[size], rows[size + 1] = _summarise_lags(np.abs(rows[:size]), _ANSWER_LAGS)
 
@@ -378,15 +377,9 @@ def _describe_uavs(s: _Signals, own: list[Singles]) -> list[Singles]:
     neighbours = []
     for name in _CROWDS:
         turns, deviation = flock.compare_turns(s["v"], s["m"], s["align_" + name], (2, 4, 8, 12))
-        x = s["raw_" + name]
-        crowd = _log(s["count_" + name].mean(0), 0.1)
-        neighbours += [
-            _log(multiply(x, x) / count, 1e-3),
-            *echo(name, 1, 4),
-            crowd,
-            *turns,
-            _log(deviation / count, 1e-3),
-        ]
+        x, crowd = s["raw_" + name], _log(s["count_" + name].mean(0), 0.1)
+        neighbours += [_log(multiply(x, x) / count, 1e-3), *echo(name, 1, 4), crowd, *turns]
+        neighbours.append(_log(deviation / count, 1e-3))
     length = np.sqrt((s["raw_residual"] ** 2).sum(1))
     direction = (s["raw_residual"] / np.maximum(length, np.float32(1e-6))[:, None]).sum(0)
     least = np.sort(np.where(s["complete"] > 0, length, 4), 0)[steps // 4]

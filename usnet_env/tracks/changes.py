@@ -1,9 +1,9 @@
 """When groups change their leader: short windows that overlap, a path of least cost, and the time that fits best.
 
-A detector reads short windows of the file; of a long file, only those where who leads whom differs from one window to
-the next. Ids that mostly share their root
-are a group. The leaders of a group are the states of a path (Viterbi), in which each change has a price. The time of a
-change is the one at which the followers stop copying the old leader and begin to copy the new one.
+A detector reads short windows of the file; of a long file, only those where the links differ from one window to the
+next. Ids that mostly share their root are a group. The leaders of a group are the states of a path (Viterbi), in which
+each change has a price. The time of a change is the one at which the followers stop copying the old leader and begin to
+copy the new one.
 """
 
 from __future__ import annotations
@@ -275,7 +275,8 @@ def find_change(
     level = np.cumsum(chance) / chance.sum()
     at = [cut, low + 1 + int(np.searchsorted(level, _MARGIN)), low + 1 + int(np.searchsorted(level, 1 - _MARGIN))]
     at[1:] = min(at[1], cut - 1), max(at[2], cut + 1)
-    return tuple(round(float((first + k) * step), 9) for k in at)  # type: ignore[return-value]
+    when, earliest, latest = (round(float((first + k) * step), 9) for k in at)
+    return when, earliest, latest
 
 
 def _leave(velocity: Floats, ahead: Floats, known: Mask, part: slice, led: bool) -> Floats:

@@ -103,7 +103,8 @@ def measure_delay(
         return None, None, None
     error = np.sqrt((_BLOCKS - 1) * np.var(without))
     margin = _QUANTILE * np.hypot(error, _LEAST_ERROR)
-    return tuple(round(float(each) * step, 9) for each in (delay, max(delay - margin, 0.0), delay + margin))  # type: ignore[return-value]
+    low, middle, high = (round(float(each) * step, 9) for each in (max(delay - margin, 0.0), delay, delay + margin))
+    return middle, low, high
 
 
 def find_peak(curves: Floats, half: int) -> Floats:

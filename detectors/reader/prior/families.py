@@ -17,7 +17,7 @@ MODELS = {  # follow strategies; flocks are the hardest, and come twice as often
     "reference": 3.0,  # no UAV leads in this and in the next models
     **dict.fromkeys(("shepherd", "independent", "shifted", "none"), 1.0),
 }
-LAWS = {"random_law": 1.0}  # follow strategies that nobody named
+LAWS = {"random_law": 1.0}  # follow strategies without a name
 FAULTS = {  # what the sensor does to a swarm that follows by one of the models
     **dict.fromkeys(("fault:noise", "fault:correlated", "fault:mix"), 1.4),
     **dict.fromkeys(("fault:course", "fault:missed", "fault:bursts", "fault:partial"), 0.9),

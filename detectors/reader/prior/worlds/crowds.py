@@ -78,7 +78,7 @@ def draw_boids_signed(rng: np.random.Generator, stage: Stage) -> Flight:
 
 
 def draw_herd(rng: np.random.Generator, stage: Stage) -> Flight:
-    """A herd of equals that the first UAV drives from behind; it is unseen in half of the draws. Nobody leads.
+    """A herd of equals that the first UAV drives from behind; it is unseen in half of the draws. No UAV leads.
 
     In half of the draws it is seen in up to 6 times finer steps.
     """

@@ -135,13 +135,13 @@ def draw_formation(rng: np.random.Generator, stage: Stage) -> Flight:
 
 
 def draw_strangers(rng: np.random.Generator, stage: Stage) -> Flight:
-    """UAVs on like courses at like speeds, in one stream or two that meet: nobody leads."""
+    """UAVs on like courses at like speeds, in one stream or in two that meet, without a leader."""
     path, _ = _draw_paths(rng, stage, stage.uavs, stream=True)
     return Flight(path[:, _LONGEST:] + _draw_own_motion(rng, stage, stage.uavs), np.arange(stage.uavs))
 
 
 def draw_unled(rng: np.random.Generator, stage: Stage) -> Flight:
-    """A flock that keeps a formation around a common centre, in the frame of its course or not: nobody leads."""
+    """A flock without a leader that keeps a formation around a common centre, in the frame of its course or not."""
     path, velocity = _draw_paths(rng, stage, 1)
     slot, column = _draw_slots(rng, stage, stage.uavs, 0.5, 20.0), np.zeros(stage.uavs, np.int64)
     late = np.zeros(slot.shape[:2], np.int64)
@@ -154,7 +154,7 @@ def draw_unled(rng: np.random.Generator, stage: Stage) -> Flight:
 
 
 def draw_driven(rng: np.random.Generator, stage: Stage) -> Flight:
-    """A herd that a driver behind it turns: those next to the driver turn first, those in front last; nobody leads.
+    """A herd without a leader that a driver behind it turns: those next to the driver first, those in front last.
 
     The driver goes from side to side; it is unseen in half of the draws.
     """

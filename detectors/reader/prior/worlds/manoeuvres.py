@@ -34,7 +34,7 @@ def _draw_factions(rng: np.random.Generator, uavs: int) -> Indices:
 
 
 def _draw_sources(rng: np.random.Generator, leader: Indices, steps: int, shown: int) -> Indices:
-    """Whom each UAV follows at each step ``(S, n)``: some join another leader early in the window, or late."""
+    """The leader of each UAV at each step ``(S, n)``: some UAVs join another leader early in the window, or late."""
     source, own = np.tile(leader, (steps, 1)), np.arange(len(leader))
     groups = int(leader[leader != own].max()) + 1
     if groups > 1 and rng.random() < 0.3:
