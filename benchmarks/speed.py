@@ -11,9 +11,11 @@ from __future__ import annotations
 
 import importlib
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import ExitStack
 from functools import partial
 from itertools import cycle
 from pathlib import Path
@@ -28,6 +30,7 @@ from paper.shared import FOLLOW, RESULTS, ROOT, make_parser
 import usnet_env  # noqa: F401  registers the environments
 from usnet_env import Window, make_detector
 from usnet_env.files import write_text
+from usnet_env.plugins import DETECTORS
 from usnet_env.provenance import machine, versions
 from usnet_env.swarm import SwarmConfig, advance, register_formation, start
 from usnet_env.swarm.follow import FIELD_MODELS
@@ -41,7 +44,13 @@ SEVERAL = ("usnet_observers_v0", "usnet_evasion_v0")
 FEW: dict[str, Any] = {"clusters": 3, "uavs": 12, "observation_steps": 20}
 SIZES = [100, 300, 1000, 3000, 10_000]
 REFERENCE = "lagged-correlation"
-DETECTORS = ("lagged-regression", "granger", "factions", "net-lag-regression", "reader")
+TIMED = ("lagged-regression", "granger", "factions", "net-lag-regression", "reader")
+LARGE = (("reader", 82), ("reader", 2000))
+FEWER_STEPS = {
+    "gassl": "gassl(steps=10)",
+    "mc-gassl": "mc-gassl(gassl={'steps': 10})",
+    "neural-granger": "neural-granger(steps=20)",
+}
 # Not getrusage: a child begins with the peak of the process that started it.
 MEMORY = """
 import numpy as np, gymnasium as gym, usnet_env
@@ -51,6 +60,23 @@ for _ in range(3):
     envs.step(np.random.default_rng(0).random((1000, 82)) < 0.05)
 lines = open("/proc/self/status").read().splitlines()
 print(1024 * next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")))
+"""
+# It answers a window for each line that it reads, and writes the wall and CPU seconds of the answer.
+PLAYER = """
+import sys, time
+import gymnasium as gym, usnet_env
+name, uavs = sys.argv[1], int(sys.argv[2])
+env = gym.make("USNET/MultiCluster-v0", uavs=uavs)
+window = usnet_env.Window.from_observation(env.reset(seed=0)[0])
+detector = usnet_env.make_detector(name)
+def answer():
+    detector.reset(0)
+    detector.detect(window)
+answer()
+for _ in sys.stdin:
+    wall, cpu = time.perf_counter(), time.process_time()
+    answer()
+    print(time.perf_counter() - wall, time.process_time() - cpu, flush=True)
 """
 
 
@@ -122,12 +148,48 @@ def detectors(turns: int) -> dict[str, object]:
         detector.reset(0)
         return lambda: [detector.detect(window) for window in windows]
 
-    taken = take_turns(turns, *map(answer, (REFERENCE, *DETECTORS)))
+    taken = take_turns(turns, *map(answer, (REFERENCE, *TIMED)))
     what = f"seconds of a window (f1, N = 82) over those of {REFERENCE}"
     return {
         name: describe(what, seconds / taken[:, 0], seconds=float(np.median(seconds)) / len(windows))
-        for name, seconds in zip(DETECTORS, taken.T[1:], strict=True)
+        for name, seconds in zip(TIMED, taken.T[1:], strict=True)
     }
+
+
+def ask_by_turns(turns: int, players: list[subprocess.Popen[str]]) -> np.ndarray:
+    """Wall and CPU seconds ``(turns, players, 2)`` of an answer of each player."""
+    taken = np.empty((turns, len(players), 2))
+    for turn in range(turns):
+        for place, player in enumerate(players):
+            print(file=player.stdin, flush=True)
+            taken[turn, place] = [float(word) for word in player.stdout.readline().split()]
+    return taken
+
+
+def threads(name: str, uavs: int, turns: int) -> dict[str, object]:
+    """A detector's seconds with threads as they come over those with one thread, alone and beside two busy loops."""
+    unset = {key: value for key, value in os.environ.items() if not key.endswith("_NUM_THREADS")}
+    command = [sys.executable, "-c", PLAYER, name, str(uavs)]
+    pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "cwd": ROOT}
+    result: dict[str, object] = {}
+    with ExitStack() as stack:
+        environments = (unset, unset | {"OMP_NUM_THREADS": "1"})
+        players = [stack.enter_context(subprocess.Popen(command, env=env, **pipes)) for env in environments]
+        for beside, loops in (("alone", 0), ("two busy loops", 2)):
+            busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(loops)]
+            try:
+                taken = ask_by_turns(turns, players)
+            finally:
+                for loop in busy:
+                    loop.kill()
+                    loop.wait()
+            for what, seconds in zip(("wall", "CPU"), np.moveaxis(taken, -1, 0), strict=True):
+                title = f"{what} seconds, threads unset over one thread, {beside}"
+                ratios = seconds[:, 0] / seconds[:, 1]
+                result[f"{beside}, {what}"] = describe(title, ratios, seconds=float(np.median(seconds[:, 1])))
+        for player in players:
+            player.stdin.close()
+    return result
 
 
 def race(what: str, turns: int, fast: tuple[int, Callable[[], object]], slow: tuple[int, Callable[[], object]]) -> dict:
@@ -244,6 +306,10 @@ PARTS: dict[str, Callable[[int], dict[str, object]]] = {
     ),
     "memory": memory,
     "detectors": detectors,
+    "threads": lambda turns: {
+        f"{name}, N = {uavs}": threads(FEWER_STEPS.get(name, name), uavs, turns)
+        for name, uavs in (*((name, 30) for name in sorted(DETECTORS)), *LARGE)
+    },
 }
 
 

@@ -21,12 +21,12 @@ def _find_libraries(detector: str) -> ThreadpoolController:
     return ThreadpoolController()
 
 
-def _use_one_blas_thread(detect: Callable[..., Detection]) -> Callable[..., Detection]:
-    """Let ``detect`` multiply matrices in one thread: several wait longer for each other than a small product takes."""
+def _use_one_thread(detect: Callable[..., Detection]) -> Callable[..., Detection]:
+    """Let libraries compute in one thread: several wait longer for each other than a small product takes."""
 
     @wraps(detect)
     def detect_in_one_thread(self: Any, *arguments: Any, **named: Any) -> Detection:
-        with _find_libraries(type(self).__qualname__).limit(limits=1, user_api="blas"):
+        with _find_libraries(type(self).__qualname__).limit(limits=1):
             return detect(self, *arguments, **named)
 
     return detect_in_one_thread
@@ -39,7 +39,7 @@ class Detector(Parameters):
     :class:`detectors.parameters.Parameters`. A class without this base works as well if it has the methods ``reset``
     and ``detect``. The constructor stores its keyword arguments and does nothing else (scikit-learn's rule). State that
     is kept between the rounds of an episode is a ``cached_property``: :meth:`reset` clears it, and its first use makes
-    it, also without a :meth:`reset`. While :meth:`detect` runs, BLAS has one thread.
+    it, also without a :meth:`reset`. While :meth:`detect` runs, BLAS and OpenMP, so PyTorch too, have one thread.
 
     Attributes:
         tags: what the detector needs and uses; ``usnet list detectors`` shows it and
@@ -52,7 +52,7 @@ class Detector(Parameters):
     def __init_subclass__(cls, **named: Any) -> None:
         super().__init_subclass__(**named)
         if "detect" in vars(cls):
-            cls.detect = _use_one_blas_thread(cls.detect)  # type: ignore[method-assign]  # mypy allows no new method
+            cls.detect = _use_one_thread(cls.detect)  # type: ignore[method-assign]  # mypy allows no new method
 
     @cached_property
     def rng(self) -> np.random.Generator:

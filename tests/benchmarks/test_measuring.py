@@ -167,14 +167,14 @@ def test_recorded_tracks_are_compared_with_their_leaders(tmp_path):
 
 def test_speed_keeps_the_parts_that_are_not_measured(tmp_path, monkeypatch):
     monkeypatch.setattr(speed, "EPISODES", 2)
-    monkeypatch.setattr(speed, "DETECTORS", ("factions",))
+    monkeypatch.setattr(speed, "TIMED", ("factions",))
     path = tmp_path / "speed.json"
     path.write_text(json.dumps({"field": {"kept": 1}}), encoding="utf-8")
     speed.main(["--parts", "kinematics", "detectors", "--turns", "1", "--out", str(path)])
     found = json.loads(path.read_text(encoding="utf-8"))
     assert found["field"] == {"kept": 1}
     assert all(row["ratio"] > 0 for row in found["kinematics"].values())
-    assert set(found["detectors"]) == set(speed.DETECTORS)
+    assert set(found["detectors"]) == set(speed.TIMED)
 
 
 @pytest.mark.slow
@@ -184,7 +184,11 @@ def test_batches_race_single_environments(tmp_path, monkeypatch):
     monkeypatch.setattr(speed, "GAMES", 2)
     monkeypatch.setattr(speed, "BATCHES", ("SingleCluster-Tiny-v0",))
     path = tmp_path / "speed.json"
-    speed.main(["--parts", "batches", "--turns", "1", "--out", str(path)])
-    rows = json.loads(path.read_text(encoding="utf-8"))["batches"]
+    monkeypatch.setattr(speed, "DETECTORS", ("none",))
+    monkeypatch.setattr(speed, "LARGE", ())
+    speed.main(["--parts", "batches", "threads", "--turns", "1", "--out", str(path)])
+    found = json.loads(path.read_text(encoding="utf-8"))
+    assert list(found["threads"]) == ["none, N = 30"]
+    rows = found["batches"]
     assert list(rows) == ["SingleCluster-Tiny-v0", *speed.SEVERAL, "Stable-Baselines3", "TorchRL"]
     assert all(row["ratio"] > 0 and row["decisions_per_second"] > 0 for row in rows.values())

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from pydantic import Field
 from sklearn.base import clone
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from detectors import Detector
 from usnet_env import ArgumentError, Detection, Window
@@ -71,3 +72,19 @@ def test_reset_starts_an_episode_and_its_seed_decides():
 def test_a_detector_defines_detect():
     with pytest.raises(NotImplementedError, match="Detector must define detect"):
         Detector().detect(window())
+
+
+class CountThreads(Detector):
+    def detect(self, window):
+        self.pools = threadpool_info()
+        return Detection(window.alive, np.zeros(window.uavs))
+
+
+def test_libraries_have_one_thread_while_a_detector_answers():
+    detector = CountThreads()
+    with threadpool_limits(2):
+        before = threadpool_info()
+        detector.detect(window())
+        assert threadpool_info() == before
+    assert {pool["num_threads"] for pool in before} == {2}
+    assert {pool["num_threads"] for pool in detector.pools} == {1}
