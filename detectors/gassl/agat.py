@@ -17,7 +17,15 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from detectors.gassl.layers import affine, affine_backward, exp_in_place, products, tanh_backward, tanh_in_place
+from detectors.gassl.layers import (
+    add_in_place,
+    affine,
+    affine_backward,
+    exp_in_place,
+    products,
+    tanh_backward,
+    tanh_in_place,
+)
 from usnet_env.arrays import Singles
 from usnet_env.compiling import compiled
 from usnet_env.config import Config
@@ -86,7 +94,7 @@ def draw_agat(sizes: AgatSizes, uavs: int, rng: np.random.Generator) -> Singles:
     return np.concatenate(parts, axis=1).astype(np.float32)
 
 
-@compiled()
+@compiled(inner=True)
 def _layers(from_query, from_key, second, bias, value, begin, end, points, hidden, deep):
     """Both hidden layers of s_l for the UAVs begin to end, columns (UAV, time); ``points`` gets their values.
 
@@ -114,7 +122,7 @@ def _layers(from_query, from_key, second, bias, value, begin, end, points, hidde
             row[p] = max(h, _SLOPE * h)
 
 
-@compiled()
+@compiled(inner=True)
 def _make_buffers(times, width, narrow):
     """Number of UAVs whose pairs are computed at once, and arrays for them."""
     step = max(1, _PAIRS // times)
@@ -123,7 +131,7 @@ def _make_buffers(times, width, narrow):
     return step, points, hidden, np.empty((narrow, step * times), np.float32)
 
 
-@compiled(error_model="numpy")
+@compiled(inner=True, error_model="numpy")
 def _weigh(from_query, from_key, second, bias, last, value, alpha, pooled):
     """One attention head: alpha ``(n, R)`` by equations (10), (11), and the pooled values ``(3, R)`` by (13), (14)."""
     _, uavs, times = value.shape
@@ -155,12 +163,16 @@ def _weigh(from_query, from_key, second, bias, last, value, alpha, pooled):
             sums, of_uav = pooled[c], value[c, j]
             for t in range(times):
                 sums[t] += row[t] * of_uav[t]
-    total = _ONE / total
-    alpha *= total
-    pooled *= total
+    for t in range(times):
+        total[t] = _ONE / total[t]
+    for rows in (alpha, pooled):
+        for j in range(rows.shape[0]):
+            row = rows[j]
+            for t in range(times):
+                row[t] *= total[t]
 
 
-@compiled(error_model="numpy")
+@compiled(inner=True, error_model="numpy")
 def _weigh_backward(
     from_query, from_key, second, bias, last, value, alpha, pooled, d_pooled,
     d_query, d_key, d_second, d_bias, d_last,
@@ -184,7 +196,8 @@ def _weigh_backward(
     d_bias[:] = _ZERO
     d_last[:] = _ZERO
     for c in range(3):
-        mean += d_pooled[c] * pooled[c]
+        for t in range(times):
+            mean[t] += d_pooled[c, t] * pooled[c, t]
     for begin in range(0, uavs, step):
         end = min(begin + step, uavs)
         _layers(from_query, from_key, second, bias, value, begin, end, points, hidden, deep)
@@ -214,13 +227,15 @@ def _weigh_backward(
                 for t in range(times):
                     sums[t] += columns[t]
         np.dot(below, points.T, of_key)
-        d_last += of_last
-        d_bias += of_bias
-        d_second += of_second
-        d_key += of_key.T
+        add_in_place(d_last, of_last)
+        add_in_place(d_bias, of_bias)
+        for k in range(width):
+            add_in_place(d_second[k], of_second[k])
+            for c in range(3):
+                d_key[c, k] += of_key[k, c]
 
 
-@compiled()
+@compiled(inner=True)
 def _query_arrays(phi, numbers):
     """L's arrays, views of the flat vector."""
     _, inputs, width, outputs, _, _, _ = numbers
@@ -229,7 +244,7 @@ def _query_arrays(phi, numbers):
     return phi[:a].reshape((inputs, width)), phi[a:b], phi[b:c].reshape((width, outputs)), phi[c : c + outputs]
 
 
-@compiled()
+@compiled(inner=True)
 def _attn_head_arrays(phi, numbers, head):
     """The arrays of attention head l, views of the flat vector."""
     _, inputs, width, outputs, key, first, second = numbers
@@ -302,7 +317,8 @@ def attend_backward(phi, numbers, history, value, alpha, pooled, hidden, query, 
         affine_backward(query, first_query, d_from_query, d_first_query, d_first_bias, of_query)
         np.dot(first_key, d_from_key.T, d_key)
         np.dot(key, d_from_key, d_first_key)
-        d_query += of_query
+        for t in range(times):
+            add_in_place(d_query[t], of_query[t])
     d_query_in, d_query_in_bias, d_query_out, d_query_out_bias = _query_arrays(d_phi, numbers)
     affine_backward(hidden, query_out, d_query, d_query_out, d_query_out_bias, d_hidden)
     tanh_backward(hidden, d_hidden)

@@ -41,7 +41,7 @@ def draw_ifsn(inputs: int, width: int, rng: np.random.Generator) -> Singles:
     return np.concatenate(parts).astype(np.float32)
 
 
-@compiled()
+@compiled(inner=True)
 def _arrays(gamma, inputs):
     """Γ's arrays, views of the flat vector; the width follows from its length."""
     width = 1
@@ -82,7 +82,7 @@ def standardise(values):
     return scale
 
 
-@compiled()
+@compiled(inner=True)
 def _finish(one, second, second_bias, third, third_bias, output, output_bias, two, three, predicted):
     """All layers after the first affine one, in place."""
     tanh_in_place(one)

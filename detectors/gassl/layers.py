@@ -4,7 +4,7 @@ No function may reorder its floating-point operations (Numba's ``fastmath``): ho
 where a function is inlined, and answers of a process that compiles would differ from those of one that loads the cache.
 Sums over many terms are products of matrices instead, which BLAS computes.
 
-An array is copied into a part of another one by a loop. For ``part[:] = array`` Numba compiles a message about wrong
+Arrays are copied and added by loops. For ``part[:] = array`` or ``array += part`` Numba compiles a message about wrong
 shapes, and the texts for it, into every function above, and the first call takes seconds more.
 """
 
@@ -25,7 +25,7 @@ _SIXTH = np.float32(1.0 / 720.0)
 _LOWEST = np.float32(-120.0)  # 2**-120 is 0 beside any other term of a softmax, and no denormal number
 
 
-@compiled()
+@compiled(inner=True)
 def exp_in_place(x, bits):
     """``x`` ``(n,)`` becomes e**x, for x <= 0: a power of two by its exponent bits times a polynomial of degree 6.
 
@@ -48,7 +48,7 @@ def exp_in_place(x, bits):
         x[p] *= power[p]
 
 
-@compiled(error_model="numpy")
+@compiled(inner=True, error_model="numpy")
 def tanh_in_place(x):
     """``x`` ``(R, d)``, contiguous float32, becomes tanh(x), by e**(-2 |x|)."""
     flat = x.reshape(x.size)
@@ -61,13 +61,22 @@ def tanh_in_place(x):
         flat[p] = magnitude if flat[p] >= _ZERO else -magnitude
 
 
-@compiled()
+@compiled(inner=True)
 def tanh_backward(y, d_y):
     """The gradient with respect to y = tanh(x), ``(R, d)``, becomes that with respect to x."""
-    d_y *= _ONE - y * y
+    for t in range(y.shape[0]):
+        for k in range(y.shape[1]):
+            d_y[t, k] *= _ONE - y[t, k] * y[t, k]
 
 
-@compiled()
+@compiled(inner=True)
+def add_in_place(total, part):
+    """``total`` ``(n,)`` += ``part``."""
+    for k in range(total.shape[0]):
+        total[k] += part[k]
+
+
+@compiled(inner=True)
 def affine(x, weight, bias, out):
     """``out`` ``(R, outputs)`` = ``x`` ``(R, inputs)`` times ``weight`` plus ``bias``."""
     np.dot(x, weight, out)
@@ -76,7 +85,7 @@ def affine(x, weight, bias, out):
             out[t, k] += bias[k]
 
 
-@compiled()
+@compiled(inner=True)
 def products(x, d_out, d_weight, d_bias):
     """Gradients of :func:`affine` with respect to weight and bias, written to ``d_weight`` and ``d_bias``."""
     np.dot(x.T, d_out, d_weight)
@@ -86,7 +95,7 @@ def products(x, d_out, d_weight, d_bias):
             d_bias[k] += d_out[t, k]
 
 
-@compiled()
+@compiled(inner=True)
 def affine_backward(x, weight, d_out, d_weight, d_bias, d_x):
     """As :func:`products`, and the gradient with respect to ``x``, written to ``d_x``."""
     products(x, d_out, d_weight, d_bias)

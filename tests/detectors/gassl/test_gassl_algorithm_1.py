@@ -42,7 +42,7 @@ def doubles(*arrays):
 def test_the_compiled_loss_and_gradients_are_those_of_the_readable_loss(case):
     inputs, phi, gamma, agat, ifsn = problem(**case)
     for i in (0, inputs.uavs - 1):
-        found, d_phi, d_gamma = gradient(phi[i], gamma, agat.numbers(), *inputs.of(i))
+        found, d_phi, d_gamma = gradient(phi[i], gamma, agat.numbers(), inputs.of(i))
         phi_i, of_all = doubles(phi[i], gamma)
         loss, _ = batch_loss(inputs, i, phi_i, of_all, agat, ifsn)
         assert found == pytest.approx(loss.item(), rel=1e-4)
