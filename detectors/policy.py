@@ -30,6 +30,10 @@ def choose(
     With probability ``silent`` no UAV leads, so that another round costs nothing and each named UAV is redundant. Else
     the heads are independent with p / (1 - ``silent``), and an empty set misses them. The best set may be empty. The
     numbers ``tie`` ``(N,)`` order UAVs with equal ``probability`` ``(N,)``.
+
+    >>> probability = np.array([0.9, 0.6, 0.01, 0.01])
+    >>> choose(probability, np.ones(4, bool), np.zeros(4), silent=0.0, policy="map").tolist()
+    [True, True, False, False]
     """
     named = np.zeros(len(alive), bool)
     living = np.flatnonzero(alive)

@@ -57,6 +57,10 @@ class Detection:
 
     Raises:
         ArgumentError: an array has another shape, values that are not finite, or indices or probabilities out of range.
+
+    >>> detection = Detection(candidates=[True, False, False], scores=[0.9, 0.1, 0.2], leader=[-1, 0, 0])
+    >>> detection.candidates.nonzero()[0].tolist()
+    [0]
     """
 
     candidates: Mask

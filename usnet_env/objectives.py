@@ -49,23 +49,38 @@ def single_cluster_objective(head: ArrayLike, candidates: ArrayLike) -> Floats:
 
     With one head it is the paper's 1{i_L in C_1} - |C_1|. An empty set of candidates, for which the formula gives 0,
     scores -1 where a UAV leads, like a miss (decision (k) on docs/game.md).
+
+    >>> float(single_cluster_objective([True, False, False], [True, True, False]))  # the head and a redundant UAV
+    -1.0
     """
     named, hits = _count(candidates), _count(head, candidates)
     return np.asarray(np.where(named > 0, hits - named, np.where(np.any(head, axis=-1), -1.0, 0.0)))
 
 
 def precision(head: ArrayLike, candidates: ArrayLike) -> Floats:
-    """Share of the candidates ``(..., N)`` that are heads; 0 without a candidate."""
+    """Share of the candidates ``(..., N)`` that are heads; 0 without a candidate.
+
+    >>> float(precision([True, False, False], [True, True, False]))
+    0.5
+    """
     return _ratio(_count(head, candidates), _count(candidates))
 
 
 def recall(head: ArrayLike, candidates: ArrayLike) -> Floats:
-    """Share of the heads ``(..., N)`` that are candidates; 0 without a head."""
+    """Share of the heads ``(..., N)`` that are candidates; 0 without a head.
+
+    >>> float(recall([True, False, True], [True, True, False]))
+    0.5
+    """
     return _ratio(_count(head, candidates), _count(head))
 
 
 def f1(head: ArrayLike, candidates: ArrayLike) -> Floats:
-    """Harmonic mean of precision and recall, 2|C & H| / (|C| + |H|); 1 where both sets are empty."""
+    """Harmonic mean of precision and recall, 2|C & H| / (|C| + |H|); 1 where both sets are empty.
+
+    >>> round(float(f1([True, False, True], [True, False, False])), 2)
+    0.67
+    """
     both = _count(candidates) + _count(head)
     return np.asarray(np.where(both > 0, _ratio(2 * _count(head, candidates), both), 1.0))
 
@@ -91,6 +106,9 @@ def multi_cluster_objective(head: ArrayLike, candidates_per_round: ArrayLike) ->
     """P2's objective J_m = R + (1/N) sum_r |C_r∖H_{r-1}|, to be minimised; the minimum is 1.
 
     An empty set of candidates counts as a round, and heads may be left (see :func:`found_all_heads`).
+
+    >>> multi_cluster_objective([True, False, True, False], [[True, True, False, False], [False, False, True, False]])
+    2.25
     """
     return len(np.asarray(candidates_per_round)) + redundancy(head, candidates_per_round)
 
@@ -104,6 +122,9 @@ def average_precision(head: ArrayLike, scores: ArrayLike) -> float:
     """Area under the precision-recall curve of the scores, as scikit-learn's ``average_precision_score`` defines it.
 
     Equal scores form one threshold. The value is from 0 to 1; 0 without a head.
+
+    >>> round(average_precision([True, False, True, False], [0.9, 0.8, 0.7, 0.1]), 3)
+    0.833
     """
     heads, values = np.asarray(head, bool), np.asarray(scores)
     if not heads.any():
@@ -121,6 +142,9 @@ def purity(root: ArrayLike, clusters: ArrayLike) -> float:
     """Purity of a clustering: share of the UAVs whose head is the most frequent head in their cluster.
 
     Only UAVs with a head count, a head as its own; one without a cluster counts as wrong. It is 0 if no UAV has a head.
+
+    >>> purity(root=[0, 0, 2, 2], clusters=[0, 0, 0, 1])
+    0.75
     """
     roots, label = np.asarray(root), np.asarray(clusters)
     counted = roots >= 0
@@ -148,7 +172,11 @@ def head_in_cluster(head: ArrayLike, root: ArrayLike, clusters: ArrayLike) -> fl
 
 
 def find_roots(leader: ArrayLike) -> Indices:
-    """The head of each UAV's tree, ``(N,)`` int64: its own index if it follows none, -1 if its leaders form a cycle."""
+    """The head of each UAV's tree, ``(N,)`` int64: its own index if it follows none, -1 if its leaders form a cycle.
+
+    >>> find_roots([-1, 0, 1, 3]).tolist()  # UAV 2 follows UAV 1, which follows UAV 0
+    [0, 0, 0, 3]
+    """
     direct = np.asarray(leader, np.int64)
     itself = np.arange(len(direct))
     root = np.where(direct >= 0, direct, itself)
@@ -177,6 +205,9 @@ def group_leader_accuracy(leader: ArrayLike, scores: ArrayLike) -> float:
     """Share of the groups whose head has the highest score of its group; the groups are known.
 
     If k members tie at the top and the head is one of them, the group counts 1/k. It is 0 without groups.
+
+    >>> group_leader_accuracy(leader=[0, 0, 2, 2], scores=[0.9, 0.1, 0.2, 0.7])
+    0.5
     """
     roots, values, shares = find_roots(leader), np.asarray(scores), []
     for head in np.unique(roots[(roots >= 0) & (roots != np.arange(len(roots)))]):

@@ -46,6 +46,9 @@ def make_detector(name: str, /, **arguments: Any) -> DetectorLike:
     Raises:
         ArgumentError: there is no such detector, it can't be imported, or its constructor doesn't take the arguments.
         MissingExtraError: it needs a package that is not installed.
+
+    >>> make_detector("lagged-regression(clusters=5)", lags=3).get_params()
+    {'clusters': 5, 'lags': 3, 'ridge': 0.001, 'squares': True}
     """
     plain, given = parse_label(name, arguments)
     subject = f"detector {plain!r}"
@@ -80,6 +83,9 @@ def detector_label(detector: Any) -> str:
     Args:
         detector: a name as :func:`make_detector` takes it, or a detector. The label of an object is the registered
             name of its class, or else the name of the class, with all arguments that differ from their defaults.
+
+    >>> detector_label(make_detector("lagged-regression", clusters=5))
+    'lagged-regression(clusters=5)'
     """
     if isinstance(detector, str):
         return format_label(*parse_label(detector, {}))

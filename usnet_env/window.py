@@ -72,6 +72,11 @@ class Window:
 
     Raises:
         ArgumentError: an array has another shape or non-finite values, or a mask has values other than 0 and 1.
+
+    >>> position = np.cumsum(np.ones((11, 4, 3)), axis=0)
+    >>> window = Window(position, np.diff(position, axis=0), seen=np.ones((11, 4)), alive=np.ones(4), step=0.2)
+    >>> window.uavs, window.observation_steps
+    (4, 10)
     """
 
     position: Singles
@@ -123,6 +128,11 @@ class Window:
 
         Args:
             observation: has the keys ``position, velocity, seen, alive, round`` and, for recorded tracks, ``step``.
+
+        >>> import gymnasium, usnet_env
+        >>> observation, info = gymnasium.make("USNET/MultiCluster-v0").reset(seed=0)
+        >>> Window.from_observation(observation).uavs
+        82
         """
         keys = ("position", "velocity", "seen", "alive", "round")
         if not isinstance(observation, Mapping) or any(key not in observation for key in keys):

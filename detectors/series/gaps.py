@@ -16,6 +16,11 @@ def fill_gaps(window: Window) -> Window:
 
     Returns:
         A window in which every living UAV is always seen, unless none was ever seen; what was seen is as it was.
+
+    >>> position = np.array([[[0.0, 0, 0]], [[0, 0, 0]], [[2, 0, 0]]])
+    >>> window = Window(position, np.zeros((2, 1, 3)), seen=[[1], [0], [1]], alive=[1])
+    >>> fill_gaps(window).position[:, 0, 0].tolist()
+    [0.0, 1.0, 2.0]
     """
     seen, alive = window.seen, window.alive
     known = seen.any(axis=0) & alive

@@ -47,6 +47,9 @@ class Distribution(Config):
         version: increases when a draw changes.
         uavs: N of P2; the largest value is that of the arrays, in which indices without a UAV are never alive.
         followers: m of P1, likewise.
+
+    >>> Distribution(follow=["f1", "f2"], uavs=[30, 60]).draw(np.random.default_rng(0))
+    {'follow': 'f2', 'uavs': 45}
     """
 
     version: Literal[1] = 1

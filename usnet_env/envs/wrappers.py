@@ -29,7 +29,11 @@ class BoxMasks(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstructo
 
 
 class MultiDiscreteCandidates(gym.ActionWrapper[Any, Any, Any], gym.utils.RecordConstructorArgs):
-    """Declare the action as ``MultiDiscrete([2] * N)`` for agents without ``MultiBinary(N)``, such as RLlib's."""
+    """Declare the action as ``MultiDiscrete([2] * N)`` for agents without ``MultiBinary(N)``, such as RLlib's.
+
+    >>> MultiDiscreteCandidates(gym.make("USNET/SingleCluster-Tiny-v0")).action_space
+    MultiDiscrete([2 2 2 2 2 2 2 2])
+    """
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
         gym.utils.RecordConstructorArgs.__init__(self)

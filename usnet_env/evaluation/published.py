@@ -29,6 +29,9 @@ def results(suite: str) -> EvaluationResult:
 
     Raises:
         ArgumentError: there is no such suite, or no rows of it are published.
+
+    >>> "reader" in results("paper")
+    True
     """
     chosen = load_suite(suite)
     path: Any = _find_folder() / f"{chosen.name}-v{chosen.version}.csv.gz"

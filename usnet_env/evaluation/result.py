@@ -217,6 +217,11 @@ class EvaluationResult:
 
         Raises:
             ArgumentError: there is no such detector or metric, or two detectors share no episode.
+
+        >>> from usnet_env import evaluate
+        >>> result = evaluate("USNET/SingleCluster-v0", ["none", "destroy-all"], episodes=3)
+        >>> result.compare("none", "destroy-all").difference
+        14.0
         """
         self._check_metric(metric)
         others = [label for label in self if label != a] if b is None else [b] if isinstance(b, str) else b

@@ -154,6 +154,10 @@ def evaluate(
     Raises:
         ArgumentError: an argument was refused.
         EvaluationError: a worker process was ended; the same call resumes.
+
+    >>> result = evaluate("USNET/SingleCluster-v0", ["random", "lagged-correlation"], episodes=3)
+    >>> len(result.rows), list(result)
+    (6, ['random', 'lagged-correlation'])
     """
     how = RunArguments(
         episodes=episodes, seed=seed, workers=workers, progress=progress, backend=backend, trivial=trivial,

@@ -60,6 +60,9 @@ def load_suite(suite: str | PathLike[str]) -> Suite:
 
     Raises:
         ArgumentError: there is no such suite, or the file does not describe one; the message names its first fault.
+
+    >>> list(load_suite("paper").cells)[:2]
+    ['f1', 'f2']
     """
     path = as_path("suite", suite)
     try:

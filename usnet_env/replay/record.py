@@ -40,6 +40,10 @@ def record_episode(
     Raises:
         ArgumentError: ``env`` is no environment of this project, a seed is no whole number from 0, or an answer is no
             ``Detection`` for its N UAVs.
+
+    >>> record = record_episode(gym.make("USNET/MultiCluster-v0"), "destroy-all", seed=0, detector_seed=0)
+    >>> record.rounds
+    1
     """
     _check_environment(env)
     detector = find_detector(detector)
