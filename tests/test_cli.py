@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import io
 import json
 import subprocess
@@ -10,8 +9,6 @@ import sys
 from importlib.metadata import EntryPoint
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from usnet_env import cli, evaluate, parts
 from usnet_env.cli import GROUP, main
@@ -200,17 +197,6 @@ def test_bad_input_is_one_sentence_with_the_name(run, words, expected):
 )
 def test_the_other_commands_refuse_in_one_sentence_too(run, words, expected):
     refused(run, words, expected)
-
-
-@settings(max_examples=60)
-@given(st.sampled_from(["--episodes", "--seed", "--workers", "--set"]), st.text(max_size=12), st.text(max_size=12))
-def test_no_word_brings_a_traceback(option, key, value):
-    word = f"{key}={value}" if option == "--set" else value
-    with contextlib.redirect_stderr(io.StringIO()) as err, contextlib.redirect_stdout(io.StringIO()):
-        status = main([*QUICK[:3], "--set", "uavs=0", f"{option}={word}"])  # so that a good word ends at once as well
-    assert status == 2
-    assert err.getvalue().startswith("usnet: ")
-    assert err.getvalue().count("\n") == 1
 
 
 # Failures

@@ -14,7 +14,6 @@ from usnet_env.cli import main
 from usnet_env.detection import Tags
 from usnet_env.plugins import (
     DETECTORS,
-    DetectorLike,
     detector_label,
     make_detector,
     register_detector,
@@ -73,15 +72,6 @@ def stranger(monkeypatch, tmp_path):
     parts.find_entry_points.cache_clear()
     yield
     parts.find_entry_points.cache_clear()
-
-
-def test_the_built_in_detectors_are_found_and_made():
-    assert set(BUILT_IN) <= set(DETECTORS)
-    for name in BUILT_IN:
-        detector = make_detector(name)
-        assert isinstance(detector, DetectorLike)
-        assert detector_label(detector) == name
-        detector.reset(0)
 
 
 def list_lines(capsys):

@@ -1,6 +1,5 @@
 """Every detector refuses a bad argument when it is used, in a sentence that begins with the name of the argument."""
 
-import numpy as np
 import pytest
 from registered import made
 from synthetic_windows import swarm_window
@@ -33,14 +32,6 @@ def test_a_bad_argument_is_refused(name, argument):
     for use in (lambda: detector.reset(0), lambda: detector.detect(window)):
         with pytest.raises(ArgumentError, match=f"^{argument} must "):
             use()
-
-
-def test_a_small_integer_of_numpy_is_a_number():
-    window, _ = swarm_window(0, observation_steps=10)
-    (one, other) = (make_detector("gassl", steps=1, memory=memory) for memory in (4, np.uint8(4)))
-    one.reset(0)
-    other.reset(0)
-    assert np.array_equal(one.detect(window).scores, other.detect(window).scores)
 
 
 def test_more_clusters_than_uavs_are_refused():

@@ -161,15 +161,6 @@ def test_the_price_of_p1_is_of_redundant_candidates_also_with_several_heads_or_n
     assert info["success"] == 1
 
 
-def test_the_empty_answer():
-    _, rounds, rewards, info, terminated = play(gym.make(SINGLE), 0, lambda swarm, r: np.zeros(16, np.int8))
-    assert (rewards, info["success"], terminated) == ([-1.0], 0, True)
-    _, rounds, rewards, info, terminated = play(
-        gym.make(MULTI, max_rounds=4), 0, lambda swarm, r: np.zeros(82, np.int8)
-    )
-    assert (rewards, info["success"], terminated, len(rounds)) == ([-1.0] * 4, 0, False, 4)
-
-
 @pytest.mark.parametrize("make", [gym.make, gym.make_vec])
 @pytest.mark.parametrize("name", [MULTI, SINGLE])
 def test_free_candidates_are_warned_of_unless_a_budget_limits_them(make, name):
@@ -239,33 +230,6 @@ def test_a_wrong_action_is_named_and_changes_nothing(action):
     with pytest.raises(ArgumentError, match=r"^action must .*got .*\.$"):
         env.step(action)
     assert pickle.dumps(env.get_state()) == pickle.dumps(before)
-
-
-anything = st.one_of(
-    st.none(),
-    st.booleans(),
-    st.integers(-5, 30),
-    st.floats(),
-    st.sampled_from([10**20, np.int64(3), np.float32(0.1), "f1", "f8", "iid", "none", "uniform", "human", "rgb_array"]),
-    st.lists(st.one_of(st.integers(-3, 40), st.floats(), st.text(max_size=3)), max_size=6),
-    st.dictionaries(st.text(max_size=3), st.integers(), max_size=2),
-)
-
-
-@pytest.mark.filterwarnings("ignore:redundancy_price is 0")
-@pytest.mark.parametrize("kind", [SingleClusterEnv, MultiClusterEnv])
-@given(data=st.data())
-def test_every_argument_works_or_is_named(kind, data):
-    name, value = data.draw(st.sampled_from(list(inspect.signature(kind).parameters))), data.draw(anything)
-    try:
-        env = kind(**{name: value})
-    except ArgumentError as error:
-        sentence = str(error)
-    else:
-        sentence = "action_space has no UAVs" if env.action_space.n < 1 else name  # the env was really made
-    # A size that contradicts another may be told of by the other's name.
-    assert sentence.split()[0] in {name, "cluster_sizes", "uavs", "memory", "observation_steps"}
-    assert "\n" not in sentence
 
 
 def test_what_comes_too_early_or_too_late_is_refused():
