@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -157,15 +157,21 @@ def find_events(windows: Iterable[DetectedWindow]) -> tuple[Event, ...]:
     events, before = list[Event](), dict[Name, Name]()
     for window in windows:
         now = {leader.id: leader.id for leader in window.leaders} | {link.follower: link.head for link in window.links}
-        moves: dict[tuple[Name | None, Name | None], list[Name]] = {}
-        for name in dict.fromkeys([*before, *now]):
-            if before.get(name) != now.get(name):
-                moves.setdefault((before.get(name), now.get(name)), []).append(name)
-        for (old, new), ids in sorted(moves.items(), key=lambda move: (-len(move[1]), str(move[0]))):
-            rest = tuple(name for name in ids if name not in (old, new))
-            events.append(Event(window.start, name_kind(old in ids, new in ids, old, new), rest, old, new))
+        events += compare_heads(before, now, window.start)
         before = now
-    return tuple(event for event in events if event.ids or event.kind in ("ends", "merges"))
+    return tuple(events)
+
+
+def compare_heads(before: Mapping[Name, Name], now: Mapping[Name, Name], time: float | int | str) -> list[Event]:
+    """The changes from the head of each id before to that now; a leader is its own head."""
+    events, moves = list[Event](), dict[tuple[Name | None, Name | None], list[Name]]()
+    for name in dict.fromkeys([*before, *now]):
+        if before.get(name) != now.get(name):
+            moves.setdefault((before.get(name), now.get(name)), []).append(name)
+    for (old, new), ids in sorted(moves.items(), key=lambda move: (-len(move[1]), str(move[0]))):
+        rest = tuple(name for name in ids if name not in (old, new))
+        events.append(Event(time, name_kind(old in ids, new in ids, old, new), rest, old, new))
+    return [event for event in events if event.ids or event.kind in ("ends", "merges")]
 
 
 def name_kind(old_moves: bool, new_moves: bool, old: Name | None, new: Name | None) -> Kind:
