@@ -1,3 +1,4 @@
+import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -81,3 +82,22 @@ def test_recorded_tracks_are_scaled_for_a_detector_that_was_made_for_one_metre_a
     assert fit_window(MadeForUnitSpeed(), simulated) is simulated
     still = Window(0 * track, 0 * np.diff(track, axis=0), **masks, step=0.5)
     assert fit_window(MadeForUnitSpeed(), still).velocity.any() == 0
+
+
+@pytest.mark.parametrize("follow", ["f1", "chain"])
+def test_after_names_the_next_head_of_each_orphan(follow):
+    env = gym.make("usnet_env:USNET/MultiCluster-v0", follow=follow, clusters=3, uavs=20, memory=16)
+    window = Window.from_observation(env.reset(seed=5)[0])
+    swarm = env.unwrapped.swarm
+    truth = Detection(swarm.head, swarm.head * 1.0, leader=swarm.source)
+    removed = np.zeros(20, bool)
+    removed[[np.flatnonzero(swarm.head)[1], *np.flatnonzero(~swarm.head)[3:6]]] = True
+    assert truth.after(np.zeros(20, bool), window).tolist() == swarm.root.tolist()
+    said = truth.after(removed, window)
+    env.step(removed)
+    assert said.tolist() == np.where(removed, -1, env.unwrapped.swarm.root).tolist()
+    assert (truth.after(swarm.head, window) == -1).all()
+    by_cluster = Detection(swarm.head, swarm.head * 1.0, clusters=swarm.root).after(np.zeros(20, bool), window)
+    assert by_cluster.tolist() == swarm.root.tolist()
+    with pytest.raises(ArgumentError, match=r"^removed must have shape \(20,\)"):
+        truth.after([True], window)

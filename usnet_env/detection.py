@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.config import ArgumentError, named_values, quote
@@ -85,6 +86,47 @@ class Detection:
             probability = frozen_array("probability", given, np.float64, (uavs,))
             if not ((probability >= -_ROUNDING) & (probability <= 1 + _ROUNDING)).all():
                 raise ArgumentError(f"probability must hold numbers from 0 to 1, got {quote(probability)}.")
+
+    def after(self, removed: ArrayLike, window: Window) -> Indices:
+        """The candidate that each UAV follows once some UAVs are removed, ``(N,)``; -1 if none is left.
+
+        It goes by the links of the detection and by the rule of the game: who follows a removed relay goes on with the
+        next one above, and who follows a removed candidate, or no candidate, joins the nearest one that is left, with
+        all below. Nearest is by the last positions that are seen. Without ``leader``, UAVs follow the candidate of
+        their cluster.
+
+        Args:
+            removed: ``(N,)`` bool.
+            window: the one that was answered.
+
+        Raises:
+            ArgumentError: ``removed`` has another shape, or values other than 0 and 1.
+        """
+        everyone = np.arange(len(self.candidates))
+        left = ~frozen_array("removed", removed, bool, (len(everyone),)) & window.alive
+        heads = np.flatnonzero(self.candidates & left)
+        if not len(heads):
+            return np.full(len(everyone), -1)
+        last = len(window.seen) - 1 - window.seen[::-1].argmax(axis=0)
+        place = window.position[last, everyone].astype(np.float64)
+        nearest = heads[np.linalg.norm(place[:, None] - place[heads], axis=2).argmin(axis=1)]
+        above = self._list_leaders()
+        for _ in range(len(everyone).bit_length()):  # past removed relays; each pass doubles the length of the chains
+            above = np.where(left[above] | self.candidates[above], above, above[above])
+        above = np.where(left[above] & (above != everyone), above, nearest)
+        above[heads] = heads
+        for _ in range(len(everyone).bit_length()):
+            above = above[above]
+        return np.where(left, np.where(self.candidates[above] & left[above], above, nearest), -1)
+
+    def _list_leaders(self) -> Indices:
+        """``(N,)`` the one that each UAV follows; itself if it is a candidate or follows none."""
+        everyone, leader = np.arange(len(self.candidates)), self.leader
+        if leader is None and self.clusters is not None:
+            leader = np.full(len(everyone), -1)
+            for head in np.flatnonzero(self.candidates & (self.clusters >= 0)):
+                leader[self.clusters == self.clusters[head]] = head
+        return everyone if leader is None else np.where(self.candidates | (leader < 0), everyone, leader)
 
     def __repr__(self) -> str:
         named = np.flatnonzero(self.candidates)
