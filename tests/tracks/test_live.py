@@ -1,5 +1,7 @@
 """Leaders while fixes come: the answers of ``find_leaders``, announced when they are sure."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -95,3 +97,27 @@ def test_wrong_fixes_are_refused(update, sentence):
         LeaderTracker(step=1.0).update(*update)
     with pytest.raises(ArgumentError, match=r"^window must be .* 16"):
         LeaderTracker(step=1.0, window=8)
+
+
+class Pieces:
+    """A stream that gives a text in pieces of some bytes."""
+
+    def __init__(self, text, size):
+        self.parts = [text[k : k + size].encode() for k in range(0, len(text), size)]
+
+    def read1(self, most):
+        return self.parts.pop(0) if self.parts else b""
+
+
+def test_the_command_prints_a_line_at_each_change(run, monkeypatch):
+    place, day = fly(3), np.datetime64("2024-05-01T12:00:00")
+    rows = [f"{'abcdef'[k]};{day + t};{x};{y}" for t, now in enumerate(place * 100) for k, (x, y) in enumerate(now)]
+    text = "\n".join(["# fixes", "animal;timestamp;x (cm);y (cm)", *rows, ""])
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=Pieces(text, 700)))
+    status, out, err = run("detect", "-", "--follow", "--step", 1, "--stride", 2, "--column", "id=animal")
+    assert (status, err) == (0, "")
+    first, then = out.splitlines()
+    assert first.startswith("From 2024-05-01T12:00:")
+    assert first.endswith("Z: a leads b, c, d, e, f.")
+    assert then.endswith("Z: e leads b, c, d, f instead of a.")
+    assert run("detect", "-", "--follow")[0] == 2

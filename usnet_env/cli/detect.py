@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import sys
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,12 +30,14 @@ _COLUMN = "Name of a column; without NAME, the role is left out. May be repeated
 _HEADER = "Names of the columns, with commas, of a file without them in row 1."
 _LENGTH = "Unit of x, y and z; beside degrees of z.  [default: m]"
 _DUPLICATES = "Of several places of an id at one time, keep one.  [default: error]"
+_FOLLOW = "Read lines of a CSV from standard input, TRACKS -, as they come, and print what changes; needs --step."
 _SIZE = "MiB to which a file of gzip, zip or NumPy may unpack."
 _EXAMPLES = """
 \b
 Examples:
   usnet detect flock.csv
   usnet detect flock.csv --out runs/flock --record
+  tracker | usnet detect - --follow --step 1
   usnet detect ants.csv --column id=animal --time-unit 0.0333 --step 0.5 --json
 
 \b
@@ -94,6 +98,7 @@ def _parse_position(context: click.Context, option: click.Parameter, words: str 
 @click.option("--unconfirmed", is_flag=True, help="Also name leaders whose followers don't move like them later.")
 @click.option("--out", metavar="DIR", help="Folder for a page, tables, JSON and pictures.")
 @click.option("--record", is_flag=True, help="Also write an episode file and a replay; needs --out.")
+@click.option("--follow", is_flag=True, help=_FOLLOW)
 @click.option("--windows", "by_windows", is_flag=True, help="Also print the leaders of each window.")
 @click.option("--json", "as_json", is_flag=True, help="Print only the leaders, as JSON.")
 def detect(
@@ -108,6 +113,7 @@ def detect(
     unconfirmed: bool,
     out: str | None,
     record: bool,
+    follow: bool,
     by_windows: bool,
     as_json: bool,
     **reading: Any,
@@ -121,6 +127,10 @@ def detect(
     from usnet_env.plugins import make_detector
     from usnet_env.tracks import find_leaders, read_tracks
 
+    if follow:
+        options = {name: value for name, value in {"window": window, "stride": stride}.items() if value is not None}
+        _follow(tracks, reading, step=step, detector=detector, seed=seed, **options)
+        return
     if record and out is None:
         raise click.UsageError("--record needs --out.")
     folder = None if out is None else as_path("out", out)
@@ -143,8 +153,8 @@ def detect(
             has_followers.append(answer.leader is not None or answer.clusters is not None)
             progress(len(has_followers), resampled.count_windows(window, stride or window))
 
-        options: Any = {"length": window, "stride": stride, "seed": seed, "confirm": not unconfirmed}
-        found = find_leaders(resampled, player, on_window=count, **options)
+        asked: Any = {"length": window, "stride": stride, "seed": seed, "confirm": not unconfirmed}
+        found = find_leaders(resampled, player, on_window=count, **asked)
     if not unconfirmed and not any(has_followers):
         print_message("the detector names no followers, so no leader is confirmed; --unconfirmed lists its candidates.")
     if as_json:
@@ -157,6 +167,19 @@ def detect(
         for message in dict.fromkeys(str(warning.message) for warning in caught):
             print_message(f"warning: {message}")
         click.echo(f"{', '.join(file.name for file in files)} are in {folder}.", err=True)
+
+
+def _follow(tracks: tuple[str, ...], reading: dict[str, Any], **options: Any) -> None:
+    """Print what changes in the tracks of standard input while they come."""
+    from usnet_env.tracks import LeaderTracker
+    from usnet_env.tracks.read import read_stream
+
+    if tracks != ("-",) or options["step"] is None:
+        raise click.UsageError("--follow needs --step, and - for TRACKS.")
+    tracker = LeaderTracker(**options)
+    for time, position, ids, clock in read_stream(sys.stdin.buffer, **reading):
+        for change in tracker.update(time, position, ids).changes:
+            click.echo(printable(replace(change, time=clock.file_time(time))))
 
 
 def _print_leaders(found: FoundLeaders, by_windows: bool) -> None:

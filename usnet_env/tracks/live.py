@@ -159,18 +159,24 @@ class LeaderTracker:
         votes = _read_votes(self.detection, ids)
         before = {name: count for name, (vote, count) in self._votes.items() if votes.get(name, _UNSURE) == vote}
         self._votes = {name: (vote, 1 + before.get(name, 0)) for name, vote in votes.items()}
-        silent = max(self._patience, -(-self._length // self._stride))
-        ready = {
-            name: vote
-            for name, (vote, count) in self._votes.items()
-            if count >= (silent if vote is None else self._patience)
-        }
+        ready = {name: vote for name, (vote, count) in self._votes.items() if count >= self._count_needed(name, vote)}
         trusted = {name for name, vote in ready.items() if name == vote and self._is_trusted(name, tracks)}
         heads = _settle(heads | {name: vote for name, vote in ready.items() if vote is None or vote in trusted})
         leaders = {name: chance.get(name, self._known.leaders.get(name, 0.0)) for name in heads if heads[name] == name}
         follows = {name: head for name, head in _drop_none(heads).items() if name != head}
         sure = all(votes.get(name, _UNSURE) == heads.get(name, _NOT_YET) for name in ids)
         return heads, LiveLeaders(latest, leaders, follows, (), sure)
+
+    def _count_needed(self, name: Name, vote: Name | None) -> int:
+        """How many answers in a row must give an id a head, or none.
+
+        Those of a whole window, if none, as a window that spans a change looks as if nobody led; or if two leaders are
+        announced, as the tracks of two may be alike for some steps.
+        """
+        old = self._heads.get(name)
+        if vote is None or (old not in (None, vote) and self._heads.get(vote) == vote):
+            return max(self._patience, -(-self._length // self._stride))
+        return self._patience
 
     def _is_trusted(self, leader: Name, tracks: Tracks) -> bool:
         """Whether a leader is announced, or half of its group had another one, or it is confirmed since it is named."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -19,11 +19,12 @@ from usnet_env.files import as_path
 from usnet_env.tracks import columns as roles
 from usnet_env.tracks.readers import read_dataset
 from usnet_env.tracks.samples import Clock, match_leaders, number_labels, sort_samples, split_gaps
-from usnet_env.tracks.tables import Options, open_table, split_wide
+from usnet_env.tracks.tables import Options, open_table, read_text, split_wide
 from usnet_env.tracks.tracks import Tracks
 from usnet_env.tracks.units import guess_time_unit, project_positions, scale_lengths
 
 _MANY = 0.05  # of the rows
+_CHUNK = 2**16  # bytes that are read at once, or as many as there are
 _TIME_OF_DAY = r"\d{1,2}:\d\d"
 _SKIPPED = {
     "skipped": "without a time, place or id that can be read",
@@ -118,6 +119,45 @@ def read_tracks(
     except ImportError as error:
         hint = f"{where}, which needs {error.name}; {how_to_install('tracks')}"
         raise ArgumentError(f"path must be in a format that can be read, got {hint}.") from None
+
+
+def read_stream(stream: Any, **reading: Any) -> Iterator[tuple[float, Floats, list[str | int], Clock]]:
+    """Read a CSV text from a binary stream while it comes: for each time, the fixes of some ids.
+
+    The unit of the times and the origin of degrees follow from what comes first. ``reading`` is all that
+    :func:`read_tracks` takes but for the path.
+
+    Yields:
+        Seconds; positions ``(n, 2)`` or ``(n, 3)`` in metres; the n ids; and what writes seconds as times of the text.
+    """
+    options, where, head, text = Options(**reading), "standard input", b"", b""
+    clock: Clock | None = None
+    origin: Floats | None = None
+    while chunk := stream.read1(_CHUNK):
+        whole, newline, text = (text + chunk).rpartition(b"\n")
+        lines = (whole + newline).splitlines(keepends=True)
+        if not head:
+            names = sum(line.startswith(b"#") for line in lines) + (options.header is None)
+            if len(lines) <= names:
+                text = whole + newline + text
+                continue
+            head, lines = b"".join(lines[:names]), lines[names:]
+        if not b"".join(lines).strip():
+            continue
+        table = split_wide(read_text(head + b"".join(lines), options), options)
+        if clock is None:  # each id may come once at first, as if it numbered the rows
+            known = roles.choose_columns(table.header, options.columns or {}, where)
+            options = options.model_copy(update={"columns": {"id": known["id"], **(options.columns or {})}})
+        file = _read_rows(table, options, where, None)
+        time = file.rows["frame" if "frame" in file.names else "t"].to_numpy()
+        if clock is None:
+            unit = 1e-6 if file.timestamps else options.time_unit or guess_time_unit(time, file.names)[0]
+            clock = Clock(unit=unit, timestamps=file.timestamps, whole=bool((time == np.floor(time)).all()))
+        axes, middle, _ = project_positions(scale_lengths(file.rows, file.names, options.length_unit), origin)
+        origin, place, ids = middle, np.stack(axes, axis=1), file.rows["id"].to_numpy()
+        for moment in np.unique(time):
+            now = time == moment
+            yield float(moment * clock.unit), place[now], ids[now].tolist(), clock
 
 
 @dataclass

@@ -83,7 +83,7 @@ def open_table(path: Path, options: Options) -> Table:
     for pattern, what in _OTHERS.items():
         if options.format is None and any(re.match(pattern, text) for text in (suffix, beginning)):
             raise ArgumentError(f"path must be in a format that is read, got {quote(os.fspath(path))}: it is {what}.")
-    table = split_wide(_read_text(data, options), options)
+    table = split_wide(read_text(data, options), options)
     strange = options.format is None and kind not in _TEXTS
     return table._replace(about={**table.about, "suffix": suffix}) if strange else table
 
@@ -93,7 +93,7 @@ def split_wide(table: Table, options: Options) -> Table:
     return table if {"id", "x", "lon"} & (options.columns or {}).keys() else roles.as_long(table)
 
 
-def _read_text(data: bytes, options: Options) -> Table:
+def read_text(data: bytes, options: Options) -> Table:
     """Read a text with columns that are separated by commas, semicolons, tabs, bars or blanks."""
     encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else options.encoding
     if encoding == "utf-8" and b"\0" in data[:1024]:

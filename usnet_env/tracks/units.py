@@ -37,11 +37,12 @@ def scale_lengths(rows: pd.DataFrame, names: Mapping[str, str], length_unit: str
     return rows
 
 
-def project_positions(rows: pd.DataFrame) -> tuple[list[Floats], Floats | None, str]:
+def project_positions(rows: pd.DataFrame, origin: Floats | None = None) -> tuple[list[Floats], Floats | None, str]:
     """The two or three coordinates, ``(S,)`` metres each, their origin if it is known, and what they are.
 
     Degrees (WGS 84) are projected to metres east and north of the middle of the tracks by the azimuthal equidistant
-    projection. The middle is that of the 1st and the 99th percentiles, so that a wrong fix far away doesn't move it.
+    projection. The middle is that of the 1st and the 99th percentiles, so that a wrong fix far away doesn't move it; or
+    it is a given ``origin``.
     """
     if "lon" not in rows:
         return [rows[axis].to_numpy() for axis in ("x", "y", "z") if axis in rows], None, "metres"
@@ -51,11 +52,12 @@ def project_positions(rows: pd.DataFrame) -> tuple[list[Floats], Floats | None, 
     east = (longitude - longitude[0] + 180.0) % 360.0 - 180.0  # tracks may cross the 180th meridian
     middle = [float(np.quantile(degrees, (0.01, 0.99)).mean()) for degrees in (east, latitude)]
     middle[0] = (float(longitude[0]) + middle[0] + 180.0) % 360.0 - 180.0
+    middle = middle if origin is None else origin[:2].tolist()
     local = f"+proj=aeqd +lon_0={middle[0]!r} +lat_0={middle[1]!r} +datum=WGS84 +units=m"
     axes = list(pyproj.Transformer.from_crs("EPSG:4326", local, always_xy=True).transform(longitude, latitude))
     height = 0.0
     if "z" in rows:
-        height = float(np.round(rows["z"].mean()))
+        height = float(np.round(rows["z"].mean()) if origin is None else origin[2])
         axes.append(rows["z"].to_numpy() - height)
     frame = "metres in a local azimuthal equidistant frame (pyproj), from degrees"
     return axes, np.array([*middle, height]), frame
