@@ -19,6 +19,7 @@ from pathlib import Path
 
 import evasion
 import leaks
+import live
 import numpy as np
 import pandas as pd
 import paper_tables
@@ -43,6 +44,7 @@ PAGES = (
     "docs/suites.md",
     "docs/environments.md",
     "docs/leaderboard.md",
+    "docs/live.md",
     "docs/probing.md",
     "docs/multiagent.md",
     *(f"docs/results/{name}.md" for name in ("suites", "paper", "reader", "tracks", "speed")),
@@ -291,6 +293,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     **{name: _report(name, lambda rows, name=name: reader.report(rows, name)) for name in reader.STUDIES},
     "links": _report("links", reader_links.report),
     "peers": _report("peers", peers.report),
+    "live": lambda: live.report(read_rows(live.ROWS)),
     **{one.ROWS.name.partition(".")[0]: lambda one=one: one.report(read_rows(one.ROWS)) for one in (probing, evasion)},
     "leaks": lambda: leaks.report(read_rows(leaks.ROWS)),
     "leaderboard": leaderboard_block,

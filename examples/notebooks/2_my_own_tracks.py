@@ -10,7 +10,7 @@ looks for its leaders. Put the name of a file of yours into ``FILE``, and leave 
 import numpy as np
 import pandas as pd
 
-from usnet_env.tracks import find_leaders, read_tracks
+from usnet_env.tracks import LeaderTracker, find_leaders, read_tracks
 
 FILE = "tracks.csv"
 
@@ -56,3 +56,12 @@ found.plot_delays()
 
 # %%
 print(found.to_frame().tail())
+
+# %% [markdown]
+# The same fixes as they would come: each change is announced as soon as several answers are sure of it.
+
+# %%
+tracker = LeaderTracker(step=1.0)
+for t, fixes in pd.read_csv(FILE).query("t < 60").groupby("t"):
+    for change in tracker.update(t, fixes[["x", "y"]], fixes["id"]).changes:
+        print(change)
