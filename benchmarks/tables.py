@@ -1,4 +1,4 @@
-"""Write every published table from the committed rows: docs/results/*.md and README.md.
+"""Write every published table from the committed rows: docs and README.md.
 
     python benchmarks/tables.py            # write the tables that differ
     python benchmarks/tables.py --check    # write nothing; exit with 1 and name the files that differ
@@ -43,11 +43,10 @@ PAGES = (
     "README.md",
     "docs/suites.md",
     "docs/environments.md",
-    "docs/leaderboard.md",
     "docs/live.md",
     "docs/probing.md",
     "docs/multiagent.md",
-    *(f"docs/results/{name}.md" for name in ("suites", "paper", "reader", "tracks", "speed")),
+    *(f"docs/results/{name}.md" for name in ("paper", "reader", "tracks", "speed")),
 )
 SUITES = {  # those of README.md
     "field-v3": "field models, kinematics, disturbances; heads follow unseen UAVs",
@@ -70,7 +69,7 @@ RECORDED = {  # the recordings of README.md
     "platoons": "cars on a test track",
     "platoons-unseen": "the same, the first car without a track",
 }
-#: What a detector is, for the leaderboard; the others are baselines.
+#: What a detector is, for the heat map; the others are baselines.
 ABOUT = {"reader": "learned", "gassl": "the paper", "mc-gassl": "the paper"}
 ABOUT |= dict.fromkeys(("central-most", "track-outlier"), "blind")
 ABOUT |= dict.fromkeys(("none", "random", "destroy-all"), "trivial")
@@ -192,25 +191,6 @@ def ladder_block() -> str:
     return pivot(rows, {"game": "cell"}, columns)
 
 
-def leaderboard_block() -> str:
-    """A line for each detector: what it is, and its share of exact episodes in every suite that has rows."""
-    suites = {name: read_suite(name) for name in (*SUITES, *SOLVED) if suite_file(name).exists()}
-    rows = pd.concat([part.assign(suite=name) for name, part in suites.items()])
-    shares = rows.groupby(["suite", "detector"], sort=False).exact.mean().groupby("detector").mean()
-    order = list(shares.sort_values(ascending=False, kind="stable").index)
-    rows = rows.sort_values("detector", key=lambda labels: labels.map(order.index), kind="stable")
-    rows["what"] = [ABOUT.get(label.partition("(")[0], "baseline") for label in rows.detector]
-    most = rows.groupby(["suite", "detector"]).size().groupby("suite").max()
-
-    def format_cell(part: pd.DataFrame) -> str:
-        if not len(part):
-            return "–"
-        n = f"; {len(part)}" if len(part) < most[part.suite.iloc[0]] else ""
-        return f"{100 * part.exact.mean():.1f}{n}"
-
-    return pivot(rows, {"detector": "detector", "what it is": "what"}, across("suite", suites, format_cell, "`{}`"))
-
-
 def tracks_block() -> str:
     """A table for each set of recordings, whose steps were chosen; a recording is one value of a mean."""
     rows, parts = read_rows(RESULTS / "tracks.csv.gz"), []
@@ -296,7 +276,6 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "live": lambda: live.report(read_rows(live.ROWS)),
     **{one.ROWS.name.partition(".")[0]: lambda one=one: one.report(read_rows(one.ROWS)) for one in (probing, evasion)},
     "leaks": lambda: leaks.report(read_rows(leaks.ROWS)),
-    "leaderboard": leaderboard_block,
     "algorithms": paper_tables.paper_algorithms,
     "table2": paper_tables.table2_block,
     "learning": paper_tables.learning_block,

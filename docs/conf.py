@@ -81,6 +81,7 @@ ELSEWHERE = {
 html_theme = "furo"
 html_title = f"USNET {release}"
 html_static_path = ["_static"]
+html_additional_pages = dict.fromkeys(("leaderboard", "results/suites"), "moved.html")  # old addresses
 html_css_files = ["usnet.css"]
 html_js_files = ["usnet.js"]
 html_logo = html_favicon = "_static/logo.svg"

@@ -44,7 +44,7 @@ for check in check_detector(MostCopied()):
     print(check.check, check.status)
 
 # %% [markdown]
-# In a suite, here two episodes of one cell; docs/leaderboard.md compares a whole run with the published rows.
+# In a suite, here two episodes of one cell; docs/suites.md compares a whole run with the published rows.
 
 # %%
 from usnet_env.evaluation import evaluate_suite  # noqa: E402

@@ -48,7 +48,7 @@ def test_every_cell_can_be_made_and_seeds_of_suites_differ():
 
 @pytest.mark.parametrize(("suite", "laws"), [("open", OPEN_LAWS), ("open-second", SECOND_LAWS)])
 def test_a_suite_of_laws_has_all_of_them_with_the_constants_of_its_seed_and_names_the_weights(suite, laws):
-    """New weights need a new draw: docs/suites.md, "The suite open", says how."""
+    """New weights need a new draw: docs/suites.md, "The sealed draw", says how."""
     suite, shipped = load_suite(suite), files("detectors.reader").joinpath("data/reader.safetensors").read_bytes()
     assert sha256(shipped).hexdigest() == suite.weights, "new weights of the reader need a new draw"
     assert {name: cell.arguments["follow"] for name, cell in suite.cells.items()} == {name: name for name in laws}
