@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from paper.shared import RESULTS, STUDIES, TITLES, read_rows
-from pivot import CellFormatter, across, markdown, mean, median, pivot, rate, size
+from pivot import CellFormatter, across, fold, markdown, mean, median, pivot, rate, size
 
 from usnet_env.evaluation import TRIVIAL
 
@@ -120,8 +120,9 @@ def rounds_block() -> str:
         heading, column = headings.get(study, ("N", "uavs"))
         part = rows[rows[list(swarms)].isin(swarms).all(axis=1)].sort_values(column, kind="stable")
         table = pivot(part, {heading: column, "detector": "detector"}, columns)
-        parts += [f"### {TITLES[study]}", f"The paper, in words: {words[study]}.", table]
-    return "\n\n".join([*parts, _found_by_round(rows[rows.uavs == 185])])
+        found = [_found_by_round(rows[rows.uavs == 185])] if study == "example" else []
+        parts.append(fold(TITLES[study], f"The paper, in words: {words[study]}.", table, *found))
+    return "\n\n".join(parts)
 
 
 def _found_by_round(rows: pd.DataFrame) -> str:

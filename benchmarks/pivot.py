@@ -33,6 +33,11 @@ def markdown(header: Iterable[str], body: Iterable[Iterable[str]]) -> str:
     return format_markdown(list(header), [list(line) for line in body], numbers=False).strip()
 
 
+def fold(title: str, *parts: str) -> str:
+    """Parts of a page that a click opens."""
+    return "\n\n".join([f"<details><summary>{title}</summary>", *parts, "</details>"])
+
+
 def mean(metric: str, digits: int = 2, scale: float = 1.0, group: str = "episode") -> CellFormatter:
     """The mean with its interval, such as ``1.02 (1.00–1.05)``; alone if all values are equal, – if there is none."""
 

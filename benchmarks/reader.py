@@ -23,7 +23,7 @@ from zlib import crc32
 import numpy as np
 import pandas as pd
 from paper import shared
-from pivot import across, pivot, rate, size
+from pivot import CellFormatter, across, pivot, rate, size
 from scipy import special
 from sklearn.metrics import roc_auc_score
 
@@ -182,7 +182,7 @@ def report_families(windows: pd.DataFrame) -> str:
     columns = {"windows": lambda part: size(part[part.training == "with"])}
     columns |= across("training", ("with", "without"), rate("exact"), "exact, {}")
     columns |= across("training", ("with", "without"), format_confidence, "mean confidence, {}")
-    columns |= across("training", ("without",), measure_doubt, "errors by 1 - confidence, {}")
+    columns |= across("training", ("without",), measure_doubt, "AUROC of low confidence, {}")
     return pivot(both, {"left out": "family", "source": "source"}, columns)
 
 
@@ -192,16 +192,17 @@ def report(rows: pd.DataFrame, study: str) -> str:
     rows = rows.assign(set=rows.source.str.partition("/")[0], sure=sure)
     rows["unit"] = rows.source.where(rows.set.str.startswith("open"), rows.episode.astype(str))  # laws, or windows
     windows = rows.drop_duplicates(KEYS)
-    columns = {"windows": size, "exact": rate("exact", group="unit"), "mean confidence": format_confidence}
-    columns["errors by 1 - confidence"] = measure_doubt
     if study == "ablation":
         return pivot(windows, {"reader": "reader", "dropped": "dropped"}, across("set", SUITES, rate("exact")))
     if study == "families":
         return report_families(windows)
-    tables: list[dict[str, str]] = [{"set": "set", "leads": "leads"}, {"leads": "leads"}, {"confidence": "sure"}]
-    errors = {"calibration error": measure_calibration}
-    blocks = (windows, columns), (rows, errors)
-    parts = [pivot(part, line, texts) for line in tables for part, texts in blocks]
+    columns: dict[str, CellFormatter] = {"windows": size, "exact": rate("exact", group="unit")}
+    columns |= {"mean confidence": format_confidence, "AUROC of low confidence": measure_doubt}
+    columns = {name: partial(lambda say, part: say(part.drop_duplicates(KEYS)), say) for name, say in columns.items()}
+    columns["calibration error"] = measure_calibration
+    falling = rows.sort_values("sure", ascending=False, kind="stable")
+    tables = (rows, {"set": "set", "leads": "leads"}), (rows, {"leads": "leads"}), (falling, {"confidence": "sure"})
+    parts = [pivot(part, lines, columns) for part, lines in tables]
     inside = {label: rows.set.isin(sets) for label, sets in LAWS.items()}
     laws = rows.assign(laws=np.select(list(inside.values()), list(inside), "")).sort_values("bin")
     texts = across("laws", LAWS, measure_reliability, "laws {}: mean p; heads; UAVs")

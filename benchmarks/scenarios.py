@@ -20,7 +20,7 @@ from zlib import crc32
 import numpy as np
 import pandas as pd
 from paper.shared import Game, cached, make_parser, run_missing
-from pivot import across, pivot
+from pivot import across, fold, pivot
 from scipy.signal import lfilter
 
 from usnet_env.objectives import find_roots
@@ -233,11 +233,11 @@ def format_found(stage: str, part: pd.DataFrame) -> str:
 
 
 def report(rows: pd.DataFrame) -> str:
-    """Each scenario: due leaders found, and windows with a false one, named and confirmed; then the totals."""
+    """The totals; then each scenario: due leaders found, and windows with a false one, named and confirmed."""
     columns = {}
     for stage in STAGES:
         columns |= across("detector", rows.detector.unique(), partial(format_found, stage), f"{{}} {stage}")
-    return f"{pivot(rows, {'scenario': 'scenario'}, columns)}\n\n{summarise(rows)}"
+    return f"{summarise(rows)}\n\n{fold('Each scenario', pivot(rows, {'scenario': 'scenario'}, columns))}"
 
 
 def summarise(rows: pd.DataFrame) -> str:

@@ -1,4 +1,4 @@
-"""Write every published table from the committed rows: docs and README.md.
+"""Write every published table from the committed rows: in docs, README.md and benchmarks/reader.md.
 
     python benchmarks/tables.py            # write the tables that differ
     python benchmarks/tables.py --check    # write nothing; exit with 1 and name the files that differ
@@ -41,6 +41,7 @@ DETECTOR = {"detector": "detector"}  # lines of a table
 BLOCK = re.compile(r"(<!-- results:begin ?([\w-]*) -->)\n.*?<!-- results:end -->", re.DOTALL)
 PAGES = (
     "README.md",
+    "benchmarks/reader.md",
     "docs/suites.md",
     "docs/environments.md",
     "docs/live.md",
