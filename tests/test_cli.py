@@ -120,7 +120,8 @@ def test_help_imports_nothing_heavy():
 def test_follow_strategies_are_listed_in_words(run):
     lines = {line.split()[0]: line for line in run("list", "follow")[1].splitlines()}
     assert "last three velocities of its head" in lines["f3"]
-    assert "breaks the assumption: every follower copies a head directly" in lines["chain"]
+    assert "followers copy followers" in lines["chain"]
+    assert lines["chain-led"].endswith("its heads follow unseen UAVs")
 
 
 def test_without_a_detector_three_are_played(run):

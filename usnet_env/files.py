@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory, TemporaryFile
 from typing import TYPE_CHECKING, Any
 from uuid import uuid4
 
-from usnet_env.config import ArgumentError, quote
+from usnet_env.config import ArgumentError, printable, quote
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -30,6 +30,14 @@ def as_path(name: str, value: Any) -> Path:
     if not text or "\0" in text:
         raise ArgumentError(f"{name} must be a path, got {quote(value)}.")
     return Path(value)
+
+
+def describe_fault(path: str | os.PathLike[str], what: str, error: Exception, hint: str = "") -> str:
+    """A sentence about a file that can't be read: libraries raise many kinds of errors for damaged ones."""
+    if isinstance(error, FileNotFoundError):
+        return f"{printable(path)}: no such file."
+    reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}".removesuffix(": ")
+    return f"{printable(path)}: not an intact {what} ({' '.join(reason.split()).rstrip('.')}{hint})."
 
 
 def read_csv(source: Any, **options: Any) -> pd.DataFrame:

@@ -80,14 +80,14 @@ def refusal(path):
     with pytest.raises(ArgumentError) as caught:
         EpisodeRecord.load(path)
     message = str(caught.value)
-    assert message.startswith("path must be an intact episode file, got ")
+    assert message.startswith(f"{path}: ")
     assert "\n" not in message
     assert len(message) < 400
     return message
 
 
 def test_refuses_what_is_no_episode(tmp_path):
-    assert "No such file" in refusal(tmp_path / "nothing.npz")
+    assert "no such file" in refusal(tmp_path / "nothing.npz")
     assert "directory" in refusal(tmp_path)
     for name, content in {"empty": b"", "text": b"hello, world", "zip": b"PK\x03\x04rest"}.items():
         (tmp_path / name).write_bytes(content)

@@ -235,7 +235,7 @@ def test_the_leaders_that_chance_would_give_are_told_once_for_the_file(folder):
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["none.csv"], "path must"),
+        (["none.csv"], "none.csv: no such file"),
         (["bad.csv"], "in column 'x'"),
         (["flock.csv", "--window", "100000"], "--window"),
         (["flock.csv", "--detector", "unknown"], "detector must be one of"),

@@ -81,7 +81,7 @@ def test_a_data_frame_is_read_like_a_file():
     tracks = read_tracks(frame.set_index("uid"), columns={"z": ""})
     assert (tracks.ids, tracks.samples, tracks.duration) == (("a", "b", "c"), 60, 0.0095)
     assert repr(tracks) == "<Tracks: 3 ids, 60 samples, 0.0095 s, 2-D>"
-    with pytest.raises(ArgumentError, match="name those of the frame for id"):
+    with pytest.raises(ArgumentError, match="which column of the frame is id"):
         read_tracks(frame.drop(columns="uid"))
     places = straight()[..., :2].reshape(20, 6).T
     wide = pd.DataFrame(dict(zip(["a_x", "a_y", "b_x", "b_y", "c_x", "c_y"], places, strict=True)))

@@ -14,7 +14,7 @@ import click
 
 from usnet_env.cli.options import PositiveNumber, WholeNumber, complete_names
 from usnet_env.cli.output import print_message, show
-from usnet_env.config import ArgumentError, printable, quote
+from usnet_env.config import ArgumentError, printable
 from usnet_env.files import as_path, reserve_folder
 from usnet_env.progress import progress_bar
 
@@ -86,9 +86,9 @@ def _parse_position(context: click.Context, option: click.Parameter, words: str 
 @click.option("--length-unit", type=click.Choice(["m", "cm", "mm", "km", "ft", "px"]), help=_LENGTH)
 @click.option("--duplicates", type=click.Choice(["error", "first", "mean"]), default="error", help=_DUPLICATES)
 @click.option("--skip-missing", "missing", flag_value="skip", default="refuse", help="Skip rows that can't be read.")
-@click.option("--missing", "missing_place", callback=_parse_position, metavar="X,Y", help="A place that means none.")
+@click.option("--missing", "missing_place", callback=_parse_position, metavar="X,Y", help="A place that means no fix.")
 @click.option("--min-confidence", type=float, help="Skip rows with a smaller confidence, likelihood or score.")
-@click.option("--split-gap", type=PositiveNumber(), help="Seconds; after a longer gap, an id is another one.")
+@click.option("--split-gap", type=PositiveNumber(), help="Seconds; after a longer gap, the id counts as a new one.")
 @click.option("--pool", is_flag=True, help="Files are recordings of the same ids, each with its own time.")
 @click.option("--pool-by", metavar="NAME", help="Column, such as period, that tells recordings in one file apart.")
 @click.option("--max-size", type=PositiveNumber(), default=256, show_default=True, help=_SIZE)
@@ -138,8 +138,8 @@ def detect(
     warnings_of_file = read.report().warnings
     player = make_detector(detector)
     if read_tags(player).false_leaders and not unconfirmed:
-        what = f"got {quote(detector)}, which names some in more than 5 % of the windows of tracks without one"
-        raise ArgumentError(f"detector must confirm few false leaders, {what} (--unconfirmed takes it).")
+        what = "names too many false leaders in tracks (in more than 5 % of the windows without a leader)"
+        raise ArgumentError(f"{printable(detector)} {what}; --unconfirmed uses it anyway.")
     for sentence in warnings_of_file:
         print_message(f"warning: {sentence}")
     resampled = read.resample(step, max_gap=max_gap, keep_spikes=keep_spikes, length=window or 0)

@@ -125,7 +125,7 @@ def _show_result(result: EvaluationResult, form: str) -> None:
 @click.argument("folder", type=click.Path(path_type=Path))
 @click.option("--format", "form", type=click.Choice(["all", "markdown"]), help="All metrics; or for a page.")
 @click.option(
-    "--compare", "labels", multiple=True, metavar="LABEL", help="With the next, or with all. May be repeated."
+    "--compare", "labels", multiple=True, metavar="LABEL", help="Compare with the next --compare, or with all."
 )
 @click.option("--metric", default="J", show_default=True, metavar="NAME", help="What is compared.")
 def report(folder: Path, form: str | None, labels: tuple[str, ...], metric: str) -> None:

@@ -12,7 +12,7 @@ from usnet_env.detection import Tags, read_tags
 from usnet_env.parts import REGISTRIES, find_entry_points
 
 _REGISTRIES = ("follow", "mobility", "kinematics", "formation", "clusterer", "format")
-_WORDS = {  # the paper's strategies; field models tell which assumption they break
+_WORDS = {  # what a follow strategy is
     "f1": "copies the last velocity of its head",
     "f2": "copies the sum of the last two velocities of its head",
     "f3": "copies the sum of the last three velocities of its head",
@@ -21,7 +21,27 @@ _WORDS = {  # the paper's strategies; field models tell which assumption they br
     "f6": "copies the last velocity of its head, and is pulled to it beyond 60 m",
     "f7": "a random network of its own positions and of the head's velocities and position",
     "random": "a random law of the head's last velocities, another one in each episode, and none of f1 to f7",
+    "unequal_delays": "followers copy their head, each with its own delay, gain and noise",
+    "mixed": "each follower has one of f1 to f6",
+    "switching": "followers have f1 to f6 in turn within a window",
+    "chain": "followers copy followers, in a tree below the head",
+    "pigeons": "followers copy up to three UAVs above them in a hierarchy, each after a delay",
+    "cucker_smale": "followers align with UAVs above them in a hierarchy, less with far ones",
+    "vicsek": "followers fly as the UAVs near them do on average, the head among them",
+    "couzin": "a flock with zones of repulsion, alignment and attraction around each follower",
+    "informed": "a couzin flock in which the heads fly along and also prefer a course",
+    "frontness": "a formation whose head is in front, in the middle or behind",
+    "part_time": "followers copy their head, which leads only part of the time",
+    "partial_turns": "followers copy their head, each only part of the time",
+    "predator": "a couzin flock with a head, chased by a predator",
+    "shepherd": "a flock that flees a driver behind it; no UAV leads",
+    "reference": "a formation around a moving point that no UAV flies; no UAV leads",
+    "independent": "every UAV flies on its own; no UAV leads",
+    "shifted": "followers of f2, each seen from another time on; no UAV leads",
+    "weak": "followers copy their head weakly",
+    "late": "followers copy their head after 10 steps or more",
 }
+_RECOMMENDED, _MANY = "reader", 10_000  # the limit of detectors that compare UAVs
 _NAMES = ("envs", "detectors", *_REGISTRIES, "suites")
 
 
@@ -38,6 +58,8 @@ def list_(part: str | None) -> None:
     for name, description in rows.items():
         table.add_row(Text(name), Text(description))
     show(table)
+    if part == "detectors":
+        show(f"Start with {_RECOMMENDED}. Detectors that compare UAVs take at most {_MANY:,}.")
 
 
 def _describe_parts(part: str) -> dict[str, str]:
@@ -68,11 +90,12 @@ def _describe_registry(argument: str) -> dict[str, str]:
     for name in sorted(registry) if argument == "detector" else registry:
         try:
             part = registry[name]
-            known = (words.get(name), getattr(part, "breaks", ""), getattr(part, "description", ""))
-            text = next(filter(None, (*known, getattr(part, "equation", ""))), inspect.getdoc(part) or "")
-            text = f"breaks the assumption: {text}" if text == getattr(part, "breaks", None) else text
-            line, _, _ = text.partition("\n")
-            rows[name] = f"{line} {_format_tags(read_tags(part))}".rstrip()
+            known = words.get(name.removesuffix("-led")), getattr(part, "description", "")
+            described = getattr(part, "equation", "") if argument == "follow" else ""  # not its base class
+            text = next(filter(None, (*known, described)), inspect.getdoc(part) or "")
+            line = text.partition("\n")[0] + "; its heads follow unseen UAVs" * name.endswith("-led")
+            mark = " (recommended)" * (argument == "detector" and name == _RECOMMENDED)
+            rows[name] = f"{line}{mark} {_format_tags(read_tags(part))}".rstrip()
         except (ArgumentError, MissingExtraError) as error:
             rows[name] = f"not available: {error}"
     return rows
@@ -82,7 +105,7 @@ def _format_tags(tags: Tags) -> str:
     """The tags that differ from those of a detector that takes every window, in brackets."""
     texts = {
         f"needs {', '.join(tags.needs)}": bool(tags.needs),
-        f"at most {tags.most_uavs} UAVs": tags.most_uavs is not None,
+        f"at most {tags.most_uavs} UAVs": tags.most_uavs not in (None, _MANY),
         f"at least {tags.least_steps} steps": tags.least_steps > 1,
         "made for 1 m per step": tags.needs_unit_speed,
         "velocities only": not tags.uses_positions,

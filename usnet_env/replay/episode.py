@@ -16,7 +16,7 @@ from usnet_env.arrays import Floats, Indices, Mask, Singles
 from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection
 from usnet_env.drawing import last_seen_position
-from usnet_env.files import as_path, atomic_write
+from usnet_env.files import as_path, atomic_write, describe_fault
 from usnet_env.objectives import hits_and_redundant, list_followers
 from usnet_env.provenance import versions
 from usnet_env.window import Window
@@ -312,6 +312,4 @@ class EpisodeRecord:
                 raise ValueError(f"version {quote(version)} is not known, only {FORMAT_VERSION}")
             return cls(**words, **arrays)
         except Exception as error:  # a damaged file makes NumPy raise whatever Python's own tokenizer raises
-            reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
-            fault = " ".join(reason.split()).rstrip(".")
-            raise ArgumentError(f"path must be an intact episode file, got {quote(str(file_path))}: {fault}.") from None
+            raise ArgumentError(describe_fault(file_path, "episode file", error)) from None

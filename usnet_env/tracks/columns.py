@@ -157,17 +157,21 @@ def choose_columns(
     chosen = {role: name for role, name in chosen.items() if role in (*needed, "z", "leader")}
     must, names = "", list(chosen.values())
     if missing := [role for role in needed if role not in chosen and not (one_id and role == "id")]:
-        must = f"name those of {where} for {', '.join(missing)}" + " (min_confidence)" * ("confidence" in missing)
         if any(map(is_number, header)):
             first = quote(" ".join(header)[:80])
             hint = f"header=, or --columns, names its {len(header)} columns in order: id, t or frame, x, y, and others"
             raise ArgumentError(f"row 1 of {where} must name its columns, got values: {first} ({hint}).")
     elif len(set(names)) < len(names) or any(header.count(name) != 1 for name in names):
         must = f"give each role a column that {where} has once"
-    hint = " (several files may be the tracks of one id each)" * (missing == ["id"])
+    listed = ", ".join(header[:_MOST_LISTED]) + ", …" * (len(header) > _MOST_LISTED)
+    if missing:
+        which = f"column of {where} is" if len(missing) == 1 else f"columns of {where} are"
+        hint = " (several files may be the tracks of one id each)" * (missing == ["id"])
+        hint = " (min_confidence needs it)" if "confidence" in missing else hint
+        how = f"name {'it' if len(missing) == 1 else 'them'} with --column {missing[0]}=NAME (columns= in Python)"
+        raise ArgumentError(f"which {which} {', '.join(missing)}? It has {listed}; {how}{hint}.")
     if must:
-        listed = ", ".join(header[:_MOST_LISTED]) + ", …" * (len(header) > _MOST_LISTED)
-        raise ArgumentError(f"columns (--column) must {must}, got {quote(chosen)}; its columns are {listed}{hint}.")
+        raise ArgumentError(f"columns (--column) must {must}, got {quote(chosen)}; its columns are {listed}.")
     return chosen
 
 

@@ -15,7 +15,7 @@ import pandas as pd
 
 from usnet_env.arrays import Floats
 from usnet_env.config import ArgumentError, how_to_install, quote
-from usnet_env.files import as_path
+from usnet_env.files import as_path, describe_fault
 from usnet_env.tracks import columns as roles
 from usnet_env.tracks.readers import read_dataset
 from usnet_env.tracks.samples import Clock, match_leaders, number_labels, sort_samples, split_gaps
@@ -180,9 +180,8 @@ def _read_file(path: Path, options: Options, several: bool) -> _FileRows:
     except (ArgumentError, ImportError, MemoryError):
         raise
     except Exception as error:  # libraries raise many kinds for damaged files
-        reason = " ".join((getattr(error, "strerror", None) or str(error)).split()).rstrip(".") or type(error).__name__
-        hint = " (encoding= names another one)" * isinstance(error, UnicodeError | LookupError)
-        raise ArgumentError(f"path must be an intact file of tracks, got {where}: {reason}{hint}.") from error
+        hint = "; encoding= names another one" * isinstance(error, UnicodeError | LookupError)
+        raise ArgumentError(describe_fault(path, "file of tracks", error, hint)) from error
 
 
 def _read_rows(table_of_file: roles.Table, options: Options, where: str, stem: str | None) -> _FileRows:

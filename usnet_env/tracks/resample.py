@@ -236,8 +236,8 @@ def choose_step(tracks: Samples, length: int = 0) -> tuple[float, str]:
     (_, lag, followers), step = leads[best], factors[best] * interval
     why = "no id follows another with a significant delay"
     if largest:
-        after = f"about {format_number(lag * step, 2)} s (median of {followers})"
-        why = f"it is the shortest that shows clearly who follows: an id follows another after {after}"
+        typical = f"typical delay {format_number(lag * step, 2)} s, median of {followers}"
+        why = f"it is the shortest at which following shows ({typical})"
     sampled = f"{factors[best]:g} times the sampling interval".removeprefix("1 times ")
     noisy = f"; the noise of the positions is about {format_number(noise, 2)} m" * bool(noise)
     hidden = ", and shorter delays may be missed" if largest and best == 0 and needed > 1 else ""

@@ -328,7 +328,7 @@ class FoundLeaders:
             try:
                 write(folder / name)
             except MissingExtraError as error:
-                warnings.warn(f"{name} is left out. {error}", stacklevel=3)
+                warnings.warn(f"{name} was not drawn: {error}", stacklevel=3)
         self._write_page(folder / "page.html", title)
 
     def _write_page(self, path: Path, title: str) -> None:
