@@ -54,7 +54,7 @@ SUITES = {  # those of README.md
     "limit-v2": "near the limit of what a window tells; heads follow unseen UAVs",
     "open": "laws drawn after the training; heads follow unseen UAVs",
     "open-second": "laws of a second grammar, drawn likewise; heads follow unseen UAVs",
-    "paper-hard": "the paper's problems, where the odd one out isn't the answer",
+    "paper-hard": "the paper's problems, in which heads don't stand out",
     "paper": "the game of the paper; in 11 of 12 cells one track alone shows a head",
 }
 SOLVED = ("field-v2", "limit", "controls-v2", "sensing-v2")

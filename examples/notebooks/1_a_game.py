@@ -36,7 +36,7 @@ animate(record, "game.gif")
 draw_episode(record)
 
 # %% [markdown]
-# One game says little. Several games, beside policies that look at nothing:
+# One game proves little. Several games, next to policies that don't look:
 
 # %%
 result = evaluate("USNET/MultiCluster-v0", ["reader", "lagged-network"], episodes=5, env_kwargs=game, trivial=True)

@@ -59,5 +59,4 @@ figure.savefig("learned.png")
 figure
 
 # %% [markdown]
-# What it learned is the law f1. ``follow="random"`` is another law in every game: learn from these, and f1 to f7 are
-# new to it.
+# It knows only f1. Train with ``follow="random"``, another law in every game, then test on f1 to f7.
