@@ -9,6 +9,7 @@ from itertools import chain
 import numpy as np
 
 from usnet_env.config import format_count, format_number
+from usnet_env.tracks.clean import skip_pauses
 from usnet_env.tracks.resample import JUMP, Jumps, find_jumps, typical_intervals
 from usnet_env.tracks.samples import Samples, find_one_body
 
@@ -51,8 +52,9 @@ def describe_samples(tracks: Samples) -> tuple[str, ...]:
 
 def find_problems(tracks: Samples) -> TrackReport:
     """Describe tracks and find what is doubtful about them."""
-    jumps = find_jumps(tracks)
-    doubts = _doubt_units(tracks, jumps.usual), _doubt_gaps(tracks), _doubt_jumps(tracks, jumps), _doubt_bodies(tracks)
+    moving, _ = skip_pauses(tracks)
+    jumps = find_jumps(moving)
+    doubts = _doubt_units(tracks, jumps.usual), _doubt_gaps(tracks), _doubt_jumps(moving, jumps), _doubt_bodies(tracks)
     return TrackReport((*describe_samples(tracks), *tracks.notes), (*tracks.doubts, *chain(*doubts)))
 
 

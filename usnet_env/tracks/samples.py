@@ -37,6 +37,7 @@ class Clock:
         guessed: what the times were taken for by the size of their numbers, such as "days of a spreadsheet".
         zone: the time zone of the file's timestamps, if they have one.
         recordings: of pooled tracks, the name, the first and the last second, and the clock of each, in this order.
+        skipped: of tracks without their pauses, seconds from which on so many seconds in all were skipped.
     """
 
     origin: float = 0.0
@@ -46,9 +47,11 @@ class Clock:
     guessed: str = ""
     zone: Any = None
     recordings: tuple[tuple[str, float, float, Clock], ...] = ()
+    skipped: tuple[tuple[float, float], ...] = ()
 
     def file_time(self, seconds: float) -> float | int | str:
         """Write ``seconds`` after the start as a time of the file."""
+        seconds += max((late for begin, late in self.skipped if begin <= seconds), default=0.0)
         if self.recordings:
             name, begin, _, clock = min(self.recordings, key=lambda each: max(each[1] - seconds, seconds - each[2]))
             return f"{name}: {clock.file_time(max(0.0, seconds - begin))}"

@@ -12,13 +12,11 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from usnet_env.arrays import Floats, Indices
-from usnet_env.config import ArgumentError, MissingExtraError, format_count, quote, real_number, whole_number
+from usnet_env.config import ArgumentError, MissingExtraError, quote, real_number, whole_number
+from usnet_env.tracks.clean import clean_samples
 from usnet_env.tracks.report import TrackReport, describe_samples, find_problems
 from usnet_env.tracks.resample import (
     choose_step,
-    close_jumps,
-    leave_out_heights,
-    leave_out_spikes,
     resample_others,
     resample_positions,
     typical_stay,
@@ -169,18 +167,12 @@ class Tracks(Samples):
             raise ArgumentError("tracks must hold an id with at least 2 samples; each id has only one.")
         tracks, notes = self, [*self.notes]
         if not keep_spikes:
-            tracks, jumps = close_jumps(leave_out_spikes(self))
-            tracks, noise = leave_out_heights(tracks)
-            if jumps:
-                notes.append(f"{format_count(jumps, 'jump')} closed: the track goes on from where it was before.")
-            if noise:
-                notes.append(f"Heights are left out: their noise of about {noise:.2g} m hides the movement in a step.")
+            tracks, changes = clean_samples(self)
+            notes += changes
         source = replace(tracks, leader=None) if step is None else None
         if step is None:
             step, why = choose_step(tracks, length)
             notes.append(why)
-        if spikes := self.samples - tracks.samples:
-            notes.append(f"{format_count(spikes, 'spike')} left out, unless keep_spikes (--keep-spikes) is given.")
         resampled = resample_positions(tracks, step, max_gap)
         if not resampled.inner_steps.any():
             got = f"{step:g} s for tracks of {self.duration:g} s"

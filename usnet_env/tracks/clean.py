@@ -1,0 +1,118 @@
+"""What is changed in samples before they are resampled: repeated places, pauses, spikes, jumps and noisy heights."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from usnet_env.arrays import Floats, Indices, Mask
+from usnet_env.config import format_count
+from usnet_env.tracks.resample import close_jumps, leave_out_heights, leave_out_spikes, typical_intervals
+from usnet_env.tracks.samples import Samples, SamplesT
+
+_STALE = 2.0  # times as long as with a quarter of the ids, half of an id's places are repeated
+_REST = 0.25  # of the speed that 99 % of the steps don't exceed; an id that rests is slower
+_MARGIN = 8  # typical intervals before and after movement that are kept, and of which a pause is left
+_PAUSED = 0.5  # of the time; shorter pauses in all stay
+_LEAST_LIVE = 32  # typical intervals; less movement is too little to read
+_GAP = 3.0  # a gap is an interval of more than this many typical intervals
+
+
+def clean_samples(tracks: SamplesT) -> tuple[SamplesT, list[str]]:
+    """The tracks without repeated places, long pauses, spikes, gross jumps and noisy heights, and what was done."""
+    cleaned, repeats = leave_out_repeats(tracks)
+    cleaned, pauses = skip_pauses(cleaned)
+    before = cleaned.samples
+    cleaned = leave_out_spikes(cleaned)
+    spikes = before - cleaned.samples
+    cleaned, jumps = close_jumps(cleaned)
+    cleaned, noise = leave_out_heights(cleaned)
+    notes = [*repeats, *pauses]
+    if spikes:
+        notes.append(f"{format_count(spikes, 'spike')} left out, unless keep_spikes (--keep-spikes) is given.")
+    if jumps:
+        notes.append(f"{format_count(jumps, 'jump')} closed: the track goes on from where it was before.")
+    if noise:
+        notes.append(f"Heights are left out: their noise of about {noise:.2g} m hides the movement in a step.")
+    return cleaned, notes
+
+
+def leave_out_repeats(tracks: SamplesT) -> tuple[SamplesT, list[str]]:
+    """The tracks without places that are older than their times, and a sentence about them.
+
+    A receiver that is asked more often than places are renewed repeats the last one, so the id seems to be late. If the
+    median place of an id is held twice as long as that of other ids, its repetitions are left out, but for a place that
+    is held twice as long again: there, the id may rest.
+    """
+    same = (np.diff(tracks.position, axis=0) == 0).all(axis=1) & tracks.inner_steps
+    starts = np.flatnonzero(np.append(True, ~same))
+    length = np.diff(np.append(starts, tracks.samples))  # of each run of one place
+    first = np.searchsorted(starts, tracks.offsets)  # of each id
+    owner = np.repeat(np.arange(len(tracks.ids)), np.diff(first))
+    runs = np.split(length, first[1:-1])
+    usual = np.array([np.median(each) if len(each) >= _MARGIN else 0.0 for each in runs])
+    stale = (usual[owner] >= _STALE * max(1.0, np.quantile(usual, 0.25))) & (length <= 2 * usual[owner])
+    kept = np.repeat(~stale, length)
+    kept[starts] = True
+    if kept.all():
+        return tracks, []
+    names = [str(tracks.ids[k]) for k in np.unique(owner[stale])]
+    who = ", ".join(names[:3]) + f" and {len(names) - 3} more" * (len(names) > 3)
+    count = format_count(int((~kept).sum()), "repetition")
+    return _take(tracks, kept), [f"{count} of places left out: those of {who} are renewed more rarely than sampled."]
+
+
+def find_moving(tracks: Samples, intervals: Floats, interval: float) -> Indices:
+    """Numbers of the times ``interval`` in which half of the ids that are seen move; ``intervals`` are those of ids.
+
+    An id moves that is faster than a quarter of the speed that 99 % of the steps don't exceed.
+    """
+    from scipy.ndimage import median_filter  # a refusal does not wait for SciPy
+
+    took, usual = np.diff(tracks.time), np.repeat(intervals, np.diff(tracks.offsets))[:-1]
+    near = tracks.inner_steps & (took <= _GAP * usual)
+    speed = np.linalg.norm(np.diff(tracks.position, axis=0), axis=1)[near] / took[near]
+    fast = np.quantile(median_filter(speed, 5), 0.99) if len(speed) else 0.0  # the speed of no spike
+    number, of = np.unique(_number_intervals(tracks.time[:-1][near], interval), return_inverse=True)
+    return number[2 * np.bincount(of, speed > _REST * fast) >= np.bincount(of)]
+
+
+def skip_pauses(tracks: SamplesT) -> tuple[SamplesT, list[str]]:
+    """The tracks without pauses, if these are half of the time or more, and a sentence about them.
+
+    Lags are counted in steps of movement, so a time in which nobody moves or is seen holds nothing. A short gap stays.
+    """
+    if tracks.clock.recordings or not tracks.inner_steps.any():
+        return tracks, []
+    intervals = typical_intervals(tracks)
+    interval = float(np.nanmedian(intervals))
+    moving, total = find_moving(tracks, intervals, interval), int(tracks.duration / interval) + 1
+    first, after = np.append(0, moving + _MARGIN + 1), np.append(moving - _MARGIN, total)
+    paused, share = np.where(after - first > _MARGIN, after - first, 0), len(moving) / total
+    if paused.sum() < _PAUSED * total:
+        return tracks, []
+    if total - paused.sum() < _LEAST_LIVE:
+        rare = f"Half of the ids that are seen move in {share:.1%} of the time only"
+        return tracks, [f"{rare}, which may be too little to find who follows: a longer recording shows more."]
+    first, after = first[paused > 0], after[paused > 0]
+    skipped = np.cumsum(after - first - _MARGIN)  # with each pause
+    number = _number_intervals(tracks.time, interval)
+    pause = np.searchsorted(first, number, side="right") - 1
+    kept = (pause < 0) | (number >= after[pause])
+    late = np.where(pause < 0, 0, skipped[pause]) * interval
+    starts = zip((after - skipped) * interval, skipped * interval, strict=True)
+    clock = replace(tracks.clock, skipped=tuple((float(begin), float(late)) for begin, late in starts))
+    short = _take(replace(tracks, time=tracks.time - late, clock=clock), kept)
+    what = f"{format_count(len(first), 'pause')} skipped, {skipped[-1] / total:.0%} of the time"
+    return short, [f"{what}: no id is seen there, or fewer than half of those seen move; they move in {share:.1%}."]
+
+
+def _number_intervals(time: Floats, interval: float) -> Indices:
+    return np.floor(time / interval + 1e-6).astype(np.int64)
+
+
+def _take(tracks: SamplesT, kept: Mask) -> SamplesT:
+    offsets = np.append(0, np.cumsum(kept))[tracks.offsets]
+    leader = None if tracks.leader is None else tracks.leader[kept]
+    return replace(tracks, offsets=offsets, time=tracks.time[kept], position=tracks.position[kept], leader=leader)
