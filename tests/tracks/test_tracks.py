@@ -205,11 +205,11 @@ def test_of_steps_at_which_somebody_leads_the_usual_answer_counts():
         assert [leader.id for leader in found.leaders] == ["uav-0"]
 
 
-def test_where_no_id_follows_the_sampling_interval_stays():
+def test_where_no_id_follows_the_step_is_four_intervals():
     rng = np.random.default_rng(0)
     places = np.cumsum(rng.normal(size=(600, 5, 3)), axis=0)
     even = dense(places).resample()
-    assert even.step == 0.5
+    assert even.step == 2.0
     assert "no id follows" in even.notes[-1]
 
 

@@ -19,6 +19,7 @@ _BLOCKS, _SURROGATES = 8, 40  # the fewest blocks of a window; how often half of
 LEAST_STEPS = 2 * _BLOCKS
 LEVEL = 0.05  # of a group and window: how often a leaderless group gets a leader
 _LEVEL_OUTSIDE = 0.5
+_LEVEL_PHASE = 0.02  # of all shifts in time
 _NEAREST, _SHIFTS, _DEVIATIONS = 5, 9, 3.0
 _LEAST_SHIFT = 3 * LAGS  # a smaller shift leaves a part of the likeness at some lag
 _DEVIATION_OF_BOTH = 1.8  # of the sum of two scores: 1.7 by their correlation of 0.45; 1.9 in tracks without leaders
@@ -178,8 +179,9 @@ def confirm_lead(window: Window, leader: int, followers: Sequence[int]) -> bool:
     those of 40 surrogates, in which time is reversed in half of the blocks, of about 8 steps each: these keep what both
     do at the same time, and cancel leads. The scores of the velocities and of their changes must exceed 1, and their
     sum z times its standard deviation, 1.8; z is the quantile of a normal distribution at 0.05 / n, because the leader
-    was chosen from the n members of its group. It is false without followers, and true in a window of fewer than 16
-    steps, which is too short for the test.
+    was chosen from the n members of its group. Both leads together may be as large after at most 2 % of all shifts in
+    time: gait, wing beats and circles have leads that are but phases. It is false without followers, and true in a
+    window of fewer than 16 steps, which is too short for the test.
     """
     if not followers or window.observation_steps < LEAST_STEPS:
         return bool(followers)
@@ -188,7 +190,8 @@ def confirm_lead(window: Window, leader: int, followers: Sequence[int]) -> bool:
     mean = (window.velocity[:, followers] * seen[..., None]).sum(axis=1, dtype=np.float64)
     mean /= np.maximum(count, 1)[:, None]
     both = (count > 0) & window.velocity_seen[:, leader]
-    return _is_ahead(mean, window.velocity[:, leader].astype(np.float64), both, LEVEL / (1 + len(followers)))
+    ahead, level = window.velocity[:, leader].astype(np.float64), LEVEL / (1 + len(followers))
+    return _is_ahead(mean, ahead, both, level) and not _may_be_phase(mean, ahead, both)
 
 
 def find_followers(
@@ -243,6 +246,22 @@ def _is_ahead(group: Floats, ahead: Floats, both: Mask, level: float) -> bool:
     changes = _measure_score(np.diff(group, axis=0), np.diff(ahead, axis=0), 1.0)
     limit = max(0.0, -NormalDist().inv_cdf(level))
     return velocity + changes > _DEVIATION_OF_BOTH * limit and (limit == 0.0 or min(velocity, changes) > 1.0)
+
+
+def _may_be_phase(group: Floats, ahead: Floats, both: Mask) -> bool:
+    """Whether ``group`` ``(T, 3)`` follows ``ahead`` as much after more than 2 % of all shifts in time.
+
+    The leads of the velocities and of their changes, each in its standard deviations, are added.
+    """
+    total, steps = np.zeros(len(group) - 1), np.arange(1, LAGS + 1)[:, None]
+    group, ahead = centre_columns(group, both), centre_columns(ahead, both)
+    for behind, first in ((group[:-1], ahead[:-1]), (np.diff(group, axis=0), np.diff(ahead, axis=0))):
+        spectrum = (np.fft.rfft(behind, axis=0) * np.conj(np.fft.rfft(first, axis=0))).sum(axis=1)
+        curve, shifts = np.fft.irfft(spectrum, len(total)), np.arange(len(total))
+        later, earlier = (curve[(shifts + sign * steps) % len(total)].max(axis=0) for sign in (1, -1))
+        lead = later - earlier
+        total += lead / max(float(lead.std()), _ROUNDED)
+    return bool((total[_LEAST_SHIFT:-_LEAST_SHIFT] >= total[0]).mean() > _LEVEL_PHASE)
 
 
 def _measure_score(group: Floats, ahead: Floats, sign: float) -> float:

@@ -13,6 +13,7 @@ from usnet_env.config import ArgumentError, format_number
 from usnet_env.series import find_middle
 from usnet_env.tracks.samples import Samples, SamplesT
 
+_MOST_SPIKES = 0.05  # of the samples; where more are off the track, in more parts than ids, none is wrong
 JUMP = 5.0  # a jump is faster than this many times the speed that 95 % of the steps don't exceed
 _GROSS = 20.0  # times the usual speed; such a jump has the squared length of more than 400 steps
 
@@ -29,10 +30,13 @@ LAGS = 4  # steps in which delays lie; detectors look at least as far back
 _LEAST_STEPS, _FEWEST_STEPS = 100, 16  # of the longest step that is tried; of the shortest
 _GROWTH = 2**0.5  # from one step that is tried to the next
 _SHIFTS = 64
+_PART_OF_LAGS = 8  # delays of up to this part of the tracks are looked at
 _FEWEST = 16  # one in this many ids must follow another
 _SIGNIFICANT = 5.0  # a lead exceeds those of shifted tracks by this many robust standard deviations
 _NEARLY = 0.8  # the shortest step whose lead is at least this share of the largest is chosen
 _SIGNAL = 4.0  # in a step, the squared movement should exceed the noise of the squared movement this many times
+_LONGER = (2, 4, 8, 16)  # times the shortest step that are tried, too, if no lead is found
+_UNLED, _UNLED_STEPS = 4, 50  # where no lead is found: times the shortest step, and steps of a stay that must remain
 _LARGEST_SCALE = 64  # samples; the noise asks for no longer step
 
 
@@ -56,7 +60,7 @@ def find_jumps(tracks: Samples) -> Jumps:
 
     These are the samples between two jumps if the way past them is no jump, at most half of an id's; repetitions of a
     position before a jump that is none from the first of them on; and two or more equal ones at an end, apart by a
-    jump.
+    jump. If they are more than 5 % of all samples, in more parts than ids, these move rarely, and none is off.
     """
     samples, inner = np.arange(tracks.samples), tracks.inner_steps
     length = np.linalg.norm(np.diff(tracks.position, axis=0), axis=1)
@@ -81,6 +85,8 @@ def find_jumps(tracks: Samples) -> Jumps:
             off[first : step + 1] = True
         if equal[last - 1] == step + 1 < last - 1 and 2 * (last - step - 1) < last - first:
             off[step + 1 : last] = True
+    if off.sum() > _MOST_SPIKES * tracks.samples and np.diff(off, prepend=False).sum() > 2 * len(tracks.ids):
+        off[:] = False
     return Jumps(steps, np.flatnonzero(off), speed, usual)
 
 
@@ -231,8 +237,15 @@ def choose_step(tracks: Samples, length: int = 0) -> tuple[float, str]:
     powers = np.arange(1 + max(0, int(np.floor(np.log(longest) / np.log(_GROWTH) + 1e-9))))
     factors = sorted({round(needed * _GROWTH ** int(k)) for k in powers})
     leads = [_find_leads(_sample_velocities(tracks, factor * interval)) for factor in factors]
-    largest = max(mean for mean, _, _ in leads)
-    best = next(k for k, (mean, _, _) in enumerate(leads) if mean >= _NEARLY * largest)
+    most = stay / max(_FEWEST_STEPS, length / 2)
+    for factor in (f * needed for f in _LONGER if factors[-1] < f * needed <= most and not max(leads)[0]):
+        factors.append(factor)
+        leads.append(_find_leads(_sample_velocities(tracks, factor * interval)))
+    largest = max(leads)[0]
+    if largest:
+        best = next(k for k, (mean, _, _) in enumerate(leads) if mean >= _NEARLY * largest)
+    else:  # gait and wing beats fill short steps
+        best = sum(f <= max(needed, min(_UNLED * needed, stay / _UNLED_STEPS)) for f in factors) - 1
     (_, lag, followers), step = leads[best], factors[best] * interval
     why = "no id follows another with a significant delay"
     if largest:
@@ -302,7 +315,8 @@ def _find_leads(velocity: Floats) -> tuple[float, float, int]:
     """The mean lead over the ids with velocities ``(T, n, 3)``, the median lag in steps, and the number of followers.
 
     The lead of j over i is max_τ C(τ) - max_τ C(-τ), τ = 1, ..., 4; C(τ) correlates the changes of i's velocity with
-    those of j's τ steps before. That over i is the best j's, less the median for tracks that are shifted in time.
+    those of j's τ steps before. That over i is the best j's, less the median for tracks that are shifted in time. There
+    is none if C is larger at more than 4 steps, up to an eighth of the tracks, and larger than by chance.
     """
     if velocity.shape[1] < 2 or len(velocity) <= _FEWEST_STEPS:
         return 0.0, 0.0, 0
@@ -323,7 +337,12 @@ def _find_leads(velocity: Floats) -> tuple[float, float, int]:
         leads_of = curve[:, later].max(axis=1) - curve[:, earlier].max(axis=1)  # (n, S)
         leads_of[i] = -np.inf
         by_chance = leads_of[:, 1:].max(axis=0)
-        inside = curve[:, 1 : LAGS + 1].max(axis=1) > curve[:, LAGS + 1]  # otherwise the delay is longer than 4 steps
+        short = curve[:, 1 : LAGS + 1].max(axis=1)
+        inside = short > curve[:, LAGS + 1]  # otherwise the delay is longer than 4 steps
+        far = curve[:, LAGS + 1 : max(LAGS + 2, steps // _PART_OF_LAGS)].max(axis=1)
+        by_far = max(float(far[i]), float(curve[:, steps // 4 : -(steps // 4)].max()))  # i repeats itself, or by chance
+        if np.delete(far, i).max() > by_far:  # an id was there long before: siblings are no leaders
+            inside &= short > far.max()
         lead = np.where(inside, leads_of[:, 0], -np.inf)
         middle, spread = find_middle(by_chance)
         if lead.max() > middle + _SIGNIFICANT * spread:
