@@ -154,7 +154,7 @@ def test_a_sentence_tells_what_is_followed_instead_of_a_leader():
     t, i = np.nonzero(np.ones(place.shape[:2], bool))
     found = find_leaders(Tracks.from_samples(i.tolist(), t.tolist(), place[t, i]).resample(1.0), "none", length=99)
     assert (found.windows[0].confound, found.windows[0].alike) == ("one path", tuple(range(6)))
-    sentence = "In 1 of 1 window nobody leads, and 6 ids go along one path, each at a pace of its own."
+    sentence = "In 1 of 1 window no leader is found, and 6 ids go along one path, each at a pace of its own."
     assert str(found) == f"No leader was found.\n{sentence}"
 
 

@@ -176,10 +176,13 @@ def _are_led(
     windows: Sequence[DetectedWindow],
     track_windows: Sequence[TrackWindow],
 ) -> Mask:
-    """Which times are in a window in which most members of a group follow or lead: there, nobody is no answer."""
+    """Which times are in a window in which most members of a group follow or lead: there, nobody is no answer.
+
+    A single id that leads follows nobody.
+    """
     names, led = {ids[row] for row in rows}, np.zeros(len(centres), bool)
     for window, cut in zip(windows, track_windows, strict=True):
-        roles = {link.follower for link in window.links} | {leader.id for leader in window.leaders}
+        roles = {link.follower for link in window.links} | {leader.id for leader in window.leaders if len(names) > 1}
         if 2 * len(names & roles) > len(names):
             led |= (centres >= cut.start) & (centres <= cut.end)
     return led

@@ -15,7 +15,7 @@ Name = str | int
 Kind = Literal["leads", "ends", "joins", "leaves", "changes", "merges", "splits", "takes over"]
 CONFOUNDS = {
     "one path": "go along one path, each at a pace of its own",
-    "one signal": "move alike, but none ahead: they follow one signal, each other, or an id without a track",
+    "one signal": "move alike, but none is seen ahead: they may follow one signal, each other, or one without a track",
 }
 _MOST_NAMES = 6
 _SENTENCES = {

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import product
+from itertools import chain, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,12 +17,14 @@ from usnet_env.objectives import list_followers
 from usnet_env.parts import describe_error
 from usnet_env.plugins import DetectorLike, detector_label, find_detector
 from usnet_env.tracks.changes import Period, blur_links, trace_periods
+from usnet_env.tracks.clocks import find_late_clock
 from usnet_env.tracks.confirm import LEAST_STEPS, LEVEL, confirm_leaders, find_confound
 from usnet_env.tracks.evidence import add_evidence, compare_with_head, describe_lead
 from usnet_env.tracks.found import DetectedWindow, Leader, Link
 from usnet_env.tracks.links import find_links, sample_finely
 from usnet_env.tracks.read import read_tracks
 from usnet_env.tracks.result import FoundLeaders
+from usnet_env.tracks.silence import describe_windows
 from usnet_env.tracks.tracks import Tracks, TrackWindow
 
 DEFAULT_DETECTOR = "reader(policy='map')"
@@ -82,23 +84,23 @@ def find_leaders(
     resampled = tracks if step is None and tracks.step is not None else tracks.resample(step, length=length or 0)
     fine = sample_finely(resampled)
     for number, track_window in enumerate(resampled.windows(length, stride)):
-        times = tracks.file_time(track_window.start), tracks.file_time(track_window.end)
-        answer = _try_answer(player, resampled, track_window, seed, number, times)
-        windows.append(_detect_window(track_window, fine, answer, confirm, groups, times))
-        track_windows.append(track_window)
-        answers.append(replace(answer.detection, attention=None))  # of N by N numbers, which nothing here reads
-        if on_window is not None:
-            on_window(track_window, answer.detection, windows[-1])
+        drawn = int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1)[0])
+        for part, detection, detected in _read_window(player, resampled, fine, track_window, drawn, confirm, groups):
+            windows.append(detected)
+            track_windows.append(part)
+            answers.append(replace(detection, attention=None))  # of N by N numbers, which nothing here reads
+            if on_window is not None:
+                on_window(part, detection, detected)
     if not windows:
         hint = "no window does (--window makes them shorter)"
         raise ArgumentError(f"tracks must hold a window in which 2 ids are seen in half of the steps; {hint}.")
-    facts = [*resampled.facts]
+    facts = [*resampled.facts, describe_windows(track_windows), *_doubt_clocks(windows, track_windows, fine)]
     if confirm and track_windows[0].window.observation_steps < LEAST_STEPS:
         facts.append(f"Windows of fewer than {LEAST_STEPS} steps are too short for the test that confirms leaders.")
     elif confirm:
         facts.append(_count_chance(windows))
     periods: tuple[Period, ...] = ()
-    if "probability" in answers[0].extras:
+    if "probability" in answers[0].extras and any(window.leaders for window in windows):
         periods = trace_periods(resampled, windows, track_windows, partial(_ask_once, player, seed), confirm)
         pairs = zip(windows, track_windows, strict=True)
         windows = [blur_links(window, track_window, periods, tracks.ids) for window, track_window in pairs]
@@ -138,21 +140,63 @@ def answer_window(player: DetectorLike, resampled: Tracks, track_window: TrackWi
     return Answer(detection, min(track_windows, key=lambda each: each.step))
 
 
+def _read_window(
+    player: DetectorLike,
+    resampled: Tracks,
+    fine: Tracks,
+    track_window: TrackWindow,
+    seed: int,
+    confirm: bool,
+    groups: list[Group],
+) -> list[tuple[TrackWindow, Detection, DetectedWindow]]:
+    """Ask the detector for one window, and for its halves if its ids move alike without a leader: it may change there.
+
+    Halves have 32 steps or more, and count if both have a leader, and not the same.
+    """
+    times = resampled.file_time(track_window.start), resampled.file_time(track_window.end)
+    answer = _try_answer(player, resampled, track_window, seed, times)
+    detected = _detect_window(track_window, fine, answer, confirm, groups, times)
+    whole, steps = [(track_window, answer.detection, detected)], track_window.window.observation_steps
+    if detected.confound != "one signal" or steps < 4 * LEAST_STEPS:
+        return whole
+    middle = track_window.start + steps // 2 * track_window.step
+    parts = map(resampled.cut_like, (replace(track_window, end=middle), replace(track_window, start=middle)))
+    halves = [_read_window(player, resampled, fine, part, seed, confirm, groups) for part in parts if part is not None]
+    names = [{leader.id for _, _, each in half for leader in each.leaders} for half in halves]
+    return [*chain(*halves)] if all(names) and names[0] != names[-1] else whole
+
+
 def _ask_once(player: DetectorLike, seed: int, track_window: TrackWindow) -> Detection:
     player.reset(seed)
     return ask(player, track_window.window)[0]
 
 
 def _try_answer(
-    player: DetectorLike, resampled: Tracks, track_window: TrackWindow, seed: int, number: int, times: tuple[Any, Any]
+    player: DetectorLike, resampled: Tracks, track_window: TrackWindow, seed: int, times: tuple[Any, Any]
 ) -> Answer:
     """Ask the detector for one window; what it raises becomes an ``ArgumentError`` that names the window."""
     try:
-        drawn = int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1)[0])
-        return answer_window(player, resampled, track_window, drawn)
+        return answer_window(player, resampled, track_window, seed)
     except Exception as error:  # a detector may raise anything
         fault = f"{describe_error(error)} from {quote(detector_label(player))} in the window from {times[0]}"
         raise ArgumentError(f"detector must answer every window, got {fault} to {times[1]}.") from error
+
+
+def _doubt_clocks(windows: list[DetectedWindow], track_windows: list[TrackWindow], fine: Tracks) -> list[str]:
+    """A sentence about each leader of which a follower may lead, in more than half of its windows."""
+    late: dict[str | int, list[tuple[str | int, float] | None]] = {}
+    for window, each in zip(windows, track_windows, strict=True):
+        column = {name: k for k, name in enumerate(each.ids)}
+        for leader in window.leaders:
+            hub = find_late_clock(fine, each, column[leader.id], [column[name] for name in leader.followers])
+            late.setdefault(leader.id, []).append(hub and (each.ids[hub[0]], hub[1]))
+    words = "but agrees better with those that follow {0}: if its clock is late, it leads."
+    return [
+        f"{hub[0]} comes {format_number(hub[1], 2)} s after {name}, {words.format(name)}"
+        for name, hubs in late.items()
+        if 2 * len(known := [hub for hub in hubs if hub]) > len(hubs)
+        for hub in known[:1]
+    ]
 
 
 def _detect_window(

@@ -24,9 +24,10 @@ from usnet_env.files import as_path, replace_files, reserve_folder, write_html, 
 from usnet_env.tracks import draw
 from usnet_env.tracks.changes import Period, list_events
 from usnet_env.tracks.evidence import compare_with_head
-from usnet_env.tracks.found import CONFOUNDS, DetectedWindow, Event, Leader, find_events
+from usnet_env.tracks.found import DetectedWindow, Event, Leader, find_events
 from usnet_env.tracks.links import sample_finely
 from usnet_env.tracks.samples import Clock
+from usnet_env.tracks.silence import explain_silence
 from usnet_env.tracks.tracks import Tracks, TrackWindow
 from usnet_env.window import Window
 
@@ -99,14 +100,8 @@ class FoundLeaders:
 
     @property
     def confounds(self) -> list[str]:
-        """A sentence about what ids follow instead of a leader, if they do so in at least half of the windows."""
-        sentences, all_windows = [], format_count(len(self.windows), "window")
-        for kind, words in CONFOUNDS.items():
-            counts = [len(window.alike) for window in self.windows if window.confound == kind]
-            if 2 * len(counts) >= len(self.windows):
-                ids = format_count(round(np.mean(counts)), "id")
-                sentences.append(f"In {len(counts)} of {all_windows} nobody leads, and {ids} {words}.")
-        return sentences
+        """Sentences about windows without a leader, if they are half of all (:mod:`usnet_env.tracks.silence`)."""
+        return explain_silence(self.windows, self.track_windows, self.answers)
 
     @property
     def events(self) -> tuple[Event, ...]:

@@ -1,0 +1,35 @@
+"""Followers that may lead, by a clock that is late."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from usnet_env.series import centre_columns, correlate_at_lag, scale_to_unit
+from usnet_env.tracks.links import cut_velocities
+from usnet_env.tracks.tracks import Tracks, TrackWindow
+
+_MOST_OF, _LEAST, _MOST_COMPARED = 0.75, 4, 20  # of a group: those ahead, and its size
+
+
+def find_late_clock(
+    fine: Tracks, track_window: TrackWindow, leader: int, followers: Sequence[int]
+) -> tuple[int, float] | None:
+    """The follower that agrees best with all others but comes last, and how many seconds after the leader.
+
+    Ids that copy a leader agree with none as well as with it, so such a follower may lead, by a clock that is late. It
+    is behind three quarters of the group, of which at most 20 are looked at, at the sampling interval.
+    """
+    group = [leader, *followers][:_MOST_COMPARED]
+    _, velocity, known, _, longest = cut_velocities(fine, track_window, group)
+    if len(group) < _LEAST or longest < 1:
+        return None
+    unit = scale_to_unit(centre_columns(velocity, known), least=0.0)
+    curves = np.array([correlate_at_lag(unit, unit, lag) for lag in range(-longest, longest + 1)])
+    lag, agree = curves.argmax(axis=0) - longest, curves.max(axis=0)  # of each, after each
+    np.fill_diagonal(agree, 0.0)
+    hub = int(agree.sum(axis=1).argmax())
+    if lag[hub, 0] <= 0 or (lag[hub] > 0).sum() < _MOST_OF * (len(group) - 1):
+        return None
+    return group[hub], float(lag[hub, 0] * (fine.step or 1.0))
