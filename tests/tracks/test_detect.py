@@ -138,7 +138,7 @@ def test_out_and_record_write_all_files(run, folder, tmp_path):
     page = (out / "page.html").read_text(encoding="utf-8")
     assert "<li>bird-0 leads " in page
     assert "<li>From 0.0: bird-0 leads bird-2, " in page
-    assert page.count('src="data:image/png;base64,') == 5
+    assert page.count('src="data:image/png;base64,') == 3
     assert "<link" not in page
     record = EpisodeRecord.load(out / "episode.npz")
     assert (record.rounds, record.uavs, record.labelled) == (7, 14, False)

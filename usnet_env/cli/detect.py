@@ -97,6 +97,7 @@ def _parse_position(context: click.Context, option: click.Parameter, words: str 
 @click.option("--seed", type=WholeNumber(0, 2**63 - 1), default=0, show_default=True, help="Seed of the detector.")
 @click.option("--unconfirmed", is_flag=True, help="Also name leaders whose followers don't move like them later.")
 @click.option("--out", metavar="DIR", help="Folder for a page, tables, JSON and pictures.")
+@click.option("--open", "open_page", is_flag=True, help="Show the page in the browser; needs --out.")
 @click.option("--record", is_flag=True, help="Also write an episode file and a replay; needs --out.")
 @click.option("--follow", is_flag=True, help=_FOLLOW)
 @click.option("--windows", "by_windows", is_flag=True, help="Also print the leaders of each window.")
@@ -112,6 +113,7 @@ def detect(
     seed: int,
     unconfirmed: bool,
     out: str | None,
+    open_page: bool,
     record: bool,
     follow: bool,
     by_windows: bool,
@@ -131,8 +133,8 @@ def detect(
         options = {name: value for name, value in {"window": window, "stride": stride}.items() if value is not None}
         _follow(tracks, reading, step=step, detector=detector, seed=seed, **options)
         return
-    if record and out is None:
-        raise click.UsageError("--record needs --out.")
+    if (record or open_page) and out is None:
+        raise click.UsageError(f"--{'record' if record else 'open'} needs --out.")
     folder = None if out is None else as_path("out", out)
     read = read_tracks(list(tracks), **reading)
     warnings_of_file = read.report().warnings
@@ -167,6 +169,8 @@ def detect(
         for message in dict.fromkeys(str(warning.message) for warning in caught):
             print_message(f"warning: {message}")
         click.echo(f"{', '.join(file.name for file in files)} are in {folder}.", err=True)
+    if folder is not None and open_page:
+        click.launch(str(folder / "page.html"))
 
 
 def _follow(tracks: tuple[str, ...], reading: dict[str, Any], **options: Any) -> None:

@@ -6,10 +6,8 @@ import json
 import os
 import re
 import warnings
-from base64 import b64encode
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from html import escape
 from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,15 +15,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from usnet_env.config import ArgumentError, MissingExtraError, format_count, printable, quote
+from usnet_env.config import ArgumentError, MissingExtraError, format_count, quote
 from usnet_env.detection import Detection
 from usnet_env.drawing import CLUSTER_COLORS, write_figure
-from usnet_env.files import as_path, replace_files, reserve_folder, write_html, write_text
+from usnet_env.files import as_path, replace_files, reserve_folder, write_text
 from usnet_env.tracks import draw
 from usnet_env.tracks.changes import Period, list_events
 from usnet_env.tracks.evidence import compare_with_head
 from usnet_env.tracks.found import DetectedWindow, Event, Leader, find_events
 from usnet_env.tracks.links import sample_finely
+from usnet_env.tracks.page import collect_data, write_page
 from usnet_env.tracks.samples import Clock
 from usnet_env.tracks.silence import explain_silence
 from usnet_env.tracks.tracks import Tracks, TrackWindow
@@ -44,14 +43,7 @@ _COLUMNS = {  # of the tables
     "links": "start end follower leader head delay delay_low delay_high direct behind_head correlation by_chance path",
     "probabilities": "start end id probability",
 }
-_PICTURES = {
-    "network.png": "The network of links: an arrow points from a follower to its leader",
-    "timeline.png": "Whom each id follows in each window",
-    "picture.png": "Windows from above",
-    "delays.png": "The delay of each follower",
-    "evidence.png": "How the followers of the first leader repeat its velocity",
-    "probabilities.png": "The probability of each id to lead in each window",
-}
+_PICTURES = ("network.png", "timeline.png", "picture.png", "delays.png", "evidence.png", "probabilities.png")
 _OPTIONAL = ("probabilities.csv", "episode.npz", "replay.rrd", *_PICTURES)  # files
 
 
@@ -156,7 +148,15 @@ class FoundLeaders:
 
     def plot_evidence(self, leader: str | int, ax: Axes | None = None) -> Figure:
         """Draw how the velocity of each follower is correlated with that of its leader before and after."""
-        chance, fine, curves = self.evidence(leader)["by_chance"].max(), sample_finely(self._resampled), list[Any]()
+        self.evidence(leader)  # refuses an id that leads in no window
+        curves, chance = self._lag_curves(leader)
+        if curves is None:
+            raise ArgumentError(f"leader must lead in a window of more steps, got {quote(leader)}.")
+        return draw.draw_evidence(curves, chance, leader, ax)
+
+    def _lag_curves(self, leader: str | int) -> tuple[pd.DataFrame | None, float]:
+        """The median correlation by lag (index, seconds) and follower, if any window is long enough, and by chance."""
+        fine, curves, chance = sample_finely(self._resampled), list[pd.DataFrame](), np.nan
         for window, cut in zip(self.windows, self.track_windows, strict=True):
             behind = [link.follower for link in window.links if link.head == leader]
             found = (
@@ -164,9 +164,8 @@ class FoundLeaders:
             )
             if found is not None:
                 curves.append(pd.DataFrame(found.correlation.T, found.lags.round(9), behind))
-        if not curves:
-            raise ArgumentError(f"leader must lead in a window of more steps, got {quote(leader)}.")
-        return draw.draw_evidence(pd.concat(curves).groupby(level=0).median(), chance, leader, ax)
+                chance = np.fmax(chance, found.by_chance.max())
+        return (pd.concat(curves).groupby(level=0).median() if curves else None), float(chance)
 
     def plot(self, ax: Axes | None = None) -> Figure:
         """Draw the network of links, with an arrow from a follower to its leader; see :mod:`usnet_env.tracks.draw`."""
@@ -327,18 +326,15 @@ class FoundLeaders:
         self._write_page(folder / "page.html", title)
 
     def _write_page(self, path: Path, title: str) -> None:
-        """Write a page that any browser opens without a network; pictures beside it become parts of it."""
-        pictures = [
-            f'<figure><img alt="{text}" src="data:image/png;base64,{b64encode(image.read_bytes()).decode()}"></figure>'
-            for name, text in _PICTURES.items()
-            if (image := path.with_name(name)).exists()
-        ]
-        leaders, tracks = (
-            "".join(f"<li>{escape(printable(line))}</li>" for line in lines)
-            for lines in (str(self).splitlines(), self.facts)
-        )
-        table = f"{self._repr_html_()}<p>By {escape(self.detector)}.</p>"
-        write_html(path, f"Leaders in {title}", f"<ul>{leaders}</ul>{''.join(pictures)}{table}<ul>{tracks}</ul>")
+        """Write the page; without tracks it has no map."""
+        from usnet_env import __version__
+
+        data = None
+        if self.tracks is not None and self.windows:
+            known = (self.windows, self.track_windows, self.leaders, self.colors, self._probabilities)
+            data = collect_data(self.tracks, *known, self._lag_curves)
+        facts = [*self.facts, f"Found by {self.detector}, seed {self.seed}, with usnet {__version__}."]
+        write_page(path, title, str(self).splitlines(), data, self._repr_html_(), facts)
 
 
 def _answer_among(ids: int, track_window: TrackWindow, answer: Detection, detected: DetectedWindow) -> Detection:

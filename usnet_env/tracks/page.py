@@ -1,0 +1,207 @@
+"""A page of found leaders that any browser opens without a network: a map with a slider, lag curves, tables."""
+
+from __future__ import annotations
+
+import json
+from base64 import b64encode
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from usnet_env.arrays import Floats
+from usnet_env.config import printable
+from usnet_env.files import write_html
+from usnet_env.tracks.found import DetectedWindow, Leader, Name
+from usnet_env.tracks.tracks import Tracks, TrackWindow
+
+_MOST_IDS, _MOST_INSTANTS = 100, 600  # of the map
+_MOST_CURVES = 12  # leaders whose lag curves the page has
+_GRID = 9999  # coordinates are whole numbers up to this one
+_PICTURES = {
+    "network.png": "The network of links: an arrow points from a follower to its leader",
+    "timeline.png": "Which id each id follows in each window",
+    "delays.png": "The delay of each follower",
+}
+_STYLE = """<style>
+#map { width: 100%; height: min(65vh, 34rem); border: 1px solid #8888; touch-action: pan-y; }
+#charts { display: flex; flex-wrap: wrap; gap: 1rem; } #charts figure { flex: 1 1 18rem; margin: 0; min-width: 0; }
+#charts canvas { width: 100%; height: 12rem; } #slider { width: 100%; } #charts figcaption { font-size: 0.85rem; }
+#controls { display: flex; flex-wrap: wrap; gap: 0.7rem; align-items: center; } #time { font-variant: tabular-nums; }
+figure img { background: white; }
+#map, #charts canvas { background: #f7f7f7; color: #222; }
+</style>"""
+_MAP = """<section aria-label="map">
+<canvas id="map" role="img" aria-label="the ids seen from above; lines connect followers to the ids that they follow">
+</canvas>
+<input id="slider" type="range" min="0" value="0" aria-label="time">
+<p id="controls"><button id="play" type="button">Play</button> <span>Time: <span id="time"></span></span>
+<label>Id: <select id="chooser"></select></label>
+<label><input type="checkbox" id="follow"> Stay with the ids</label></p>
+<p id="about" role="status"></p>
+<div id="charts"><figure id="lag-part"><figcaption id="lag-title"></figcaption><canvas id="lags"></canvas></figure>
+<figure id="chance-part"><figcaption id="chance-title"></figcaption><canvas id="chances"></canvas></figure></div>
+<p id="some"></p></section>"""
+_HINT = """Click an id to see which one it follows. Dots have the colour of the leader that they follow; a large dot
+leads. A dashed line means: in the group of, directly or not."""
+
+
+def write_page(
+    path: Path, title: str, sentences: Iterable[str], data: Mapping[str, Any] | None, table: str, facts: Iterable[str]
+) -> None:
+    """Write the page of found leaders; pictures of links beside it become parts of it, if a leader was found.
+
+    Args:
+        path: where to.
+        title: what the tracks are.
+        sentences: what was found.
+        data: what :func:`collect_data` returns; ``None``: without a map.
+        table: HTML.
+        facts: sentences about the tracks and the settings.
+    """
+    parts, led = [_list(sentences)], data is not None and any(window["leaders"] for window in data["windows"])
+    if data is not None:
+        values = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", r"\u003c")
+        script = files("usnet_env.tracks").joinpath("page.js").read_text(encoding="utf-8")
+        parts += [_STYLE, _MAP, f"<p>{_HINT * led}</p>", f"<script>const data = {values};{script}</script>"]
+    parts.append(table if led or data is None else "")
+    for name, words in _PICTURES.items() if led else ():
+        if (image := path.with_name(name)).exists():
+            coded = b64encode(image.read_bytes()).decode()
+            parts.append(f'<figure><img alt="{words}" src="data:image/png;base64,{coded}"></figure>')
+    write_html(path, f"Leaders in {title}", "".join([*parts, "<h2>The tracks</h2>", _list(facts)]))
+
+
+def _list(sentences: Iterable[str]) -> str:
+    items = "".join(f"<li>{escape(printable(sentence))}</li>" for sentence in sentences)
+    return f"<ul>{items}</ul>"
+
+
+def collect_data(
+    tracks: Tracks,
+    windows: Sequence[DetectedWindow],
+    track_windows: Sequence[TrackWindow],
+    leaders: Sequence[Leader],
+    colors: Mapping[Name, str],
+    chances: Sequence[Mapping[Name | None, float]],
+    curves: Callable[[Name], tuple[pd.DataFrame | None, float]],
+) -> dict[str, Any]:
+    """What ``page.js`` draws, as plain values; ids are numbers of rows of ``ids``, the first of those that are shown.
+
+    ``points`` has for each id x and y at each instant, whole numbers from 0, or -1 where it is not seen; ``size`` is
+    that of the map, ``spread`` the largest extent of all ids at an instant, ``middles`` their middle at each instant,
+    and ``unit`` how many of these numbers are a unit of length.
+
+    Args:
+        tracks: the resampled tracks.
+        windows: what was found in each window.
+        track_windows: the windows of the tracks.
+        leaders: those over the file.
+        colors: the colour of each id that leads.
+        chances: of each window, the probability to lead of each id, and under ``None`` that none does.
+        curves: the lag curves of the followers of a leader, and the largest correlation by chance.
+    """
+    rows = _choose_rows(tracks, leaders)
+    names = [tracks.ids[row] for row in rows]
+    row_of = {name: k for k, name in enumerate(names)}
+    instants = _choose_instants(tracks)
+    window_of = _number_windows(track_windows, instants)
+    drawn = {leader.id: curves(leader.id) for leader in leaders[:_MOST_CURVES] if leader.id in row_of}
+    return {
+        "ids": [printable(name) for name in names],
+        "all": len(tracks.ids),
+        "colors": [colors.get(name) for name in names],
+        "times": [str(tracks.clock.file_time(second)) for second in instants],
+        "window_of": window_of,
+        "windows": [_collect_window(window, row_of) for window in windows],
+        **_scale(_locate(tracks, rows, instants)),
+        "length_unit": "pixels" if tracks.frame == "pixels" else "m",
+        "chances": [[_round(each.get(name)) for each in chances] for name in names] if any(chances) else None,
+        "no_leader": [_round(each.get(None)) for each in chances],
+        "curves": {
+            row_of[name]: _collect_curves(table, chance, row_of)
+            for name, (table, chance) in drawn.items()
+            if table is not None
+        },
+        "first": next((row_of[leader.id] for leader in leaders if leader.id in row_of), 0),
+        "begin": next((k for k, number in enumerate(window_of) if number >= 0), 0),
+    }
+
+
+def _round(value: float | None) -> float | None:
+    return None if value is None or not np.isfinite(value) else round(float(value), 3)
+
+
+def _choose_rows(tracks: Tracks, leaders: Sequence[Leader]) -> list[int]:
+    """The rows of the ids on the map: leaders first, then their followers, then the others."""
+    followers = [name for leader in leaders for name in leader.followers]
+    order = dict.fromkeys([*(leader.id for leader in leaders), *followers, *tracks.ids])
+    row_of = {name: row for row, name in enumerate(tracks.ids)}
+    return [row_of[name] for name in order][:_MOST_IDS]
+
+
+def _choose_instants(tracks: Tracks) -> list[float]:
+    """Seconds on the grid of the resampled tracks, some of them if they are many."""
+    step = float(tracks.step or 1.0)
+    known = np.unique(np.round(tracks.time / step).astype(np.int64))
+    chosen = known[np.unique(np.linspace(0, len(known) - 1, min(len(known), _MOST_INSTANTS)).astype(int))]
+    return [float(second) for second in chosen * step]
+
+
+def _locate(tracks: Tracks, rows: list[int], instants: list[float]) -> Floats:
+    """Where some ids are at some instants, ``(n, T, 2)``; not a number where they are not seen."""
+    step, place = float(tracks.step or 1.0), np.full((len(rows), len(instants), 2), np.nan)
+    wanted = np.round(np.array(instants) / step).astype(np.int64)
+    for k, row in enumerate(rows):
+        part = slice(tracks.offsets[row], tracks.offsets[row + 1])
+        number = np.round(tracks.time[part] / step).astype(np.int64)
+        _, here, there = np.intersect1d(wanted, number, return_indices=True)
+        place[k, here] = tracks.position[part][there, :2]
+    return place
+
+
+def _scale(place: Floats) -> dict[str, Any]:
+    """The places ``(n, T, 2)`` as whole numbers, and what the map needs to know of them."""
+    low, high = np.nanmin(place, axis=(0, 1)), np.nanmax(place, axis=(0, 1))
+    unit = _GRID / max(float((high - low).max()), 1e-9)
+    scaled = (place - low) * unit
+    first, last = np.fmin.reduce(scaled, axis=0), np.fmax.reduce(scaled, axis=0)  # (T, 2) of all ids
+    middles = np.nan_to_num((first + last) / 2).round().astype(int)
+    return {
+        "points": np.where(np.isnan(scaled), -1, scaled).round().astype(int).reshape(len(place), -1).tolist(),
+        "size": ((high - low) * unit).clip(1).round().astype(int).tolist(),
+        "spread": np.nanmax(last - first, axis=0).clip(1).round().astype(int).tolist(),
+        "middles": middles.tolist(),
+        "unit": unit,
+    }
+
+
+def _number_windows(track_windows: Sequence[TrackWindow], instants: list[float]) -> list[int]:
+    """The last window that holds each instant, or -1."""
+    numbers = np.full(len(instants), -1)
+    for number, cut in enumerate(track_windows):
+        numbers[(np.array(instants) >= cut.start - 1e-6) & (np.array(instants) <= cut.end + 1e-6)] = number
+    return [int(number) for number in numbers]
+
+
+def _collect_window(window: DetectedWindow, row_of: Mapping[Name, int]) -> dict[str, Any]:
+    """The leaders and links of a window among the ids that are shown."""
+    links = [
+        {"follower": row_of[link.follower], "leader": row_of[link.leader], "head": row_of[link.head]}
+        | {"direct": link.direct, "delay": _round(link.delay)}
+        | {"low": _round(link.delay_low), "high": _round(link.delay_high)}
+        for link in window.links
+        if {link.follower, link.leader, link.head} <= row_of.keys()
+    ]
+    leaders = [row_of[leader.id] for leader in window.leaders if leader.id in row_of]
+    return {"start": str(window.start), "end": str(window.end), "leaders": leaders, "links": links}
+
+
+def _collect_curves(table: pd.DataFrame, chance: float, row_of: Mapping[Name, int]) -> dict[str, Any]:
+    """The lag curves of the followers that are shown, and what is reached by chance."""
+    of = {row_of[name]: [_round(value) for value in table[name]] for name in table.columns if name in row_of}
+    return {"lags": [round(float(lag), 6) for lag in table.index], "chance": _round(chance), "of": of}
