@@ -29,6 +29,7 @@ import reader
 import reader_links
 import recordings
 import scenarios
+import track_links
 from paper.shared import RESULTS, ROOT, make_parser, read_rows
 from pivot import CellFormatter, across, markdown, mean, median, pivot, rate, size
 
@@ -283,6 +284,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "rounds": paper_tables.rounds_block,
     "purity": paper_tables.purity_block,
     "tracks": tracks_block,
+    "track-links": lambda: track_links.report(read_rows(track_links.ROWS)),
     "recordings": lambda: recordings.report(read_rows(recordings.ROWS)),
     "speed": speed_block,
 }
