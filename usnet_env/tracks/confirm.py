@@ -19,7 +19,6 @@ _BLOCKS, _SURROGATES = 8, 40  # the fewest blocks of a window; how often half of
 LEAST_STEPS = 2 * _BLOCKS
 LEVEL = 0.05  # of a group and window: how often a leaderless group gets a leader
 _LEVEL_OUTSIDE = 0.5
-_LEVEL_PHASE = 0.02  # of all shifts in time
 _NEAREST, _SHIFTS, _DEVIATIONS = 5, 9, 3.0
 _LEAST_SHIFT = 3 * LAGS  # a smaller shift leaves a part of the likeness at some lag
 _DEVIATION_OF_BOTH = 1.8  # of the sum of two scores: 1.7 by their correlation of 0.45; 1.9 in tracks without leaders
@@ -179,7 +178,7 @@ def confirm_lead(window: Window, leader: int, followers: Sequence[int]) -> bool:
     those of 40 surrogates, in which time is reversed in half of the blocks, of about 8 steps each: these keep what both
     do at the same time, and cancel leads. The scores of the velocities and of their changes must exceed 1, and their
     sum z times its standard deviation, 1.8; z is the quantile of a normal distribution at 0.05 / n, because the leader
-    was chosen from the n members of its group. Both leads together may be as large after at most 2 % of all shifts in
+    was chosen from the n members of its group. Both leads together may be as large after at most 5 % of all shifts in
     time: gait, wing beats and circles have leads that are but phases. It is false without followers, and true in a
     window of fewer than 16 steps, which is too short for the test.
     """
@@ -249,9 +248,10 @@ def _is_ahead(group: Floats, ahead: Floats, both: Mask, level: float) -> bool:
 
 
 def _may_be_phase(group: Floats, ahead: Floats, both: Mask) -> bool:
-    """Whether ``group`` ``(T, 3)`` follows ``ahead`` as much after more than 2 % of all shifts in time.
+    """Whether ``group`` ``(T, 3)`` follows ``ahead`` as much after more than 5 % of all shifts in time.
 
-    The leads of the velocities and of their changes, each in its standard deviations, are added.
+    The leads of the velocities and of their changes, each in its standard deviations, are added. A window with fewer
+    than 20 shifts is too short to see a phase.
     """
     total, steps = np.zeros(len(group) - 1), np.arange(1, LAGS + 1)[:, None]
     group, ahead = centre_columns(group, both), centre_columns(ahead, both)
@@ -261,7 +261,9 @@ def _may_be_phase(group: Floats, ahead: Floats, both: Mask) -> bool:
         later, earlier = (curve[(shifts + sign * steps) % len(total)].max(axis=0) for sign in (1, -1))
         lead = later - earlier
         total += lead / max(float(lead.std()), _ROUNDED)
-    return bool((total[_LEAST_SHIFT:-_LEAST_SHIFT] >= total[0]).mean() > _LEVEL_PHASE)
+    others = total[_LEAST_SHIFT:-_LEAST_SHIFT]
+    as_large = int((others >= total[0]).sum())
+    return len(others) >= 1 / LEVEL and (1 + as_large) / (1 + len(others)) > LEVEL
 
 
 def _measure_score(group: Floats, ahead: Floats, sign: float) -> float:
