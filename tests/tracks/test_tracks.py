@@ -126,7 +126,7 @@ def test_the_step_puts_the_delay_at_1_to_4_samples(delay):
     tracks = dense(wandering(steps=1500, delay=delay))
     even = tracks.resample()
     assert 1 <= delay * 0.5 / even.step <= 4
-    told = float(re.search(r"after about (\S+) s", even.notes[-1])[1])
+    told = float(re.search(r"typical delay (\S+) s", even.notes[-1])[1])
     assert told == pytest.approx(delay * 0.5, abs=even.step / 4)
 
 
