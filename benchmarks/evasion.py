@@ -3,11 +3,12 @@
     OMP_NUM_THREADS=1 python benchmarks/evasion.py --trainings 3    # goes on after those that the rows have
     python benchmarks/evasion.py --draw                             # trains nothing: the tables of the rows
 
-Of every pair of players the pay-off is known: J_m minus the price, which the swarm gets and the observer loses. PPO
-trains a new swarm against the observers' mixture in the equilibrium of this matrix, then a new observer against the
-swarms' mixture in the new one (PSRO, Lanctot et al. 2017). A row is a game that no training has seen. The even games
-tell the equilibria, so that the odd ones, which tell what a best response gains, are fresh. The players of the first
-training are kept: :func:`read_players` returns them.
+Of every pair of players the pay-off is known: J_m minus the price, which the swarm gets and the observer loses. Against
+the observers' mixture in the equilibrium of this matrix, the new swarm is the better of the best constant choice and a
+policy that PPO trains; against the swarms' mixture in the new equilibrium, PPO trains a new observer (PSRO, Lanctot et
+al. 2017). At the end, the last mixtures are exploited: by constants, detectors, and PPO with 1, 5 and 25 times the
+decisions, also of a swarm that sees the true state. These games are fresh: no training, no matrix and no choice met
+them. The players of the first training are kept: :func:`read_players` returns them.
 """
 
 from __future__ import annotations
@@ -33,9 +34,13 @@ from usnet_env.multiagent import usnet_evasion_v0
 ROWS, WEIGHTS = shared.RESULTS / "evasion.csv.gz", shared.RESULTS / "evasion.safetensors"
 ID = "Evasion/OneSide-v0"  # of the games in which one side learns
 GAME: dict[str, Any] = {"clusters": 2, "uavs": 12, "observation_steps": 10, "max_rounds": 6}
-SCRIPTED = ("reader", "destroy-all")  # the first observers; the first swarm does nothing
+SCRIPTED = ("reader", "reader(policy='map')", "destroy-all")  # the first observers; the first swarm does nothing
 SIDES = {"head": "swarm", "observer": "observer"}  # what the learned players of a role are called
-PLAYED, BATCH = 1_000_000, 64  # the first seed of the games of rows, which no training reaches; games of a training
+#: The first seeds of the games of the matrix, of those that choose a constant, and of those that exploit a mixture; no
+#: training reaches them.
+PLAYED, SEARCHED, FRESH = 1_000_000, 2_000_000, 3_000_000
+BATCH, MIXTURE = 64, "mixture"  # games of a training; the name of the last mixtures in rows
+BUDGETS = (1, 5, 25)  # of the policies that exploit the last mixtures, in DECISIONS
 DECISIONS = {"head": 10_240, "observer": 32_768}  # of a training
 PPO_OF = {  # each role's arguments of PPO
     "head": {"n_steps": 4, "learning_rate": 5e-3, "ent_coef": 0.01},
@@ -48,6 +53,21 @@ Player = Callable[[dict[str, Any], np.ndarray], np.ndarray]
 def choose(*choice: int) -> Player:
     """A swarm whose heads choose the same in every window."""
     return lambda seen, games: np.tile(choice, (len(games), GAME["clusters"], 1))
+
+
+def answer(players: Sequence[Player], met: np.ndarray, seen: dict[str, Any], games: np.ndarray) -> np.ndarray:
+    """The actions ``(n, agents, ...)`` in some games ``(n,)``, in each of the player that it met, ``(n,)``."""
+    parts = [(met == one, players[one](seen, games[met == one])) for one in np.unique(met)]
+    actions = np.zeros((len(games), *parts[0][1].shape[1:]), parts[0][1].dtype)
+    for where, part in parts:
+        actions[where] = part
+    return actions
+
+
+def mix(players: Sequence[Player], shares: np.ndarray) -> Player:
+    """A player that plays each game as one of the players, drawn by their ``shares``."""
+    met = np.random.default_rng(0).choice(len(players), 10_000, p=shares)
+    return lambda seen, games: answer(players, met[games], seen, games)
 
 
 def detect(name: str) -> Player:
@@ -66,20 +86,22 @@ def detect(name: str) -> Player:
     return act
 
 
-def follow(policy: Any, role: str) -> Player:
+def follow(policy: Any, view: str) -> Player:
     """A policy of Stable-Baselines3. A swarm draws its choices; an observer names what is more probable than 1/2."""
 
     def act(seen: dict[str, Any], games: np.ndarray) -> np.ndarray:
-        action, _ = policy.predict(show(seen, role, games), deterministic=role == "observer")
+        action, _ = policy.predict(show(seen, view, games), deterministic=view == "observer")
         return action.reshape(len(games), seen["legal"].shape[1], -1)
 
     return act
 
 
-def show(seen: dict[str, Any], role: str, games: Any = slice(None)) -> Any:
-    """What a policy learns from: an observer from raw windows, a swarm from the sizes of its clusters and the round."""
-    if role == "observer":  # in the opening no UAV may be named
+def show(seen: dict[str, Any], view: str, games: Any = slice(None)) -> Any:
+    """What a policy learns from: raw windows, the sizes of clusters and the round (``head``), or the true state."""
+    if view == "observer":  # in the opening no UAV may be named
         return {"velocity": seen["velocity"][games, 0], "alive": seen["legal"][games, 0]}
+    if view == "state":
+        return (np.sign(seen["state"][games]) * np.log1p(np.abs(seen["state"][games]))).astype(np.float32)
     sizes, living = seen["followers"][games].mean(axis=2), (seen["self"] * seen["heads"])[games].sum(axis=2)
     return np.concatenate([sizes, living, seen["round"][games, 0] / GAME["max_rounds"]], axis=1, dtype=np.float32)
 
@@ -90,67 +112,95 @@ class OneSide(gym.vector.VectorEnv[Any, Any, Any]):
     metadata: ClassVar[dict[str, Any]] = {"autoreset_mode": gym.vector.AutoresetMode.SAME_STEP}
 
     def __init__(
-        self, num_envs: int, role: str, others: Sequence[Player], shares: Sequence[float], autoreset_mode: str
+        self, num_envs: int, view: str, others: Sequence[Player], shares: Sequence[float], autoreset_mode: str
     ) -> None:
         self.games = usnet_evasion_v0.batch_env(num_envs, **GAME)
-        self.num_envs, self.role, self.others, self.shares = num_envs, role, others, shares
-        (self.other,) = SIDES.keys() - {role}
+        self.role = "observer" if view == "observer" else "head"
+        self.num_envs, self.view, self.others, self.shares = num_envs, view, others, shares
+        (self.other,) = SIDES.keys() - {self.role}
         acts, window, agents = self.games.action_spaces, self.games.observation_spaces["observer"], GAME["clusters"]
-        self.single_observation_space, self.single_action_space = {
-            "observer": (spaces.Dict({"velocity": window["velocity"], "alive": window["legal"]}), acts["observer"]),
-            "head": (spaces.Box(0, 1, (2 * agents + 1,)), spaces.MultiDiscrete(np.tile(acts["head"].nvec, agents))),
-        }[role]
+        self.single_action_space = acts[self.role]
+        if self.role == "head":
+            self.single_action_space = spaces.MultiDiscrete(np.tile(acts["head"].nvec, agents))
+        self.single_observation_space = {
+            "observer": lambda: spaces.Dict({"velocity": window["velocity"], "alive": window["legal"]}),
+            "head": lambda: spaces.Box(0, 1, (2 * agents + 1,)),
+            "state": lambda: spaces.Box(-np.inf, np.inf, start_games(self.games, 0)["head"]["state"].shape[1:]),
+        }[view]()
 
     def reset(self, *, seed: Any = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
         """Start all games."""
-        self._rng, (self._seen, _) = np.random.default_rng(seed), self.games.reset(seed=seed)
+        self._rng, self._seen = np.random.default_rng(seed), start_games(self.games, seed)
         self._met = self._rng.choice(len(self.others), self.num_envs, p=self.shares)
-        return show(self._seen[self.role], self.role), {}
+        return show(self._seen[self.role], self.view), {}
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Play a step; a game that ends begins again."""
-        space, count = self.games.action_spaces[self.other], self.games.roles[self.other]
-        answers = np.zeros((self.num_envs, count, *space.shape), np.int64)
-        for number, player in enumerate(self.others):
-            if len(met := np.flatnonzero(self._met == number)):
-                answers[met] = player(self._seen[self.other], met)
-        own = np.reshape(actions, (self.num_envs, self.games.roles[self.role], -1))
-        self._seen, paid, over = play_step(self.games, {self.role: own, self.other: answers})
-        if over.any():
-            self._seen, _ = self.games.reset(games=over)
-            self._met[over] = self._rng.choice(len(self.others), over.sum(), p=self.shares)
+        answers = answer(self.others, self._met, self._seen[self.other], np.arange(self.num_envs))
+        chosen = np.reshape(actions, (self.num_envs, self.games.roles[self.role], -1))
+        self._seen, paid, over = play_step(self.games, {self.role: chosen, self.other: answers})
+        self._met[over] = self._rng.choice(len(self.others), over.sum(), p=self.shares)
         reward = (paid[0] - paid[1]) * (1 if self.role == "head" else -1)
         info = {"final_info": {}, "final_obs": [None] * self.num_envs}
-        return show(self._seen[self.role], self.role), reward, over, np.zeros_like(over), info
+        return show(self._seen[self.role], self.view), reward, over, np.zeros_like(over), info
 
     def get_attr(self, name: str) -> list[Any]:
         """The attribute of each game, for ``SwarmVecEnv``."""
         return [getattr(self, name)] * self.num_envs
 
 
+def start_games(games: Any, seed: Any) -> dict[str, Any]:
+    """Start games, and return what all see."""
+    return show_state(games, games.reset(seed=seed)[0])
+
+
+def show_state(games: Any, seen: dict[str, Any]) -> dict[str, Any]:
+    """What all see; heads also see the true state ``(B, S)``."""
+    return seen | {"head": seen["head"] | {"state": games.state()}}
+
+
 def play_step(games: Any, actions: dict[str, np.ndarray]) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
-    """Play a step: what all see, ``(2, B)`` its part of J_m and the price, and which games are over, ``(B,)``."""
+    """Play a step: what all see, ``(2, B)`` its part of J_m and the price, and which games ended and began again."""
     seen, rewards, _, _, infos = games.step(actions)
     paid = np.stack([-rewards["observer"][:, 0], infos["observer"]["price"][:, 0]])
-    return seen, paid, ~games.active["observer"][:, 0]
+    over = ~games.active["observer"][:, 0]
+    if over.any():
+        seen, _ = games.reset(games=over)
+    return show_state(games, seen), paid, over
 
 
-def play(swarm: Player, observer: Player, episodes: int) -> pd.DataFrame:
-    """Let two players play games, at once."""
+def play(swarm: Player, observer: Player, episodes: int, first: int = PLAYED) -> pd.DataFrame:
+    """Let two players play games, at once; the first has the seed ``first``."""
     games, total, left = usnet_evasion_v0.batch_env(episodes, **GAME), np.zeros((2, episodes)), np.arange(episodes)
-    seen, _ = games.reset(seed=PLAYED)
+    seen = start_games(games, first)
     while len(left):  # a game that is over begins again, but its rewards don't count
         choices, named = np.zeros((episodes, GAME["clusters"], 4), int), np.zeros((episodes, 1, GAME["uavs"]), bool)
         choices[left], named[left] = swarm(seen["head"], left), observer(seen["observer"], left)
         seen, paid, over = play_step(games, {"head": choices, "observer": named})
         total[:, left] += paid[:, left]
         left = left[~over[left]]
-        if over.any() and len(left):
-            seen, _ = games.reset(games=over)
     return pd.DataFrame({"episode": range(episodes), "J": total[0], "price": total[1]})
 
 
-def make_model(role: str, others: Sequence[Player] = (), shares: Sequence[float] = (), seed: int = 0) -> Any:
+def find_constant(observer: Player) -> tuple[int, ...]:
+    """The best of all choices that heads can make alike in every window, against an observer.
+
+    All play some games, the better ones more (successive halving).
+    """
+    counts = usnet_evasion_v0.batch_env(1, **GAME).action_spaces["head"].nvec
+    best, first = list(product(*map(range, counts))), SEARCHED
+    for episodes, kept in ((25, 20), (100, 5), (400, 1)):
+        means = {choice: find_mean(play(choose(*choice), observer, episodes, first)) for choice in best}
+        best, first = sorted(means, key=lambda choice: -means[choice])[:kept], first + episodes
+    return best[0]
+
+
+def find_mean(rows: pd.DataFrame) -> float:
+    """The mean pay-off of games."""
+    return float((rows.J - rows.price).mean())
+
+
+def make_model(view: str, others: Sequence[Player] = (), shares: Sequence[float] = (), seed: int = 0) -> Any:
     """PPO for a side, against a mixture of the other side's players."""
     from stable_baselines3 import PPO
 
@@ -159,13 +209,14 @@ def make_model(role: str, others: Sequence[Player] = (), shares: Sequence[float]
 
     if ID not in gym.registry:  # in each process
         gym.register(ID, vector_entry_point=OneSide)
-    policy: Any = PairPolicy if role == "observer" else "MlpPolicy"
-    envs = SwarmVecEnv(ID, BATCH, role=role, others=others, shares=shares)
-    return PPO(policy, envs, seed=seed, gamma=1.0, batch_size=256, n_epochs=4, device="cpu", **PPO_OF[role])
+    policy: Any = PairPolicy if view == "observer" else "MlpPolicy"
+    envs = SwarmVecEnv(ID, BATCH, view=view, others=others, shares=shares)
+    how = PPO_OF["observer" if view == "observer" else "head"]
+    return PPO(policy, envs, seed=seed, gamma=1.0, batch_size=256, n_epochs=4, device="cpu", **how)
 
 
 def read_players() -> dict[str, dict[str, Player]]:
-    """The swarms and the observers that learned in the first training, by role and name."""
+    """The policies that learned in the first training, by role and name."""
     players: dict[str, dict[str, Player]] = {role: {} for role in SIDES}
     for name, weights in read_policies(WEIGHTS).items():
         (role,) = (role for role, side in SIDES.items() if name.startswith(side))
@@ -186,14 +237,16 @@ def solve(payoff: pd.DataFrame) -> tuple[float, dict[str, np.ndarray]]:
 
 
 def tabulate(rows: pd.DataFrame) -> pd.DataFrame:
-    """The mean pay-offs in even games, a line for each swarm and a column for each observer, as the rows order them."""
-    even = rows[rows.episode % 2 == 0]
-    payoff = even.assign(payoff=even.J - even.price).pivot_table("payoff", "head", "observer")
+    """The mean pay-offs, a line for each swarm and a column for each observer, as the rows order them."""
+    payoff = rows.assign(payoff=rows.J - rows.price).pivot_table("payoff", "head", "observer")
     return payoff.loc[rows["head"].unique(), rows.observer.unique()]
 
 
-def learn(game: shared.Game, rounds: int, length: float, episodes: int) -> list[dict[str, Any]]:
-    """Train swarms and observers in turn, and return the rows of all pairs. Those of the first training are written."""
+def learn(game: shared.Game, rounds: int, length: float, episodes: int, fresh: int) -> list[dict[str, Any]]:
+    """Train swarms and observers in turn, and return the rows of all pairs and of what exploits the last mixtures.
+
+    The policies of the first training are written.
+    """
     seed = game["training"]
     players: dict[str, dict[str, Player]] = {"head": {"nothing": choose(0, 0, 0, 0)}, "observer": {}}
     parts, policies = list[pd.DataFrame](), dict[str, Any]()
@@ -207,50 +260,67 @@ def learn(game: shared.Game, rounds: int, length: float, episodes: int) -> list[
     for name in SCRIPTED:
         add("observer", name, detect(name))
     for number, (role, other) in product(range(1, rounds + 1), permutations(SIDES)):
-        _, mixtures = solve(tabulate(pd.concat(parts)))
-        name, model = f"{SIDES[role]} {number}", make_model(role, [*players[other].values()], mixtures[other], seed)
+        others, (_, mixtures) = [*players[other].values()], solve(tabulate(pd.concat(parts)))
+        name, model = f"{SIDES[role]} {number}", make_model(role, others, mixtures[other], seed)
         if number > 1:  # from the last policy of this side
             model.policy.load_state_dict(policies[f"{SIDES[role]} {number - 1}"].state_dict())
         policies[name] = model.learn(int(length * DECISIONS[role])).policy
-        add(role, name, follow(policies[name], role))
+        player = follow(policies[name], role)
+        if role == "head":
+            mixture, constant = mix(others, mixtures[other]), find_constant(mix(others, mixtures[other]))
+            both = {name: player, f"{name}, constant {constant}": choose(*constant)}
+            name = max(both, key=lambda one: find_mean(play(both[one], mixture, 500, SEARCHED + 525)))
+            player = both[name]
+        add(role, name, player)
         print(f"training {seed}, {name}, {time.process_time():.0f} s", flush=True)
     if seed == 0:
         write_policies(WEIGHTS, policies, {"decisions": DECISIONS, "length": length, "ppo": PPO_OF, "game": GAME})
     print(tabulate(pd.concat(parts)).round(2).to_string(), flush=True)
+    _, mixtures = solve(tabulate(pd.concat(parts)))
+    last = {role: policies[f"{side} {rounds}"].state_dict() for role, side in SIDES.items()}
+    for role, other in permutations(SIDES):
+        others = [*players[other].values()]
+        whole = {side: mix([*players[side].values()], mixtures[side]) for side in SIDES}
+        responses = {MIXTURE: whole[role]} if role == "head" else {}
+        responses |= find_responses(role, others, mixtures[other], seed, length, last[role])
+        for name, player in responses.items():
+            found = play(*(whole | {role: player}).values(), fresh, FRESH)
+            parts.append(found.assign(**{role: name, other: MIXTURE}))
+            print(f"training {seed}, {role} {name}: {find_mean(found):.3f}, {time.process_time():.0f} s", flush=True)
     return pd.concat(parts).assign(**game).to_dict("records")
 
 
-def find_gains(rows: pd.DataFrame) -> pd.DataFrame:
-    """What each best response of a training gained when it was new, in each odd game, and the pay-off before."""
-    table, parts = tabulate(rows), []
-    games = rows[rows.episode % 2 == 1].set_index(["head", "observer", "episode"]).payoff.unstack()
-    known = {"head": ["nothing"], "observer": list(SCRIPTED)}
-
-    def mix(shares: dict[str, dict[str, float]]) -> pd.Series:
-        pairs = product(shares["head"].items(), shares["observer"].items())
-        return sum(games.loc[(one, other)] * share * part for (one, share), (other, part) in pairs)
-
-    for number, role in product(range(1, rows["head"].nunique()), SIDES):
-        _, mixtures = solve(table.loc[known["head"], known["observer"]])
-        shares = {side: dict(zip(known[side], mixtures[side], strict=True)) for side in SIDES}
-        value, name = mix(shares), f"{SIDES[role]} {number}"
-        gain = (mix(shares | {role: {name: 1.0}}) - value) * (1 if role == "head" else -1)
-        parts.append(pd.DataFrame({"response": name, "value": value, "gain": gain}).reset_index())
-        known[role].append(name)
-    return pd.concat(parts)
+def find_responses(
+    role: str, others: Sequence[Player], shares: np.ndarray, seed: int, length: float, weights: dict[str, Any]
+) -> dict[str, Player]:
+    """What may exploit a mixture of the other side's players, by name; ``weights`` are of this side's last policy."""
+    if role == "observer":
+        found = {name: detect(name) for name in SCRIPTED}
+    else:
+        constant = find_constant(mix(others, shares))
+        found = {f"constant {constant}": choose(*constant)}
+    budgets = [(role, budget) for budget in BUDGETS] + [("state", BUDGETS[-1])] * (role == "head")
+    for view, budget in budgets:
+        model = make_model(view, others, shares, seed)
+        if view == role:
+            model.policy.load_state_dict(weights)
+        policy = model.learn(int(length * budget * DECISIONS[role])).policy
+        found[f"PPO, {'sees the state, ' * (view == 'state')}{budget} times"] = follow(policy, view)
+    return found
 
 
 def report(rows: pd.DataFrame) -> str:
-    """The pay-offs of the first training, and of all trainings what each best response gained when it was new."""
+    """The pay-offs of the first training, and of all trainings what each response to the last mixtures gains."""
     rows = rows.assign(payoff=rows.J - rows.price)
-    seeds, first = sorted(rows.training.unique()), rows[rows.training == rows.training.min()]
+    seeds, exploits = sorted(rows.training.unique()), (rows["head"] == MIXTURE) | (rows.observer == MIXTURE)
+    first = rows[(rows.training == seeds[0]) & ~exploits]
     table = pivot(
         first, {"swarm": "head"}, across("observer", first.observer.unique(), lambda part: f"{part.payoff.mean():.2f}")
     )
-    gains = pd.concat([find_gains(part).assign(training=seed) for seed, part in rows.groupby("training")])
-    columns = across("training", seeds, mean("value"), "value before, seed {}")
-    columns |= across("training", seeds, mean("gain"), "gain, seed {}")
-    return f"{table}\n\n{pivot(gains, {'best response': 'response'}, columns)}"
+    found = rows[exploits].copy()
+    found["swarm"], found["observer"] = (found[side].str.replace(r" \(.*", "", regex=True) for side in SIDES)
+    columns = across("training", seeds, mean("payoff"), "pay-off, seed {}")
+    return f"{table}\n\n{pivot(found, {'swarm': 'swarm', 'observer': 'observer'}, columns)}"
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -258,9 +328,11 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("--trainings", type=int, default=1, help="number of seeds")
     parser.add_argument("--rounds", type=int, default=8, help="swarms, and observers, that a training learns")
     parser.add_argument("--length", type=float, default=1.0, help="of each best response, as a share of the default")
-    parser.add_argument("--episodes", type=int, default=200)
+    parser.add_argument("--episodes", type=int, default=200, help="games of a pair of players")
+    parser.add_argument("--fresh", type=int, default=1000, help="games of a response to the last mixtures")
     options = parser.parse_args(argv)
-    play_all = partial(learn, rounds=options.rounds, length=options.length, episodes=options.episodes)
+    how = {name: getattr(options, name) for name in ("rounds", "length", "episodes", "fresh")}
+    play_all = partial(learn, **how)
     games = [{"training": seed} for seed in range(options.trainings)]
     print(report(shared.run_missing(options, games, play_all)))
 
