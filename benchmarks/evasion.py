@@ -30,10 +30,13 @@ from scipy.optimize import linprog
 
 from usnet_env import Window, make_detector
 from usnet_env.multiagent import usnet_evasion_v0
+from usnet_env.multiagent.evasion import Manoeuvres
 
 ROWS, WEIGHTS = shared.RESULTS / "evasion.csv.gz", shared.RESULTS / "evasion.safetensors"
 ID = "Evasion/OneSide-v0"  # of the games in which one side learns
 GAME: dict[str, Any] = {"clusters": 2, "uavs": 12, "observation_steps": 10, "max_rounds": 6}
+PRICES = [f"{choice}_price" for choice in ("mobility", "jitter", "decoy", "delay")]
+GAMES = {"usual": GAME, "cheap": GAME | {name: getattr(Manoeuvres(), name) / 5 for name in PRICES}}
 SCRIPTED = ("reader", "reader(policy='map')", "destroy-all")  # the first observers; the first swarm does nothing
 SIDES = {"head": "swarm", "observer": "observer"}  # what the learned players of a role are called
 #: The first seeds of the games of the matrix, of those that choose a constant, and of those that exploit a mixture; no
@@ -112,9 +115,15 @@ class OneSide(gym.vector.VectorEnv[Any, Any, Any]):
     metadata: ClassVar[dict[str, Any]] = {"autoreset_mode": gym.vector.AutoresetMode.SAME_STEP}
 
     def __init__(
-        self, num_envs: int, view: str, others: Sequence[Player], shares: Sequence[float], autoreset_mode: str
+        self,
+        num_envs: int,
+        game: str,
+        view: str,
+        others: Sequence[Player],
+        shares: Sequence[float],
+        autoreset_mode: str,
     ) -> None:
-        self.games = usnet_evasion_v0.batch_env(num_envs, **GAME)
+        self.games = usnet_evasion_v0.batch_env(num_envs, **GAMES[game])
         self.role = "observer" if view == "observer" else "head"
         self.num_envs, self.view, self.others, self.shares = num_envs, view, others, shares
         (self.other,) = SIDES.keys() - {self.role}
@@ -169,9 +178,13 @@ def play_step(games: Any, actions: dict[str, np.ndarray]) -> tuple[dict[str, Any
     return show_state(games, seen), paid, over
 
 
-def play(swarm: Player, observer: Player, episodes: int, first: int = PLAYED) -> pd.DataFrame:
+def play(game: str, swarm: Player, observer: Player, episodes: int, first: int = PLAYED) -> pd.DataFrame:
     """Let two players play games, at once; the first has the seed ``first``."""
-    games, total, left = usnet_evasion_v0.batch_env(episodes, **GAME), np.zeros((2, episodes)), np.arange(episodes)
+    games, total, left = (
+        usnet_evasion_v0.batch_env(episodes, **GAMES[game]),
+        np.zeros((2, episodes)),
+        np.arange(episodes),
+    )
     seen = start_games(games, first)
     while len(left):  # a game that is over begins again, but its rewards don't count
         choices, named = np.zeros((episodes, GAME["clusters"], 4), int), np.zeros((episodes, 1, GAME["uavs"]), bool)
@@ -182,7 +195,7 @@ def play(swarm: Player, observer: Player, episodes: int, first: int = PLAYED) ->
     return pd.DataFrame({"episode": range(episodes), "J": total[0], "price": total[1]})
 
 
-def find_constant(observer: Player) -> tuple[int, ...]:
+def find_constant(game: str, observer: Player) -> tuple[int, ...]:
     """The best of all choices that heads can make alike in every window, against an observer.
 
     All play some games, the better ones more (successive halving).
@@ -190,7 +203,7 @@ def find_constant(observer: Player) -> tuple[int, ...]:
     counts = usnet_evasion_v0.batch_env(1, **GAME).action_spaces["head"].nvec
     best, first = list(product(*map(range, counts))), SEARCHED
     for episodes, kept in ((25, 20), (100, 5), (400, 1)):
-        means = {choice: find_mean(play(choose(*choice), observer, episodes, first)) for choice in best}
+        means = {choice: find_mean(play(game, choose(*choice), observer, episodes, first)) for choice in best}
         best, first = sorted(means, key=lambda choice: -means[choice])[:kept], first + episodes
     return best[0]
 
@@ -200,7 +213,7 @@ def find_mean(rows: pd.DataFrame) -> float:
     return float((rows.J - rows.price).mean())
 
 
-def make_model(view: str, others: Sequence[Player] = (), shares: Sequence[float] = (), seed: int = 0) -> Any:
+def make_model(game: str, view: str, others: Sequence[Player] = (), shares: Sequence[float] = (), seed: int = 0) -> Any:
     """PPO for a side, against a mixture of the other side's players."""
     from stable_baselines3 import PPO
 
@@ -210,7 +223,7 @@ def make_model(view: str, others: Sequence[Player] = (), shares: Sequence[float]
     if ID not in gym.registry:  # in each process
         gym.register(ID, vector_entry_point=OneSide)
     policy: Any = PairPolicy if view == "observer" else "MlpPolicy"
-    envs = SwarmVecEnv(ID, BATCH, view=view, others=others, shares=shares)
+    envs = SwarmVecEnv(ID, BATCH, game=game, view=view, others=others, shares=shares)
     how = PPO_OF["observer" if view == "observer" else "head"]
     return PPO(policy, envs, seed=seed, gamma=1.0, batch_size=256, n_epochs=4, device="cpu", **how)
 
@@ -220,7 +233,7 @@ def read_players() -> dict[str, dict[str, Player]]:
     players: dict[str, dict[str, Player]] = {role: {} for role in SIDES}
     for name, weights in read_policies(WEIGHTS).items():
         (role,) = (role for role, side in SIDES.items() if name.startswith(side))
-        policy = make_model(role).policy
+        policy = make_model("usual", role).policy
         policy.load_state_dict(weights, strict=False)
         players[role][name] = follow(policy, role)
     return players
@@ -247,33 +260,34 @@ def learn(game: shared.Game, rounds: int, length: float, episodes: int, fresh: i
 
     The policies of the first training are written.
     """
-    seed = game["training"]
+    rules, seed = game["game"], game["training"]
     players: dict[str, dict[str, Player]] = {"head": {"nothing": choose(0, 0, 0, 0)}, "observer": {}}
     parts, policies = list[pd.DataFrame](), dict[str, Any]()
 
     def add(role: str, name: str, player: Player) -> None:
         players[role][name] = player
         for pair in product(*(players[side] if side != role else [name] for side in SIDES)):
-            found = play(players["head"][pair[0]], players["observer"][pair[1]], episodes)
+            found = play(rules, players["head"][pair[0]], players["observer"][pair[1]], episodes)
             parts.append(found.assign(head=pair[0], observer=pair[1]))
 
     for name in SCRIPTED:
         add("observer", name, detect(name))
     for number, (role, other) in product(range(1, rounds + 1), permutations(SIDES)):
         others, (_, mixtures) = [*players[other].values()], solve(tabulate(pd.concat(parts)))
-        name, model = f"{SIDES[role]} {number}", make_model(role, others, mixtures[other], seed)
+        name, model = f"{SIDES[role]} {number}", make_model(rules, role, others, mixtures[other], seed)
         if number > 1:  # from the last policy of this side
             model.policy.load_state_dict(policies[f"{SIDES[role]} {number - 1}"].state_dict())
         policies[name] = model.learn(int(length * DECISIONS[role])).policy
         player = follow(policies[name], role)
         if role == "head":
-            mixture, constant = mix(others, mixtures[other]), find_constant(mix(others, mixtures[other]))
+            mixture = mix(others, mixtures[other])
+            constant = find_constant(rules, mixture)
             both = {name: player, f"{name}, constant {constant}": choose(*constant)}
-            name = max(both, key=lambda one: find_mean(play(both[one], mixture, 500, SEARCHED + 525)))
+            name = max(both, key=lambda one: find_mean(play(rules, both[one], mixture, 500, SEARCHED + 525)))
             player = both[name]
         add(role, name, player)
-        print(f"training {seed}, {name}, {time.process_time():.0f} s", flush=True)
-    if seed == 0:
+        print(f"{rules}, training {seed}, {name}, {time.process_time():.0f} s", flush=True)
+    if rules == "usual" and seed == 0:
         write_policies(WEIGHTS, policies, {"decisions": DECISIONS, "length": length, "ppo": PPO_OF, "game": GAME})
     print(tabulate(pd.concat(parts)).round(2).to_string(), flush=True)
     _, mixtures = solve(tabulate(pd.concat(parts)))
@@ -282,26 +296,35 @@ def learn(game: shared.Game, rounds: int, length: float, episodes: int, fresh: i
         others = [*players[other].values()]
         whole = {side: mix([*players[side].values()], mixtures[side]) for side in SIDES}
         responses = {MIXTURE: whole[role]} if role == "head" else {}
-        responses |= find_responses(role, others, mixtures[other], seed, length, last[role])
+        responses |= find_responses(rules, role, others, mixtures[other], seed, length, last[role])
         for name, player in responses.items():
-            found = play(*(whole | {role: player}).values(), fresh, FRESH)
+            found = play(rules, *(whole | {role: player}).values(), fresh, FRESH)
             parts.append(found.assign(**{role: name, other: MIXTURE}))
-            print(f"training {seed}, {role} {name}: {find_mean(found):.3f}, {time.process_time():.0f} s", flush=True)
+            print(
+                f"{rules}, training {seed}, {role} {name}: {find_mean(found):.3f}, {time.process_time():.0f} s",
+                flush=True,
+            )
     return pd.concat(parts).assign(**game).to_dict("records")
 
 
 def find_responses(
-    role: str, others: Sequence[Player], shares: np.ndarray, seed: int, length: float, weights: dict[str, Any]
+    game: str,
+    role: str,
+    others: Sequence[Player],
+    shares: np.ndarray,
+    seed: int,
+    length: float,
+    weights: dict[str, Any],
 ) -> dict[str, Player]:
     """What may exploit a mixture of the other side's players, by name; ``weights`` are of this side's last policy."""
     if role == "observer":
         found = {name: detect(name) for name in SCRIPTED}
     else:
-        constant = find_constant(mix(others, shares))
+        constant = find_constant(game, mix(others, shares))
         found = {f"constant {constant}": choose(*constant)}
     budgets = [(role, budget) for budget in BUDGETS] + [("state", BUDGETS[-1])] * (role == "head")
     for view, budget in budgets:
-        model = make_model(view, others, shares, seed)
+        model = make_model(game, view, others, shares, seed)
         if view == role:
             model.policy.load_state_dict(weights)
         policy = model.learn(int(length * budget * DECISIONS[role])).policy
@@ -312,15 +335,15 @@ def find_responses(
 def report(rows: pd.DataFrame) -> str:
     """The pay-offs of the first training, and of all trainings what each response to the last mixtures gains."""
     rows = rows.assign(payoff=rows.J - rows.price)
-    seeds, exploits = sorted(rows.training.unique()), (rows["head"] == MIXTURE) | (rows.observer == MIXTURE)
-    first = rows[(rows.training == seeds[0]) & ~exploits]
-    table = pivot(
-        first, {"swarm": "head"}, across("observer", first.observer.unique(), lambda part: f"{part.payoff.mean():.2f}")
-    )
+    exploits = (rows["head"] == MIXTURE) | (rows.observer == MIXTURE)
+    first = rows[(rows.game == "usual") & (rows.training == rows.training.min()) & ~exploits]
+    columns = across("observer", first.observer.unique(), lambda part: f"{part.payoff.mean():.2f}")
     found = rows[exploits].copy()
-    found["swarm"], found["observer"] = (found[side].str.replace(r" \(.*", "", regex=True) for side in SIDES)
-    columns = across("training", seeds, mean("payoff"), "pay-off, seed {}")
-    return f"{table}\n\n{pivot(found, {'swarm': 'swarm', 'observer': 'observer'}, columns)}"
+    found["swarm"], found["observer"] = (found[side].str.replace(r" \(\d.*", "", regex=True) for side in SIDES)
+    runs = found.game + ", seed " + found.training.astype(str)
+    gains = across("run", runs.unique(), mean("payoff"))
+    lines = {"swarm": "swarm", "observer": "observer"}
+    return f"{pivot(first, {'swarm': 'head'}, columns)}\n\n{pivot(found.assign(run=runs), lines, gains)}"
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -333,7 +356,7 @@ def main(argv: list[str] | None = None) -> None:
     options = parser.parse_args(argv)
     how = {name: getattr(options, name) for name in ("rounds", "length", "episodes", "fresh")}
     play_all = partial(learn, **how)
-    games = [{"training": seed} for seed in range(options.trainings)]
+    games = [{"game": game, "training": seed} for game, seed in product(GAMES, range(options.trainings))]
     print(report(shared.run_missing(options, games, play_all)))
 
 
