@@ -9,6 +9,7 @@ import pytest
 
 EXAMPLES = {
     "ppo": ("torch", "--steps 1024 --episodes 2", ["PPO", "regression", "random"]),
+    "supervised": ("torch", "--windows 128 --episodes 2", ["supervised", "untrained", "reader", "lagged", "random"]),
     "torchrl_ppo": ("torchrl", "--steps 1024 --episodes 2", ["PPO", "regression"] * 2),
     "minari_imitation": ("minari", "--games 3 --updates 2 --episodes 2", ["student", "teacher"] * 2),
 }
@@ -25,7 +26,9 @@ def test_an_example_trains_and_compares_its_agent_with_detectors(name, capsys, m
     example = importlib.import_module(name)
     monkeypatch.setenv("MINARI_DATASETS_PATH", "")  # put back afterwards
     example.main(EXAMPLES[name][1].split())
-    lines = [re.match(r"\| (\w+) \| \d+ \|.* \| (-?[\d.]+)", line) for line in capsys.readouterr().out.splitlines()]
+    lines = [
+        re.match(r"\| (\w+)[^|]* \| \d+ \|.* \| (-?[\d.]+)", line) for line in capsys.readouterr().out.splitlines()
+    ]
     scores = [(line[1], float(line[2])) for line in lines if line]
     assert [agent for agent, _ in scores] == EXAMPLES[name][2]
     assert np.isfinite([score for _, score in scores]).all()
