@@ -100,7 +100,7 @@ def find_leaders(
     elif confirm:
         facts.append(_count_chance(windows))
     periods: tuple[Period, ...] = ()
-    if "probability" in answers[0].extras and any(window.leaders for window in windows):
+    if "probability" in answers[0].extras:
         periods = trace_periods(resampled, windows, track_windows, partial(_ask_once, player, seed), confirm)
         pairs = zip(windows, track_windows, strict=True)
         windows = [blur_links(window, track_window, periods, tracks.ids) for window, track_window in pairs]
