@@ -105,7 +105,7 @@ def run(program: Path | list[list[str]], folder: Path) -> str:
 
 
 def prepare(page: Path, folder: Path) -> None:
-    if page.name == "tracks.md":
+    if page.stem.startswith("tracks"):
         run(ROOT / "examples" / "make_tracks.py", folder)
 
 
