@@ -52,7 +52,7 @@ PAGES = (
 )
 SUITES = {  # those of README.md
     "field-v3": "field models, kinematics, disturbances; heads follow unseen UAVs",
-    "limit-v2": "near the limit of what a window tells; heads follow unseen UAVs",
+    "limit-v2": "near the limit of what a window shows; heads follow unseen UAVs",
     "open": "laws drawn after the training; heads follow unseen UAVs",
     "open-second": "laws of a second grammar, drawn likewise; heads follow unseen UAVs",
     "paper-hard": "the paper's problems, in which heads don't stand out",

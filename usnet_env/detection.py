@@ -90,9 +90,9 @@ class Detection:
     def after(self, removed: ArrayLike, window: Window) -> Indices:
         """The candidate that each UAV follows once some UAVs are removed, ``(N,)``; -1 if none is left.
 
-        It goes by the links of the detection and by the rule of the game: who follows a removed relay goes on with the
-        next one above, and who follows a removed candidate, or no candidate, joins the nearest one that is left, with
-        all below. Nearest is by the last positions that are seen. Without ``leader``, UAVs follow the candidate of
+        It goes by the links of the detection and by the rule of the game: followers of a removed relay go on with the
+        next one above, and followers of a removed candidate, or of none, join the nearest one that is left, with all
+        below. Nearest is by the last positions that are seen. Without ``leader``, UAVs follow the candidate of
         their cluster.
 
         Args:

@@ -1,6 +1,6 @@
-"""Detectors that are blind to who copies whom: one sees a single instant, the other each track alone.
+"""Detectors that are blind to links: one sees a single instant, the other each track alone.
 
-Where such a detector is better than chance, a score doesn't show that anybody found who follows whom.
+Where such a detector is better than chance, a score is no proof that a detector found links.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ _MOST_ROWS = 200  # of a window; more are thinned out
 
 
 class TransferEntropy(NetworkDetector):
-    """Net transfer entropy: what j's past tells about i's velocity beyond i's own past, less the reverse.
+    """Net transfer entropy: what j's past adds about i's velocity beyond i's own past, less the reverse.
 
     The transfer entropy (Schreiber, Physical Review Letters 85, 2000) from j to i with the delay τ (Wibral et al., PLoS
     ONE 8, 2013) is the conditional mutual information of v_i(t) and v_j(t - τ), given v_i(t - 1). It is estimated by

@@ -32,7 +32,7 @@ class Reader(Detector):
 
     Args:
         policy: ``"cost"`` (default) names the set with the least expected cost (:func:`detectors.policy.choose`),
-            nobody where probably nobody leads; ``"map"`` names the UAVs with a probability above 1/2.
+            none where probably no UAV leads; ``"map"`` names the UAVs with a probability above 1/2.
         objective: ``"P2"`` (destroy all heads in few rounds) or ``"P1"`` (name the single head in one round).
         round_price: the expected cost of one more round of P2, in rounds; used by ``"cost"`` only.
         weights: ``"shipped"``; to compare with, ``"untrained"`` (random) and ``"blind"`` (trained on windows of the

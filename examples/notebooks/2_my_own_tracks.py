@@ -15,7 +15,7 @@ from usnet_env.tracks import LeaderTracker, find_leaders, read_tracks
 FILE = "tracks.csv"
 
 # %% [markdown]
-# Eight birds; seven fly as bird-0 flew 1 to 3 s earlier, beside it.
+# Eight birds; seven fly as bird-0 flew 1 to 3 s earlier, next to it.
 
 # %%
 rng = np.random.default_rng(0)
@@ -33,7 +33,7 @@ tracks = read_tracks(FILE)
 print(tracks.report())
 
 # %% [markdown]
-# Who leads whom, over the file, and what changes when.
+# The leaders over the file, and what changes when.
 
 # %%
 found = find_leaders(tracks)

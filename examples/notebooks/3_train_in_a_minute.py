@@ -2,7 +2,7 @@
 Train in a minute
 =================
 
-PPO learns from raw windows who leads: nobody tells it what to look for. It needs ``pip install '.[rl]'``.
+PPO learns from raw windows which UAV leads, without hints or rules. It needs ``pip install '.[rl]'``.
 """
 
 # %%

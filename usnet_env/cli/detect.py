@@ -28,7 +28,7 @@ _DETECTOR = "reader(policy='map')"
 _MOST_ROWS, _MOST_NAMES = 40, 6  # of a table that is printed; ids in a row
 _COLUMN = "Name of a column; without NAME, the role is left out. May be repeated."
 _HEADER = "Names of the columns, with commas, of a file without them in row 1."
-_LENGTH = "Unit of x, y and z; beside degrees of z.  [default: m]"
+_LENGTH = "Unit of x, y and z; of z only if positions are degrees.  [default: m]"
 _DUPLICATES = "Of several places of an id at one time, keep one.  [default: error]"
 _FOLLOW = "Read lines of a CSV from standard input, TRACKS -, as they come, and print what changes; needs --step."
 _SIZE = "MiB to which a file of gzip, zip or NumPy may unpack."
@@ -90,7 +90,7 @@ def _parse_position(context: click.Context, option: click.Parameter, words: str 
 @click.option("--min-confidence", type=float, help="Skip rows with a smaller confidence, likelihood or score.")
 @click.option("--split-gap", type=PositiveNumber(), help="Seconds; after a longer gap, the id counts as a new one.")
 @click.option("--pool", is_flag=True, help="Files are recordings of the same ids, each with its own time.")
-@click.option("--pool-by", metavar="NAME", help="Column, such as period, that tells recordings in one file apart.")
+@click.option("--pool-by", metavar="NAME", help="Column, such as period, of the recordings in one file.")
 @click.option("--max-size", type=PositiveNumber(), default=256, show_default=True, help=_SIZE)
 @click.option("--encoding", default="utf-8", show_default=True, metavar="NAME", help="Encoding of a CSV file.")
 @click.option("--decimal", type=click.Choice([".", ","]), default=".", help="Decimal sign of a CSV file.  [default: .]")

@@ -61,7 +61,7 @@ def demo(out: str, open_viewer: bool, **options: Any) -> None:
 @click.command(short_help="Show recorded episodes: replay, animation, page.", epilog=_REPLAY_EXAMPLES)
 @click.argument("path", type=click.Path(path_type=Path))
 @click.option("--episode", type=click.IntRange(0), metavar="N", help="Number of the episode in a folder of several.")
-@click.option("--rrd", type=click.Path(path_type=Path), metavar="FILE", help="Replay.  [default: beside the file]")
+@click.option("--rrd", type=click.Path(path_type=Path), metavar="FILE", help="Replay.  [default: next to the file]")
 @click.option("--open", "open_viewer", is_flag=True, help="Open the replay in the Rerun viewer.")
 @click.option("--animation", metavar="GIF|MP4", help="Animation to write, .gif or .mp4.")
 @click.option("--page", metavar="HTML", help="Page to write for any browser; it needs no network.")

@@ -30,7 +30,7 @@ class Prober:
     Args:
         detector: ``None``: the likelihood of copies; or any detector. Of one without probabilities, candidates are
             taken for more probable than others.
-        target: whom to test: ``"none"``, ``"random"``, or ``"nearest"`` of the UAVs that are more probable than 1/N.
+        target: UAVs to test: ``"none"``, ``"random"``, or ``"nearest"`` of those that are more probable than 1/N.
         confidence: the belief from which on a UAV is named; when the window is full, the most probable one is.
     """
 
@@ -81,7 +81,7 @@ class Prober:
         """The action that flies each intruder to the outer side of another UAV, so that it pushes few others.
 
         Args:
-            judge: what it is worth to test each UAV, ``(N,)``, given its distances from an intruder, ``(N,)`` metres.
+            judge: the gain of a test of each UAV, ``(N,)``, given its distances from an intruder, ``(N,)`` metres.
         """
         free, goals = np.isfinite(self._place[:, 0]), np.zeros(self._intruders.shape)
         for k, intruder in enumerate(self._intruders):
@@ -148,7 +148,7 @@ def weigh_reactions(window: Window, intruders: Singles, arguments: ProbingArgume
     return np.asarray(np.einsum("tnc,tc->n", expected, turned) - np.square(expected).sum(axis=(0, 2)) / 2) / spread
 
 
-#: What it is worth to test each UAV, given the prober and the distances from an intruder, by the name of ``target``.
+#: The gain of a test of each UAV, given the prober and the distances from an intruder, by the name of ``target``.
 TARGETS: dict[str, Callable[[Prober, Floats], Floats]] = {
     "none": lambda prober, distance: -distance,
     "random": lambda prober, distance: prober.rng.random(len(distance)),

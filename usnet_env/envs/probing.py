@@ -209,7 +209,7 @@ class ProbingEnv(UsnetEnv):
     ## Description
     One head, its followers and optional decoys fly as in `USNET/SingleCluster-v0`. The agent also steers `intruders`,
     which are no UAVs of the swarm. A UAV nearer to one than `reach` turns away from it. If the head turns, its followers
-    turn after it; if a follower or a decoy turns, it turns alone. So the agent can find out whom others follow where
+    turn after it; if a follower or a decoy turns, it turns alone. So the agent can find out which UAV others follow where
     the flight alone doesn't show it. It sees the window so far after every `look_every` samples, and may name the
     head at any time.
 

@@ -273,7 +273,7 @@ class SingleClusterEnv(UsnetEnv):
     `shot_budget` candidates destroys no UAV and counts as an empty set.
 
     Some [field models](../field.md) have several heads or none. With several, J_s is minus the number of redundant
-    candidates, and a head that is not named costs nothing: report `recall_first` and `success` beside J. With none, the
+    candidates, and a head that is not named costs nothing: report `recall_first` and `success`, too. With none, the
     empty set is the right answer and scores 0.
 
     {info}

@@ -1,4 +1,4 @@
-"""An animation of one game: what the detector sees beside the truth, round by round, as a GIF or MP4."""
+"""An animation of one game: what the detector sees next to the truth, round by round, as a GIF or MP4."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def write_frames(
 
 
 def animate(record: EpisodeRecord, path: str | os.PathLike[str], *, frames: int = 8) -> Path:
-    """Write an animation of an episode: beside what the detector sees and names, the truth; the file appears whole.
+    """Write an animation of an episode: what the detector sees and names, next to the truth; the file appears whole.
 
     Args:
         record: the episode.

@@ -263,7 +263,7 @@ def _space(writer: EpisodeWriter, name: str, truth: bool) -> rrb.Spatial3DView:
 
 
 def _arrange(writer: EpisodeWriter) -> rrb.Blueprint:
-    """The layout: the swarm as it is seen and as it is, and beside them texts; below them charts."""
+    """The layout: the swarm as it is seen and as it is, next to them texts; below them charts."""
     import rerun.blueprint as rrb
 
     record, range_of = writer.record, writer.rr.TimeRangeBoundary

@@ -138,14 +138,14 @@ def draw_network(rows: pd.DataFrame, windows: int, colors: Mapping[Id, str], ax:
     axes.set(xlim=(-1.2, 1.2), ylim=(-1.2, 1.2), aspect="equal")
     axes.set_axis_off()
     dashed = "\n(dashed: in the group of, directly or not)" * (len(links) > 0 and not links["direct"].all())
-    axes.set_title(f"Who follows whom{dashed}" if len(rows) else "No leader was found.", fontsize=11)
+    axes.set_title(f"Followers and their leaders{dashed}" if len(rows) else "No leader was found.", fontsize=11)
     return figure
 
 
 def draw_delays(rows: pd.DataFrame, ax: Any = None) -> Figure:
     """Draw a matrix with a row for each follower, a column for each that is followed, and the median delay.
 
-    The number beside it is half of the 95 % interval of a window. Links that are not direct are in brackets.
+    The number next to it is half of the 95 % interval of a window. Links that are not direct are in brackets.
     """
     links = rows.dropna(subset="leader")
     links = links.assign(error=(links["delay_high"].astype(float) - links["delay_low"].astype(float)) / 2)
@@ -200,7 +200,7 @@ def draw_timeline(
     patches = [axes.barh([0], 0, color=color, label=str(head)) for head, color in list(colors.items())[:9]]
     if patches:
         axes.legend(title="follows", loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8, frameon=False)
-    axes.set_title("Whom each id follows (star: it leads)" if patches else "No leader was found.", fontsize=10)
+    axes.set_title("Which id each id follows (star: it leads)" if patches else "No leader was found.", fontsize=10)
     axes.spines[["top", "right"]].set_visible(False)
     return figure
 
@@ -231,9 +231,9 @@ def draw_evidence(curves: pd.DataFrame, chance: float, leader: Id, ax: Any = Non
 
 
 def draw_probabilities(table: pd.DataFrame, colors: Mapping[Id, str], ax: Any = None) -> Figure:
-    """Draw the probability to lead of each id in each window, in colour if it leads in any, and that nobody leads.
+    """Draw the probability to lead of each id in each window, in colour if it leads in any, and that none does.
 
-    The columns of ``table`` are ids, ``None`` for nobody, and the index are the times of the windows.
+    The columns of ``table`` are ids, ``None`` for none, and the index are the times of the windows.
     """
     figure, axes = _make_axes(ax, 8, 3)
     figure.set_layout_engine("constrained") if ax is None else None
@@ -241,7 +241,7 @@ def draw_probabilities(table: pd.DataFrame, colors: Mapping[Id, str], ax: Any = 
     for name in sorted(table.columns, key=lambda name: name in colors or name is None):
         style: dict[str, Any] = {"color": "#bbbbbb", "linewidth": 0.8}
         if name is None or name in colors:
-            style = {"label": "nobody leads" if name is None else _labels([name])[0], "linewidth": 1.6}
+            style = {"label": "no id leads" if name is None else _labels([name])[0], "linewidth": 1.6}
             style |= {"color": "black", "linestyle": ":"} if name is None else {"color": colors[name]}
         axes.plot(x, table[name], marker=".", **style)
     shown = np.unique(np.linspace(0, len(table) - 1, min(len(table), 6)).astype(int))

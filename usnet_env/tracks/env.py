@@ -52,7 +52,7 @@ class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
 
     ## Rewards
     −(1 + redundant / N), where redundant candidates are no heads: −J_m of the one round. Missed heads cost nothing:
-    report `recall_first` and `success` beside J, and `group_leader_first`, the share of the groups, taken as known,
+    report `recall_first` and `success` next to J, and `group_leader_first`, the share of the groups, taken as known,
     whose head has the highest score.
 
     `info` holds `hits`, `redundant`, `round`, `success`, `is_success` and `J` as in `USNET/MultiCluster-v0`,
