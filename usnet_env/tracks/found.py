@@ -1,4 +1,4 @@
-"""What is found in windows of recorded tracks: leaders, who follows them, and what changes from window to window."""
+"""What is found in windows of recorded tracks: leaders, their followers, and what changes from window to window."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Link:
             half a sampling interval, or longer than 12 steps.
         delay_low: lower end of its 95 % interval.
         delay_high: upper end.
-        direct: whether the tracks tell that it follows this id directly. If not, ``leader`` is the head, which it
+        direct: whether the tracks show that it follows this id directly. If not, ``leader`` is the head, which it
             follows directly or through others.
         behind_head: seconds at which its velocity agrees best with the earlier velocity of the head.
         correlation: of both velocities, at this delay.
@@ -120,7 +120,7 @@ class DetectedWindow:
 
 @dataclass(frozen=True)
 class Event:
-    """A change of who leads whom; its text is a sentence.
+    """A change of leaders; its text is a sentence.
 
     Args:
         time: when the ids begin to copy the new head, or else of the first instant of the later window, as in the file.

@@ -48,7 +48,7 @@ def find_leaders(
 ) -> FoundLeaders:
     """Let a detector answer every window of tracks.
 
-    The detector is reset before every window. If it tells the probability that nobody leads, the window is read at
+    The detector is reset before every window. If it gives the probability that no id leads, the window is read at
     other steps, too (:func:`answer_window`). Groups, a leader and its followers, are followed from window to window: a
     group keeps its number where it shares the most members with an earlier one.
 

@@ -35,7 +35,7 @@ class LiveLeaders:
         follows: the head of each id that follows one.
         changes: what is announced or withdrawn since the update before; the text of each is a sentence.
         sure: whether the last answer is sure of every id, and agrees with what is announced. Without leaders, it is
-            known that nobody leads, or, if it isn't sure, not known yet.
+            known that no id leads, or, if it isn't sure, not known yet.
     """
 
     time: float

@@ -63,7 +63,7 @@ def read_tracks(
             with a ``position`` over time, space and individuals, as movement makes it. ULog files hold one track each,
             whose id is the name of the file. The tracks of one name in several GPX or ULog files are different ids,
             which have the path added.
-        format: the name of a reader, or ``"csv"``, where the suffix doesn't tell it.
+        format: the name of a reader, or ``"csv"``, where the suffix isn't enough.
         columns: names of columns by role, where they can't be guessed: ``id``, ``t`` (seconds or timestamps) or
             ``frame``, ``x`` and ``y`` (metres) or ``lon`` and ``lat`` (degrees), ``z``, ``leader``. ``""`` leaves one
             out. If heights are missing in some rows, all are left out unless their column is named here.
@@ -72,7 +72,7 @@ def read_tracks(
             video; ``None``: the unit in its name (``time_ms``), that of numbers that count from 1970, or of a
             spreadsheet's days, or else 1.
         time_format: of timestamps, as ``strftime`` writes it; ``None``: ISO 8601, or days and months in plain order.
-        length_unit: of x, y and z (heights only beside degrees); ``None``: that in the name (``x_cm``), or metres.
+        length_unit: of x, y and z (only of heights in a file of degrees); ``None``: that in the name (``x_cm``), or metres.
         missing: ``"refuse"`` a row without a time, place or id that can be read, or ``"skip"`` it. Such rows of a
             Movebank file, which are missed fixes, are always skipped; so are those that Movebank marks as outliers, and
             empty cells of a table with a column for each id (``x1, y1, x2, y2``).
@@ -81,7 +81,7 @@ def read_tracks(
         split_gap: seconds; after a longer gap, an id is another one: ``a`` is ``a/2``, and then ``a/3``.
         duplicates: of several places of an id at one time, keep the ``"first"`` or the ``"mean"``, or refuse them.
         pool: whether the files are recordings of the same ids, each with a time of its own; no window has two of them.
-        pool_by: the name of a column, such as ``period``, that tells recordings apart which are in one file.
+        pool_by: the name of a column, such as ``period``, of the recordings in one file.
         max_size: MiB to which a file of gzip, zip or NumPy may unpack.
         encoding: of a CSV file.
         decimal: the decimal sign of a CSV file.
