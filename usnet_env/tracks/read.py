@@ -72,7 +72,7 @@ def read_tracks(
             video; ``None``: the unit in its name (``time_ms``), that of numbers that count from 1970, or of a
             spreadsheet's days, or else 1.
         time_format: of timestamps, as ``strftime`` writes it; ``None``: ISO 8601, or days and months in plain order.
-        length_unit: of x, y and z (only of heights in a file of degrees); ``None``: that in the name (``x_cm``), or metres.
+        length_unit: of x, y and z (with degrees, of z only); ``None``: that in the name (``x_cm``), or metres.
         missing: ``"refuse"`` a row without a time, place or id that can be read, or ``"skip"`` it. Such rows of a
             Movebank file, which are missed fixes, are always skipped; so are those that Movebank marks as outliers, and
             empty cells of a table with a column for each id (``x1, y1, x2, y2``).
