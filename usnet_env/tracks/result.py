@@ -19,6 +19,7 @@ from usnet_env.config import ArgumentError, MissingExtraError, format_count, quo
 from usnet_env.detection import Detection
 from usnet_env.drawing import CLUSTER_COLORS, write_figure
 from usnet_env.files import as_path, replace_files, reserve_folder, write_text
+from usnet_env.provenance import versions
 from usnet_env.tracks import draw
 from usnet_env.tracks.changes import Period, list_events
 from usnet_env.tracks.evidence import compare_with_head
@@ -327,13 +328,11 @@ class FoundLeaders:
 
     def _write_page(self, path: Path, title: str) -> None:
         """Write the page; without tracks it has no map."""
-        from usnet_env import __version__
-
-        data = None
+        data, version = None, versions().get("usnet", "unknown")
         if self.tracks is not None and self.windows:
             known = (self.windows, self.track_windows, self.leaders, self.colors, self._probabilities)
             data = collect_data(self.tracks, *known, self._lag_curves)
-        facts = [*self.facts, f"Found by {self.detector}, seed {self.seed}, with usnet {__version__}."]
+        facts = [*self.facts, f"Found by {self.detector}, seed {self.seed}, with usnet {version}."]
         write_page(path, title, str(self).splitlines(), data, self._repr_html_(), facts)
 
 
