@@ -178,9 +178,8 @@ def confirm_lead(window: Window, leader: int, followers: Sequence[int]) -> bool:
     those of 40 surrogates, in which time is reversed in half of the blocks, of about 8 steps each: these keep what both
     do at the same time, and cancel leads. The scores of the velocities and of their changes must exceed 1, and their
     sum z times its standard deviation, 1.8; z is the quantile of a normal distribution at 0.05 / n, because the leader
-    was chosen from the n members of its group. Both leads together may be as large after at most 5 % of all shifts in
-    time: gait, wing beats and circles have leads that are but phases. It is false without followers, and true in a
-    window of fewer than 16 steps, which is too short for the test.
+    was chosen from the n members of its group. It is false without followers, and true in a window of fewer than 16
+    steps, which is too short for the test.
     """
     if not followers or window.observation_steps < LEAST_STEPS:
         return bool(followers)
@@ -190,7 +189,7 @@ def confirm_lead(window: Window, leader: int, followers: Sequence[int]) -> bool:
     mean /= np.maximum(count, 1)[:, None]
     both = (count > 0) & window.velocity_seen[:, leader]
     ahead, level = window.velocity[:, leader].astype(np.float64), LEVEL / (1 + len(followers))
-    return _is_ahead(mean, ahead, both, level) and not _may_be_phase(mean, ahead, both)
+    return _is_ahead(mean, ahead, both, level)
 
 
 def find_followers(
@@ -245,25 +244,6 @@ def _is_ahead(group: Floats, ahead: Floats, both: Mask, level: float) -> bool:
     changes = _measure_score(np.diff(group, axis=0), np.diff(ahead, axis=0), 1.0)
     limit = max(0.0, -NormalDist().inv_cdf(level))
     return velocity + changes > _DEVIATION_OF_BOTH * limit and (limit == 0.0 or min(velocity, changes) > 1.0)
-
-
-def _may_be_phase(group: Floats, ahead: Floats, both: Mask) -> bool:
-    """Whether ``group`` ``(T, 3)`` follows ``ahead`` as much after more than 5 % of all shifts in time.
-
-    The leads of the velocities and of their changes, each in its standard deviations, are added. A window with fewer
-    than 20 shifts is too short to see a phase.
-    """
-    total, steps = np.zeros(len(group) - 1), np.arange(1, LAGS + 1)[:, None]
-    group, ahead = centre_columns(group, both), centre_columns(ahead, both)
-    for behind, first in ((group[:-1], ahead[:-1]), (np.diff(group, axis=0), np.diff(ahead, axis=0))):
-        spectrum = (np.fft.rfft(behind, axis=0) * np.conj(np.fft.rfft(first, axis=0))).sum(axis=1)
-        curve, shifts = np.fft.irfft(spectrum, len(total)), np.arange(len(total))
-        later, earlier = (curve[(shifts + sign * steps) % len(total)].max(axis=0) for sign in (1, -1))
-        lead = later - earlier
-        total += lead / max(float(lead.std()), _ROUNDED)
-    others = total[_LEAST_SHIFT:-_LEAST_SHIFT]
-    as_large = int((others >= total[0]).sum())
-    return len(others) >= 1 / LEVEL and (1 + as_large) / (1 + len(others)) > LEVEL
 
 
 def _measure_score(group: Floats, ahead: Floats, sign: float) -> float:
