@@ -179,7 +179,8 @@ def recorded_block() -> str:
     names = (READER, "front-most", "mflica", "lagged-network", "random")
     columns: dict[str, CellFormatter] = {"windows": lambda part: str(part[part.detector == READER].shape[0])}
     columns |= across("detector", names, format_cell, "`{}`")
-    return pivot(rows.replace({"set": RECORDED}), {"recordings": "set", "never seen in development": "unseen"}, columns)
+    lines = {"recordings": "set", "unseen when the weights were chosen": "unseen"}
+    return pivot(rows.replace({"set": RECORDED}), lines, columns)
 
 
 def ladder_block() -> str:

@@ -76,7 +76,9 @@ def stranger(monkeypatch, tmp_path):
 
 def list_lines(capsys):
     assert main(["list", "detectors"]) == 0
-    return {line.split()[0]: line.partition(" ")[2].strip() for line in capsys.readouterr().out.splitlines()}
+    *lines, hint = capsys.readouterr().out.splitlines()
+    assert hint.startswith("Start with reader")
+    return {line.split()[0]: line.partition(" ")[2].strip() for line in lines}
 
 
 def test_every_detector_has_a_line_and_its_tags(capsys):
