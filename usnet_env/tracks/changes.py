@@ -31,16 +31,16 @@ _LEAST = -5.0  # the logarithm of a probability that a detector gives as 0
 _MOST_LAG = 12  # steps
 _MARGIN = 0.025  # of the probability on each side of an interval
 _NEVER = -1e6  # evidence for what can't be
-NOBODY = -1
+NO_LEADER = -1
 
 
 @dataclass(frozen=True)
 class Period:
-    """A time in which a group follows one leader, or nobody.
+    """A time in which a group follows one leader, or none.
 
     Args:
         rows: the group's members, as rows of ``Tracks.ids``; the leader may be one of them.
-        leader: its row, or -1: nobody.
+        leader: its row, or -1: none.
         start: in seconds, when it began.
         end: when it ended.
         low: lower end of the 95 % interval of ``start``.
@@ -98,7 +98,7 @@ def trace_periods(
         evidence = _weigh(root[there][:, rows], rows, surely[there], silent[there], candidates)
         evidence[_are_led(rows, centres[there], resampled.ids, windows, track_windows), -1] = _NEVER
         path = _find_path(evidence, _PRICE)
-        states = np.append(candidates, NOBODY)
+        states = np.append(candidates, NO_LEADER)
         group = _list_periods(resampled, rows, states[path], evidence, states, centres[there], ends)
         if not confirm or any(_is_led(each, resampled, windows, track_windows) for each in group):
             periods += group
@@ -129,7 +129,7 @@ def _cut_span(tracks: Tracks, begin: float, end: float) -> Tracks:
 def _read_roots(
     short: Sequence[TrackWindow], answer: Callable[[TrackWindow], Detection], ids: int
 ) -> tuple[Indices, Floats, Floats]:
-    """The root of each id, ``(W, N)``, -1 where it isn't seen; logarithms of probabilities: it leads, nobody does."""
+    """The root of each id, ``(W, N)``, -1 where it isn't seen; logarithms of probabilities: it leads, no id does."""
     silent = np.full(len(short), _LEAST)
     root, surely = np.full((len(short), ids), -1), np.full((len(short), ids), _LEAST)
     for k, track_window in enumerate(short):
@@ -140,8 +140,8 @@ def _read_roots(
         root[k, rows] = rows[np.where(own >= 0, own, itself)]
         chance = np.asarray(found.extras.get("probability", found.candidates), np.float64)
         surely[k, rows] = np.log(np.maximum(chance, np.exp(_LEAST)))
-        nobody = found.extras.get("p_no_leader", np.prod(1.0 - chance))
-        silent[k] = np.log(max(float(nobody), np.exp(_LEAST)))
+        unled = found.extras.get("p_no_leader", np.prod(1.0 - chance))
+        silent[k] = np.log(max(float(unled), np.exp(_LEAST)))
     return root, surely, silent
 
 
@@ -162,7 +162,7 @@ def _find_groups(root: Indices) -> list[Indices]:
 
 
 def _weigh(root: Indices, rows: Indices, surely: Floats, silent: Floats, candidates: Indices) -> Floats:
-    """The evidence ``(W, C + 1)`` that each candidate leads those with roots ``(W, n)``; the last one: nobody does."""
+    """The evidence ``(W, C + 1)`` that each candidate leads those with roots ``(W, n)``; the last one: none does."""
     there = np.maximum((root >= 0).sum(axis=1), 1)
     share = (root[..., None] == candidates).sum(axis=1) / there[:, None]
     alone = (root == rows).sum(axis=1) / there
@@ -176,9 +176,9 @@ def _are_led(
     windows: Sequence[DetectedWindow],
     track_windows: Sequence[TrackWindow],
 ) -> Mask:
-    """Which times are in a window in which most members of a group follow or lead: there, nobody is no answer.
+    """Which times are in a window in which most members of a group follow or lead: there, no leader is no answer.
 
-    A single id that leads follows nobody.
+    A single id that leads follows none.
     """
     names, led = {ids[row] for row in rows}, np.zeros(len(centres), bool)
     for window, cut in zip(windows, track_windows, strict=True):
@@ -302,7 +302,7 @@ def _is_led(
     period: Period, tracks: Tracks, windows: Sequence[DetectedWindow], track_windows: Sequence[TrackWindow]
 ) -> bool:
     """Whether the leader of a period leads in a window of which it has the most, or is confirmed in the period."""
-    if period.leader == NOBODY:
+    if period.leader == NO_LEADER:
         return False
     name = tracks.ids[period.leader]
     for window, cut in zip(windows, track_windows, strict=True):
@@ -323,14 +323,14 @@ def list_events(periods: Sequence[Period], tracks: Tracks) -> tuple[Event, ...]:
     before = dict[tuple[int, ...], int]()
     moves = dict[tuple[float, int, int], list[Period]]()
     for each in sorted(periods, key=lambda each: each.start):
-        known = before.get(each.rows, NOBODY)
+        known = before.get(each.rows, NO_LEADER)
         before[each.rows] = each.leader
         if known != each.leader:
             moves.setdefault((each.start, known, each.leader), []).append(each)
     events = []
     for (time, *heads), parts in moves.items():
         rows = sorted(row for each in parts for row in each.rows)
-        old, new = (None if head == NOBODY else tracks.ids[head] for head in heads)
+        old, new = (None if head == NO_LEADER else tracks.ids[head] for head in heads)
         kind = name_kind(heads[0] in rows, heads[1] in rows, old, new)
         ids = tuple(tracks.ids[row] for row in rows if row not in heads)
         low, high = (

@@ -188,8 +188,7 @@ def confirm_lead(window: Window, leader: int, followers: Sequence[int]) -> bool:
     mean = (window.velocity[:, followers] * seen[..., None]).sum(axis=1, dtype=np.float64)
     mean /= np.maximum(count, 1)[:, None]
     both = (count > 0) & window.velocity_seen[:, leader]
-    ahead, level = window.velocity[:, leader].astype(np.float64), LEVEL / (1 + len(followers))
-    return _is_ahead(mean, ahead, both, level)
+    return _is_ahead(mean, window.velocity[:, leader].astype(np.float64), both, LEVEL / (1 + len(followers)))
 
 
 def find_followers(
