@@ -19,16 +19,16 @@ _BLOCKS, _SURROGATES = 8, 40  # the fewest blocks of a window; how often half of
 LEAST_STEPS = 2 * _BLOCKS
 LEVEL = 0.05  # of a group and window: how often a leaderless group gets a leader
 _LEVEL_OUTSIDE = 0.5
-_NEAREST, _SHIFTS, _DEVIATIONS = 5, 9, 3.0
-_LEAST_SHIFT = 3 * LAGS  # a smaller shift leaves a part of the likeness at some lag
-_DEVIATION_OF_BOTH = 1.8  # of the sum of two scores: 1.7 by their correlation of 0.45; 1.9 in tracks without leaders
-_LONGEST, _THIRD = 30.0, 3  # seconds, and part of a window, in which a position is reached later
-_SAME_HEADING = 0.8  # the cosine of headings at one position
-_SAME_WAY = 0.03  # squared distances to the way of a leader, as a share of those to where it is
-_ROUNDED = 1e-9  # of the variance of all positions: what the rounding of numbers may be
-_MOST_OF = 0.75  # of a group
-_MOST_COMPARED = 20  # UAVs
-_MOST_ALIKE = 0.999  # the logarithm of equal tracks is infinite
+_MAX_ALIKE, _SHIFTS, _DEVIATIONS = 5, 9, 3.0
+_MIN_SHIFT = 3 * LAGS  # a smaller shift leaves a part of the likeness at some lag
+_SUM_DEVIATION = 1.8  # of the sum of two scores: 1.7 by their correlation of 0.45; 1.9 in tracks without leaders
+_MAX_DELAY, _MAX_DELAY_PART = 30.0, 3  # seconds, and part of a window, in which a position is reached later
+_MIN_COSINE = 0.8  # the cosine of headings at one position
+_MAX_PATH_SHARE = 0.03  # squared distances to the way of a leader, as a share of those to where it is
+_ROUNDING = 1e-9  # of the variance of all positions: what the rounding of numbers may be
+_MIN_SHARE = 0.75  # of a group
+_MAX_COMPARED = 20  # UAVs
+_MAX_CORRELATION = 0.999  # the logarithm of equal tracks is infinite
 
 
 def confirm_leaders(
@@ -43,13 +43,13 @@ def confirm_leaders(
     (:func:`find_followers`); or else they go on its way later (:func:`keep_path_followers`), by the window with the
     shortest step, if there are several.
     """
-    kept = [keep_group(window, int(leader), members) for leader, members in zip(leaders, followers, strict=True)]
-    leads = [confirm_lead(window, int(leader), members) for leader, members in zip(leaders, kept, strict=True)]
+    groups = [keep_group(window, int(leader), members) for leader, members in zip(leaders, followers, strict=True)]
+    leads = [confirm_lead(window, int(leader), group) for leader, group in zip(leaders, groups, strict=True)]
     confirmed = np.array(leads, bool) & ~find_followers(window, leaders, followers)
     for c in np.flatnonzero(~confirmed).tolist():
-        if behind := keep_path_followers(shortest_step_window or window, int(leaders[c]), followers[c]):
-            confirmed[c], kept[c] = True, behind
-    return confirmed, kept
+        if path_followers := keep_path_followers(shortest_step_window or window, int(leaders[c]), followers[c]):
+            confirmed[c], groups[c] = True, path_followers
+    return confirmed, groups
 
 
 def keep_path_followers(window: Window, leader: int, followers: Sequence[int]) -> list[int]:
@@ -60,21 +60,21 @@ def keep_path_followers(window: Window, leader: int, followers: Sequence[int]) -
     now or later; beside it, if the variance of the vector is. Empty if fewer than three quarters of the followers do,
     if the leader follows the way of any UAV, or in a window of fewer than 16 steps.
     """
-    most = int(min(_LONGEST / (window.step or 1.0), window.observation_steps / _THIRD))
-    if not followers or most < 1 or window.observation_steps < LEAST_STEPS:
+    max_lag = int(min(_MAX_DELAY / (window.step or 1.0), window.observation_steps / _MAX_DELAY_PART))
+    if not followers or max_lag < 1 or window.observation_steps < LEAST_STEPS:
         return []
     group = np.array([leader, *followers])
-    if (_compare_ways(window, group[:1], np.arange(window.uavs), most) < _SAME_WAY).any():
+    if (_compare_paths(window, group[:1], np.arange(window.uavs), max_lag) < _MAX_PATH_SHARE).any():
         return []
-    links = _compare_ways(window, group[1:], group, most) < _SAME_WAY
+    links = _compare_paths(window, group[1:], group, max_lag) < _MAX_PATH_SHARE
     reached = links[:, 0]
-    while (more := reached | (links[:, 1:] & reached).any(axis=1)).sum() > reached.sum():
-        reached = more
-    return group[1:][reached].tolist() if reached.sum() >= _MOST_OF * len(followers) else []
+    while (reachable := reached | (links[:, 1:] & reached).any(axis=1)).sum() > reached.sum():
+        reached = reachable
+    return group[1:][reached].tolist() if reached.sum() >= _MIN_SHARE * len(followers) else []
 
 
-def _compare_ways(window: Window, behind: Indices, ahead: Indices, most: int) -> Floats:
-    """``(b, a)`` mean square of the vector to a UAV up to ``most`` steps before, as a share of that now or later.
+def _compare_paths(window: Window, followers: Indices, leaders: Indices, max_lag: int) -> Floats:
+    """``(f, l)`` mean square of the vector to a UAV up to ``max_lag`` steps before, as a share of that now or later.
 
     The same share of variances counts if it is smaller. It is infinite where both are seen in fewer than half of the
     window. What is tiny beside the variance of all positions counts as equal: on a straight way at one speed, it comes
@@ -83,21 +83,23 @@ def _compare_ways(window: Window, behind: Indices, ahead: Indices, most: int) ->
     seen = window.seen.astype(np.float64)
     position = np.where(window.seen[..., None], window.position - window.position[window.seen].mean(axis=0), 0.0)
     squares, instants = (position**2).sum(axis=2), len(position)
-    least = _ROUNDED * squares.sum() / max(seen.sum(), 1.0)
-    spread = np.empty((2, 2 * most + 1, len(behind), len(ahead)))  # mean squares and variances
-    for lag in range(-most, most + 1):
-        now, then = slice(max(0, lag), instants + min(0, lag)), slice(max(0, -lag), instants - max(0, lag))
-        both = seen[now][:, behind].T @ seen[then][:, ahead]
-        total = squares[now][:, behind].T @ seen[then][:, ahead] + seen[now][:, behind].T @ squares[then][:, ahead]
-        total -= 2 * np.einsum("tbk,tak->ba", position[now][:, behind], position[then][:, ahead], optimize=True)
-        apart = np.einsum("tbk,ta->bak", position[now][:, behind], seen[then][:, ahead], optimize=True)
-        apart -= np.einsum("tb,tak->bak", seen[now][:, behind], position[then][:, ahead], optimize=True)
-        square, mean = total / np.maximum(both, 1.0), apart / np.maximum(both, 1.0)[..., None]
-        apart_by = np.maximum((square, square - (mean**2).sum(axis=2)), least)
-        spread[:, lag + most] = np.where(both >= instants / 2, apart_by, np.inf)
-    before, other = spread[:, most + 1 :].min(axis=1), spread[:, : most + 1].min(axis=1)
-    known = np.isfinite(before) & np.isfinite(other) & (other > 0)
-    return np.where(known, before / np.where(known, other, 1.0), np.inf).min(axis=0)
+    least_square = _ROUNDING * squares.sum() / max(seen.sum(), 1.0)
+    spread = np.empty((2, 2 * max_lag + 1, len(followers), len(leaders)))  # mean squares and variances
+    for lag in range(-max_lag, max_lag + 1):
+        present, past = slice(max(0, lag), instants + min(0, lag)), slice(max(0, -lag), instants - max(0, lag))
+        seen_f, square_f, position_f = (values[present][:, followers] for values in (seen, squares, position))
+        seen_l, square_l, position_l = (values[past][:, leaders] for values in (seen, squares, position))
+        times_seen = seen_f.T @ seen_l
+        square = square_f.T @ seen_l + seen_f.T @ square_l
+        square -= 2 * np.einsum("tfk,tlk->fl", position_f, position_l, optimize=True)
+        offset = np.einsum("tfk,tl->flk", position_f, seen_l, optimize=True)
+        offset -= np.einsum("tf,tlk->flk", seen_f, position_l, optimize=True)
+        square, offset = square / np.maximum(times_seen, 1.0), offset / np.maximum(times_seen, 1.0)[..., None]
+        spread_at_lag = np.maximum((square, square - (offset**2).sum(axis=2)), least_square)
+        spread[:, lag + max_lag] = np.where(times_seen >= instants / 2, spread_at_lag, np.inf)
+    spread_before, spread_after = spread[:, max_lag + 1 :].min(axis=1), spread[:, : max_lag + 1].min(axis=1)
+    is_known = np.isfinite(spread_before) & np.isfinite(spread_after) & (spread_after > 0)
+    return np.where(is_known, spread_before / np.where(is_known, spread_after, 1.0), np.inf).min(axis=0)
 
 
 def keep_group(window: Window, leader: int, followers: Sequence[int]) -> list[int]:
@@ -111,21 +113,21 @@ def keep_group(window: Window, leader: int, followers: Sequence[int]) -> list[in
     if window.observation_steps < 2 * LEAST_STEPS:
         return list(followers)
     unit = _scale(window.velocity, window.velocity_seen)
-    new, left = [leader], np.array(followers, np.int64)
+    added, candidates = [leader], np.array(followers, np.int64)
     group = list[int]()
-    while len(new) and len(left):
-        kept = _are_alike(unit[:, left], unit[:, new])
-        new, left = left[kept].tolist(), left[~kept]
-        group += new
+    while len(added) and len(candidates):
+        is_alike = _are_alike(unit[:, candidates], unit[:, added])
+        added, candidates = candidates[is_alike].tolist(), candidates[~is_alike]
+        group += added
     return sorted(group) or list(followers)
 
 
 def _are_alike(unit: Singles, others: Singles) -> Mask:
     """Which scaled velocities ``(T, n, 3)`` are more like those of any other than chance allows; ``(n,)``."""
-    late = np.linspace(_LEAST_SHIFT, len(unit) - _LEAST_SHIFT, _SHIFTS).astype(int)
-    likeness = np.array([_measure_likeness(np.roll(unit, k, axis=0), others).max(axis=1) for k in (0, *late)])
-    like, *by_chance = np.arctanh(np.clip(likeness, -_MOST_ALIKE, _MOST_ALIKE))
-    return np.asarray(like > np.mean(by_chance, axis=0) + _DEVIATIONS * np.std(by_chance, axis=0))
+    shifts = np.linspace(_MIN_SHIFT, len(unit) - _MIN_SHIFT, _SHIFTS).astype(int)
+    likeness = np.array([_measure_likeness(np.roll(unit, k, axis=0), others).max(axis=1) for k in (0, *shifts)])
+    observed, *shifted = np.arctanh(np.clip(likeness, -_MAX_CORRELATION, _MAX_CORRELATION))
+    return np.asarray(observed > np.mean(shifted, axis=0) + _DEVIATIONS * np.std(shifted, axis=0))
 
 
 def find_confound(window: Window) -> tuple[str, list[int]]:
@@ -137,37 +139,38 @@ def find_confound(window: Window) -> tuple[str, list[int]]:
     these are alike, as in :func:`keep_group`, to those of the UAV that is most like all. It must be more than half of
     the UAVs, of which at most 20 are looked at, in a window of at least 32 steps.
     """
-    uavs = np.unique(np.linspace(0, window.uavs - 1, min(window.uavs, _MOST_COMPARED)).astype(int))
+    uavs = np.unique(np.linspace(0, window.uavs - 1, min(window.uavs, _MAX_COMPARED)).astype(int))
     if window.observation_steps < 2 * LEAST_STEPS:
         return "", []
-    near = np.eye(len(uavs), dtype=bool)
+    shares_path = np.eye(len(uavs), dtype=bool)
     for i, j in combinations(range(len(uavs)), 2):
-        near[i, j] = near[j, i] = all(_is_on_way(window, *pair) for pair in permutations((uavs[i], uavs[j])))
+        pairs = permutations((uavs[i], uavs[j]))
+        shares_path[i, j] = shares_path[j, i] = all(_is_on_path(window, *pair) for pair in pairs)
     velocity, seen = window.velocity[:, uavs], window.velocity_seen[:, uavs]
     unit, changes = _scale(velocity, seen), _scale(np.diff(velocity, axis=0), seen[1:] & seen[:-1])
-    first = int(_measure_likeness(unit, unit).mean(axis=1).argmax())
-    alike = _are_alike(unit, unit[:, [first]]) & _are_alike(changes, changes[:, [first]])
-    alike[first] = True
-    for words, who in (("one path", near[near.sum(axis=1).argmax()]), ("one signal", alike)):
-        if 2 * who.sum() > len(who) and who.sum() > 1:
-            return words, uavs[who].tolist()
+    centre = int(_measure_likeness(unit, unit).mean(axis=1).argmax())
+    shares_signal = _are_alike(unit, unit[:, [centre]]) & _are_alike(changes, changes[:, [centre]])
+    shares_signal[centre] = True
+    for confound, members in (("one path", max(shares_path, key=np.sum)), ("one signal", shares_signal)):
+        if 2 * members.sum() > len(members) and members.sum() > 1:
+            return confound, uavs[members].tolist()
     return "", []
 
 
-def _is_on_way(window: Window, uav: int, other: int) -> bool:
+def _is_on_path(window: Window, uav: int, other: int) -> bool:
     """Whether a UAV is near to positions of the other at whatever time, and headed there in the same way."""
     seen = window.seen[1:] & window.velocity_seen
-    both = seen[:, [uav, other]].all(axis=1)
-    if both.sum() < LEAST_STEPS:
+    both_seen = seen[:, [uav, other]].all(axis=1)
+    if both_seen.sum() < LEAST_STEPS:
         return False
     position, velocity = window.position[1:].astype(np.float64), window.velocity.astype(np.float64)
-    mine, theirs = seen[:, uav], seen[:, other]
-    squares = ((position[mine, None, uav] - position[None, theirs, other]) ** 2).sum(axis=2)
-    going, there = velocity[mine, uav], velocity[theirs, other][squares.argmin(axis=1)]
-    size = np.linalg.norm(going, axis=1) * np.linalg.norm(there, axis=1)
-    alike = np.median((going * there).sum(axis=1) / np.where(size > 0, size, np.inf))
-    apart = np.median(((position[both, uav] - position[both, other]) ** 2).sum(axis=1))
-    return bool(np.median(squares.min(axis=1)) <= _SAME_WAY * apart and alike >= _SAME_HEADING)
+    uav_seen, other_seen = seen[:, uav], seen[:, other]
+    squares = ((position[uav_seen, None, uav] - position[None, other_seen, other]) ** 2).sum(axis=2)
+    heading, other_heading = velocity[uav_seen, uav], velocity[other_seen, other][squares.argmin(axis=1)]
+    norms = np.linalg.norm(heading, axis=1) * np.linalg.norm(other_heading, axis=1)
+    cosine = np.median((heading * other_heading).sum(axis=1) / np.where(norms > 0, norms, np.inf))
+    square_now = np.median(((position[both_seen, uav] - position[both_seen, other]) ** 2).sum(axis=1))
+    return bool(np.median(squares.min(axis=1)) <= _MAX_PATH_SHARE * square_now and cosine >= _MIN_COSINE)
 
 
 def confirm_lead(window: Window, leader: int, followers: Sequence[int]) -> bool:
@@ -187,8 +190,8 @@ def confirm_lead(window: Window, leader: int, followers: Sequence[int]) -> bool:
     count = seen.sum(axis=1)
     mean = (window.velocity[:, followers] * seen[..., None]).sum(axis=1, dtype=np.float64)
     mean /= np.maximum(count, 1)[:, None]
-    both = (count > 0) & window.velocity_seen[:, leader]
-    return _is_ahead(mean, window.velocity[:, leader].astype(np.float64), both, LEVEL / (1 + len(followers)))
+    both_seen = (count > 0) & window.velocity_seen[:, leader]
+    return _is_ahead(mean, window.velocity[:, leader].astype(np.float64), both_seen, LEVEL / (1 + len(followers)))
 
 
 def find_followers(
@@ -208,9 +211,9 @@ def find_followers(
         velocity, seen = window.velocity[half].astype(np.float64), window.velocity_seen[half]
         for c, alike in enumerate(find_alike(window, uavs, half)):
             for other in () if follows[c] else alike:
-                level = LEVEL / _NEAREST if other in followers[c] else _LEVEL_OUTSIDE
-                both = seen[:, uavs[c]] & seen[:, other]
-                follows[c] |= _is_ahead(velocity[:, uavs[c]], velocity[:, other], both, level)
+                level = LEVEL / _MAX_ALIKE if other in followers[c] else _LEVEL_OUTSIDE
+                both_seen = seen[:, uavs[c]] & seen[:, other]
+                follows[c] |= _is_ahead(velocity[:, uavs[c]], velocity[:, other], both_seen, level)
     return follows
 
 
@@ -221,50 +224,50 @@ def find_alike(window: Window, uavs: Indices, half: slice) -> list[list[int]]:
     quantile of the Gumbel distribution, that of maxima, with the mean and the standard deviation of the largest z of
     the other UAVs in parts of the window that begin at 9 other times. The level is 0.05 for all ``uavs`` and halves.
     """
-    length, last = half.stop - half.start, window.observation_steps - (half.stop - half.start)
-    late = np.linspace(min(_LEAST_SHIFT, length), last, _SHIFTS).astype(int)
-    starts = [half.start, *(late if half.start == 0 else half.start - late)]
+    length, last_start = half.stop - half.start, window.observation_steps - (half.stop - half.start)
+    shifts = np.linspace(min(_MIN_SHIFT, length), last_start, _SHIFTS).astype(int)
+    starts = [half.start, *(shifts if half.start == 0 else half.start - shifts)]
     parts = [_scale(window.velocity[k : k + length], window.velocity_seen[k : k + length]) for k in starts]
-    like = np.stack([_measure_likeness(parts[0][:, uavs], part) for part in parts])
-    like[:, np.arange(len(uavs)), uavs] = 0.0
-    like = np.arctanh(np.minimum(like, _MOST_ALIKE))
-    limit = bound_maximum(like[1:].max(axis=2), LEVEL / (2 * len(uavs)))
-    nearest = np.argsort(-like[0], axis=1, kind="stable")[:, :_NEAREST]
-    return [[int(k) for k in near if like[0, c, k] > limit[c]] for c, near in enumerate(nearest)]
+    similarity = np.stack([_measure_likeness(parts[0][:, uavs], part) for part in parts])
+    similarity[:, np.arange(len(uavs)), uavs] = 0.0
+    similarity = np.arctanh(np.minimum(similarity, _MAX_CORRELATION))
+    limit = bound_maximum(similarity[1:].max(axis=2), LEVEL / (2 * len(uavs)))
+    nearest = np.argsort(-similarity[0], axis=1, kind="stable")[:, :_MAX_ALIKE]
+    return [[int(k) for k in similar if similarity[0, c, k] > limit[c]] for c, similar in enumerate(nearest)]
 
 
-def _is_ahead(group: Floats, ahead: Floats, both: Mask, level: float) -> bool:
-    """Whether ``group`` ``(T, 3)`` repeats ``ahead`` later: by the sum of the scores of both and of their changes.
+def _is_ahead(followers: Floats, leader: Floats, both_seen: Mask, level: float) -> bool:
+    """Whether ``followers`` ``(T, 3)`` repeat ``leader`` later: by the sum of the scores of both and of their changes.
 
-    ``both`` ``(T,)``: where both are seen. At a strict level, each score must exceed 1, too.
+    ``both_seen`` ``(T,)``: where both are seen. At a strict level, each score must exceed 1, too.
     """
-    group, ahead = centre_columns(group, both), centre_columns(ahead, both)
-    velocity = _measure_score(group, ahead, -1.0)
-    changes = _measure_score(np.diff(group, axis=0), np.diff(ahead, axis=0), 1.0)
+    followers, leader = centre_columns(followers, both_seen), centre_columns(leader, both_seen)
+    velocity = _measure_score(followers, leader, -1.0)
+    changes = _measure_score(np.diff(followers, axis=0), np.diff(leader, axis=0), 1.0)
     limit = max(0.0, -NormalDist().inv_cdf(level))
-    return velocity + changes > _DEVIATION_OF_BOTH * limit and (limit == 0.0 or min(velocity, changes) > 1.0)
+    return velocity + changes > _SUM_DEVIATION * limit and (limit == 0.0 or min(velocity, changes) > 1.0)
 
 
-def _measure_score(group: Floats, ahead: Floats, sign: float) -> float:
+def _measure_score(followers: Floats, leader: Floats, sign: float) -> float:
     """The lead in standard deviations of those with time reversed in half of the blocks, with this ``sign`` there."""
-    blocks = max(_BLOCKS, 2 * (len(group) // (4 * LAGS)))
+    blocks = max(_BLOCKS, 2 * (len(followers) // (4 * LAGS)))
     halves = np.tile(np.arange(blocks) < blocks // 2, (1 + _SURROGATES, 1))
     halves = np.random.default_rng(0).permuted(halves, axis=1)
     halves[0] = False
-    order, turn = reverse_blocks(len(group), halves)
-    turn = np.where(turn < 0, sign, 1.0)[..., None]
-    lead, *by_chance = _compare_lags(group[order] * turn, ahead[order] * turn)
-    deviation = np.sqrt(np.mean(np.square(by_chance)))
+    order, signs = reverse_blocks(len(followers), halves)
+    signs = np.where(signs < 0, sign, 1.0)[..., None]
+    lead, *reversed_leads = _compare_lags(followers[order] * signs, leader[order] * signs)
+    deviation = np.sqrt(np.mean(np.square(reversed_leads)))
     return float(lead / deviation) if deviation else 0.0
 
 
-def _compare_lags(group: Floats, ahead: Floats) -> Floats:
-    """How much better each of ``(n, T, 3)`` agrees with what is ``ahead`` before than with that later; ``(n,)``."""
-    later, earlier = (
-        np.max([np.einsum("ntk,ntk->n", behind[:, lag:], first[:, :-lag]) for lag in range(1, LAGS + 1)], axis=0)
-        for behind, first in ((group, ahead), (ahead, group))
+def _compare_lags(followers: Floats, leader: Floats) -> Floats:
+    """How much better each of ``(n, T, 3)`` agrees with the ``leader`` before than with that later; ``(n,)``."""
+    leads, lags = (
+        np.max([np.einsum("ntk,ntk->n", second[:, lag:], first[:, :-lag]) for lag in range(1, LAGS + 1)], axis=0)
+        for second, first in ((followers, leader), (leader, followers))
     )
-    return np.asarray(later - earlier)
+    return np.asarray(leads - lags)
 
 
 def _scale(velocity: Singles, seen: Mask) -> Singles:

@@ -84,29 +84,29 @@ def find_leaders(
     resampled = tracks if step is None and tracks.step is not None else tracks.resample(step, length=length or 0)
     fine = sample_finely(resampled)
     for number, track_window in enumerate(resampled.windows(length, stride)):
-        drawn = int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1)[0])
-        for part, detection, detected in _read_window(player, resampled, fine, track_window, drawn, confirm, groups):
-            windows.append(detected)
-            track_windows.append(part)
-            answers.append(replace(detection, attention=None))  # of N by N numbers, which nothing here reads
+        window_seed = int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1)[0])
+        for result in _detect_in_window(player, resampled, fine, track_window, window_seed, confirm, groups):
+            track_windows.append(result[0])
+            answers.append(replace(result[1], attention=None))  # of N by N numbers, which nothing here reads
+            windows.append(result[2])
             if on_window is not None:
-                on_window(part, detection, detected)
+                on_window(*result)
     if not windows:
         hint = "no window does (--window makes them shorter)"
         raise ArgumentError(f"tracks must hold a window in which 2 ids are seen in half of the steps; {hint}.")
-    facts = [*resampled.facts, describe_windows(track_windows), *_doubt_clocks(windows, track_windows, fine)]
+    facts = [*resampled.facts, describe_windows(track_windows), *_describe_late_clocks(windows, track_windows, fine)]
     if confirm and track_windows[0].window.observation_steps < LEAST_STEPS:
         facts.append(f"Windows of fewer than {LEAST_STEPS} steps are too short for the test that confirms leaders.")
     elif confirm:
-        facts.append(_count_chance(windows))
+        facts.append(_describe_chance(windows))
     periods: tuple[Period, ...] = ()
     if "probability" in answers[0].extras:
         periods = trace_periods(resampled, windows, track_windows, partial(_ask_once, player, seed), confirm)
         pairs = zip(windows, track_windows, strict=True)
         windows = [blur_links(window, track_window, periods, tracks.ids) for window, track_window in pairs]
-    leaders = _summarise(windows, tracks.ids)
-    kept = tuple(facts), resampled, tuple(track_windows), tuple(answers), seed, periods
-    return FoundLeaders(tuple(windows), leaders, detector_label(player), tracks.ids, *kept)
+    leaders = _summarise_leaders(windows, tracks.ids)
+    details = tuple(facts), resampled, tuple(track_windows), tuple(answers), seed, periods
+    return FoundLeaders(tuple(windows), leaders, detector_label(player), tracks.ids, *details)
 
 
 class Answer(NamedTuple):
@@ -125,22 +125,22 @@ def answer_window(player: DetectorLike, resampled: Tracks, track_window: TrackWi
     """
     answer = partial(_ask_once, player, seed)
 
-    def tell_silence(each: Detection) -> float:
-        return float(each.extras.get("p_no_leader", each.extras.get("silent", 0.0)))
+    def read_p_no_leader(detection: Detection) -> float:
+        return float(detection.extras.get("p_no_leader", detection.extras.get("silent", 0.0)))
 
     track_windows, answers = [track_window], [answer(track_window)]
     if answers[0].extras.keys() & {"p_no_leader", "silent"}:  # the latter of version 0.1
-        others = (other.cut_like(track_window) for other in resampled.other_steps)
-        track_windows += filter(None, others)
+        other_windows = (other.cut_like(track_window) for other in resampled.other_steps)
+        track_windows += filter(None, other_windows)
         answers += map(answer, track_windows[1:])
-    answers.sort(key=tell_silence)
-    answers = [each for each in answers if tell_silence(each) < 0.5] or answers[:1]
-    usual = np.mean([each.candidates for each in answers], axis=0)
-    detection = min(answers, key=lambda each: round(float(np.abs(each.candidates - usual).sum()), 6))
-    return Answer(detection, min(track_windows, key=lambda each: each.step))
+    answers.sort(key=read_p_no_leader)
+    answers = [detection for detection in answers if read_p_no_leader(detection) < 0.5] or answers[:1]
+    mean_candidates = np.mean([detection.candidates for detection in answers], axis=0)
+    chosen = min(answers, key=lambda detection: round(float(np.abs(detection.candidates - mean_candidates).sum()), 6))
+    return Answer(chosen, min(track_windows, key=lambda window: window.step))
 
 
-def _read_window(
+def _detect_in_window(
     player: DetectorLike,
     resampled: Tracks,
     fine: Tracks,
@@ -161,8 +161,8 @@ def _read_window(
         return whole
     middle = track_window.start + steps // 2 * track_window.step
     parts = map(resampled.cut_like, (replace(track_window, end=middle), replace(track_window, start=middle)))
-    halves = [_read_window(player, resampled, fine, part, seed, confirm, groups) for part in parts if part is not None]
-    names = [{leader.id for _, _, each in half for leader in each.leaders} for half in halves]
+    halves = [_detect_in_window(player, resampled, fine, part, seed, confirm, groups) for part in parts if part]
+    names = [{leader.id for _, _, window in half for leader in window.leaders} for half in halves]
     return [*chain(*halves)] if all(names) and names[0] != names[-1] else whole
 
 
@@ -182,21 +182,21 @@ def _try_answer(
         raise ArgumentError(f"detector must answer every window, got {fault} to {times[1]}.") from error
 
 
-def _doubt_clocks(windows: list[DetectedWindow], track_windows: list[TrackWindow], fine: Tracks) -> list[str]:
+def _describe_late_clocks(windows: list[DetectedWindow], track_windows: list[TrackWindow], fine: Tracks) -> list[str]:
     """A sentence about each leader of which a follower may lead, in more than half of its windows."""
-    late: dict[str | int, list[tuple[str | int, float] | None]] = {}
-    for window, each in zip(windows, track_windows, strict=True):
-        column = {name: k for k, name in enumerate(each.ids)}
+    hubs_of: dict[str | int, list[tuple[str | int, float] | None]] = {}
+    for window, track_window in zip(windows, track_windows, strict=True):
+        column = {name: k for k, name in enumerate(track_window.ids)}
         for leader in window.leaders:
-            hub = find_late_clock(fine, each, column[leader.id], [column[name] for name in leader.followers])
-            late.setdefault(leader.id, []).append(hub and (each.ids[hub[0]], hub[1]))
-    words = "but agrees better with those that follow {0}: if its clock is late, it leads."
-    return [
-        f"{hub[0]} comes {format_number(hub[1], 2)} s after {name}, {words.format(name)}"
-        for name, hubs in late.items()
-        if 2 * len(known := [hub for hub in hubs if hub]) > len(hubs)
-        for hub in known[:1]
-    ]
+            hub = find_late_clock(fine, track_window, column[leader.id], [column[name] for name in leader.followers])
+            hubs_of.setdefault(leader.id, []).append(hub and (track_window.ids[hub[0]], hub[1]))
+    sentences = []
+    for name, hubs in hubs_of.items():
+        if 2 * len(late_hubs := [hub for hub in hubs if hub]) > len(hubs):
+            comes = f"{late_hubs[0][0]} comes {format_number(late_hubs[0][1], 2)} s after {name}"
+            agrees = f"agrees better with those that follow {name}: if its clock is late, it leads."
+            sentences.append(f"{comes}, but {agrees}")
+    return sentences
 
 
 def _detect_window(
@@ -212,23 +212,23 @@ def _detect_window(
     confirmed = np.ones(len(heads), bool)
     if confirm:
         confirmed, followers = confirm_leaders(window, heads, followers, shortest_step_window.window)
-    led = {int(heads[k]): followers[k] for k in np.flatnonzero(confirmed)}
-    members_of = [(int(rows[head]), set(rows[[head, *members]].tolist())) for head, members in led.items()]
+    followers_of = {int(heads[k]): followers[k] for k in np.flatnonzero(confirmed)}
+    members_of = [(int(rows[head]), set(rows[[head, *members]].tolist())) for head, members in followers_of.items()]
     labels = _number_groups(members_of, groups)
     reasons = dict(zip(map(int, extras.get("heads", ())), extras.get("reasons", ()), strict=False))
     leaders, links = list[Leader](), list[Link]()
-    for (head, members), label in zip(led.items(), labels, strict=True):
-        behind_head = find_links(fine, track_window, head, members, detection.leader) if members else []
-        behind_head = add_evidence(behind_head, compare_with_head(fine, track_window, head, members))
-        why = str(reasons.get(head) or describe_lead(behind_head))
+    for (head, members), label in zip(followers_of.items(), labels, strict=True):
+        head_links = find_links(fine, track_window, head, members, detection.leader) if members else []
+        head_links = add_evidence(head_links, compare_with_head(fine, track_window, head, members))
+        reason = str(reasons.get(head) or describe_lead(head_links))
         probability = float(extras["probability"][head]) if "probability" in extras else None
-        behind = tuple(ids[i] for i in members)
-        leaders.append(Leader(ids[head], probability, behind, why, label, float(scores[head])))
-        links += behind_head
+        follower_ids = tuple(ids[i] for i in members)
+        leaders.append(Leader(ids[head], probability, follower_ids, reason, label, float(scores[head])))
+        links += head_links
     rejected = tuple(ids[head] for head in heads[~confirmed])
     confound, alike = find_confound(window) if confirm and not leaders else ("", [])
-    others = tuple(ids[i] for i in alike)
-    return DetectedWindow(*times, tuple(leaders), rejected, tuple(links), track_window.left_out, confound, others)
+    alike_ids = tuple(ids[i] for i in alike)
+    return DetectedWindow(*times, tuple(leaders), rejected, tuple(links), track_window.left_out, confound, alike_ids)
 
 
 def _number_groups(present: list[Group], known: list[Group]) -> list[int]:
@@ -239,8 +239,9 @@ def _number_groups(present: list[Group], known: list[Group]) -> list[int]:
     from scipy.optimize import linear_sum_assignment  # a refusal does not wait for SciPy
 
     share = np.zeros((len(present), len(known)))
-    for (k, (head, now)), (g, (leader, then)) in product(enumerate(present), enumerate(known)):
-        share[k, g] = len(now & then) / len(now | then) + _SAME_LEADER * (head == leader)
+    for (k, (head, members)), (g, (known_head, known_members)) in product(enumerate(present), enumerate(known)):
+        share[k, g] = len(members & known_members) / len(members | known_members)
+        share[k, g] += _SAME_LEADER * (head == known_head)
     same = {k: int(g) for k, g in zip(*linear_sum_assignment(-share), strict=True) if share[k, g] >= _SAME_GROUP}
     for k, group in enumerate(present):
         g = same.setdefault(k, len(known))
@@ -248,16 +249,15 @@ def _number_groups(present: list[Group], known: list[Group]) -> list[int]:
     return [same[k] + 1 for k in range(len(present))]
 
 
-def _count_chance(windows: list[DetectedWindow]) -> str:
+def _describe_chance(windows: list[DetectedWindow]) -> str:
     """How many of the confirmed leaders chance would give if nobody led."""
-    found, left = (
-        sum(len(each) for each in all_) for all_ in zip(*((w.leaders, w.not_confirmed) for w in windows), strict=False)
-    )
-    expected = f"about {format_number(LEVEL * (found + left), 2)} expected by chance"
-    return f"Confirmed in all windows: {found} of {format_count(found + left, 'candidate')}; {expected}."
+    leaders = sum(len(window.leaders) for window in windows)
+    candidates = leaders + sum(len(window.not_confirmed) for window in windows)
+    expected = f"about {format_number(LEVEL * candidates, 2)} expected by chance"
+    return f"Confirmed in all windows: {leaders} of {format_count(candidates, 'candidate')}; {expected}."
 
 
-def _summarise(windows: list[DetectedWindow], ids: Sequence[str | int]) -> tuple[Leader, ...]:
+def _summarise_leaders(windows: list[DetectedWindow], ids: Sequence[str | int]) -> tuple[Leader, ...]:
     """The leaders over the file."""
     row = {name: k for k, name in enumerate(ids)}
     entries_of: dict[tuple[int, int], list[Leader]] = {}  # by the group and the row of its leader
@@ -267,15 +267,14 @@ def _summarise(windows: list[DetectedWindow], ids: Sequence[str | int]) -> tuple
     leaders = []
     for (group, head), entries in sorted(entries_of.items(), key=lambda item: (-len(item[1]), item[0])):
         count = len(entries)
-        times_behind = Counter(name for leader in entries for name in leader.followers)
-        behind = sorted((name for name, times in times_behind.items() if times >= count / 2), key=row.__getitem__)
+        windows_behind = Counter(name for leader in entries for name in leader.followers)
+        followers = sorted((name for name, times in windows_behind.items() if times >= count / 2), key=row.__getitem__)
         numbers = [(np.nan if leader.probability is None else leader.probability, leader.score) for leader in entries]
         probability, score = np.mean(numbers, axis=0).tolist()
         reason = f"Leads group {group} in {count} of {format_count(len(windows), 'window')}."
-        links = [
-            link for window in windows for link in window.links if link.head == ids[head] and link.follower in behind
-        ]
-        reason += f" {describe_lead(links)}" * bool(links)
-        sure = None if np.isnan(probability) else probability
-        leaders.append(Leader(ids[head], sure, tuple(behind), reason, group, score, count / len(windows)))
+        links = [link for window in windows for link in window.links if link.head == ids[head]]
+        if links := [link for link in links if link.follower in followers]:
+            reason += f" {describe_lead(links)}"
+        p_leads = None if np.isnan(probability) else probability
+        leaders.append(Leader(ids[head], p_leads, tuple(followers), reason, group, score, count / len(windows)))
     return tuple(leaders)
