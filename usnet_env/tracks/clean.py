@@ -11,11 +11,11 @@ from usnet_env.config import format_count
 from usnet_env.tracks.resample import close_jumps, leave_out_heights, leave_out_spikes, typical_intervals
 from usnet_env.tracks.samples import Samples, SamplesT
 
-_STALE = 2.0  # times as long as with a quarter of the ids, half of an id's places are repeated
-_REST = 0.25  # of the speed that 99 % of the steps don't exceed; an id that rests is slower
+_REPEAT_FACTOR = 2.0  # times as long as with a quarter of the ids, half of an id's places are repeated
+_REST_SPEED = 0.25  # of the speed that 99 % of the steps don't exceed; an id that rests is slower
 _MARGIN = 8  # typical intervals before and after movement that are kept, and of which a pause is left
-_PAUSED = 0.5  # of the time; shorter pauses in all stay
-_LEAST_LIVE = 32  # typical intervals; less movement is too little to read
+_MIN_PAUSE_SHARE = 0.5  # of the time; shorter pauses in all stay
+_MIN_LIVE = 32  # typical intervals; less movement is too little to read
 _GAP = 3.0  # a gap is an interval of more than this many typical intervals
 
 
@@ -23,10 +23,9 @@ def clean_samples(tracks: SamplesT) -> tuple[SamplesT, list[str]]:
     """The tracks without repeated places, long pauses, spikes, gross jumps and noisy heights, and what was done."""
     cleaned, repeats = leave_out_repeats(tracks)
     cleaned, pauses = skip_pauses(cleaned)
-    before = cleaned.samples
-    cleaned = leave_out_spikes(cleaned)
-    spikes = before - cleaned.samples
-    cleaned, jumps = close_jumps(cleaned)
+    spikeless = leave_out_spikes(cleaned)
+    spikes = cleaned.samples - spikeless.samples
+    cleaned, jumps = close_jumps(spikeless)
     cleaned, noise = leave_out_heights(cleaned)
     notes = [*repeats, *pauses]
     if spikes:
@@ -45,22 +44,24 @@ def leave_out_repeats(tracks: SamplesT) -> tuple[SamplesT, list[str]]:
     median place of an id is held twice as long as that of other ids, its repetitions are left out, but for a place that
     is held twice as long again: there, the id may rest.
     """
-    same = (np.diff(tracks.position, axis=0) == 0).all(axis=1) & tracks.inner_steps
-    starts = np.flatnonzero(np.append(True, ~same))
+    is_same = (np.diff(tracks.position, axis=0) == 0).all(axis=1) & tracks.inner_steps
+    starts = np.flatnonzero(np.append(True, ~is_same))
     length = np.diff(np.append(starts, tracks.samples))  # of each run of one place
     first = np.searchsorted(starts, tracks.offsets)  # of each id
     owner = np.repeat(np.arange(len(tracks.ids)), np.diff(first))
     runs = np.split(length, first[1:-1])
-    usual = np.array([np.median(each) if len(each) >= _MARGIN else 0.0 for each in runs])
-    stale = (usual[owner] >= _STALE * max(1.0, np.quantile(usual, 0.25))) & (length <= 2 * usual[owner])
-    kept = np.repeat(~stale, length)
-    kept[starts] = True
-    if kept.all():
+    typical_run = np.array([np.median(lengths) if len(lengths) >= _MARGIN else 0.0 for lengths in runs])
+    is_stale = typical_run[owner] >= _REPEAT_FACTOR * max(1.0, np.quantile(typical_run, 0.25))
+    is_stale &= length <= 2 * typical_run[owner]
+    is_kept = np.repeat(~is_stale, length)
+    is_kept[starts] = True
+    if is_kept.all():
         return tracks, []
-    names = [str(tracks.ids[k]) for k in np.unique(owner[stale])]
-    who = ", ".join(names[:3]) + f" and {len(names) - 3} more" * (len(names) > 3)
-    count = format_count(int((~kept).sum()), "repetition")
-    return _take(tracks, kept), [f"{count} of places left out: those of {who} are renewed more rarely than sampled."]
+    names = [str(tracks.ids[k]) for k in np.unique(owner[is_stale])]
+    listed = ", ".join(names[:3]) + f" and {len(names) - 3} more" * (len(names) > 3)
+    count = format_count(int((~is_kept).sum()), "repetition")
+    note = f"{count} of places left out: those of {listed} are renewed more rarely than sampled."
+    return _keep_samples(tracks, is_kept), [note]
 
 
 def find_moving(tracks: Samples, intervals: Floats, interval: float) -> Indices:
@@ -70,12 +71,12 @@ def find_moving(tracks: Samples, intervals: Floats, interval: float) -> Indices:
     """
     from scipy.ndimage import median_filter  # a refusal does not wait for SciPy
 
-    took, usual = np.diff(tracks.time), np.repeat(intervals, np.diff(tracks.offsets))[:-1]
-    near = tracks.inner_steps & (took <= _GAP * usual)
-    speed = np.linalg.norm(np.diff(tracks.position, axis=0), axis=1)[near] / took[near]
-    fast = np.quantile(median_filter(speed, 5), 0.99) if len(speed) else 0.0  # the speed of no spike
-    number, of = np.unique(_number_intervals(tracks.time[:-1][near], interval), return_inverse=True)
-    return number[2 * np.bincount(of, speed > _REST * fast) >= np.bincount(of)]
+    duration, typical = np.diff(tracks.time), np.repeat(intervals, np.diff(tracks.offsets))[:-1]
+    is_near = tracks.inner_steps & (duration <= _GAP * typical)
+    speed = np.linalg.norm(np.diff(tracks.position, axis=0), axis=1)[is_near] / duration[is_near]
+    top_speed = np.quantile(median_filter(speed, 5), 0.99) if len(speed) else 0.0  # the speed of no spike
+    number, index = np.unique(_number_intervals(tracks.time[:-1][is_near], interval), return_inverse=True)
+    return number[2 * np.bincount(index, speed > _REST_SPEED * top_speed) >= np.bincount(index)]
 
 
 def skip_pauses(tracks: SamplesT) -> tuple[SamplesT, list[str]]:
@@ -88,31 +89,33 @@ def skip_pauses(tracks: SamplesT) -> tuple[SamplesT, list[str]]:
     intervals = typical_intervals(tracks)
     interval = float(np.nanmedian(intervals))
     moving, total = find_moving(tracks, intervals, interval), int(tracks.duration / interval) + 1
-    first, after = np.append(0, moving + _MARGIN + 1), np.append(moving - _MARGIN, total)
-    paused, share = np.where(after - first > _MARGIN, after - first, 0), len(moving) / total
-    if paused.sum() < _PAUSED * total:
+    starts, ends = np.append(0, moving + _MARGIN + 1), np.append(moving - _MARGIN, total)
+    is_pause, share = ends - starts > _MARGIN, len(moving) / total
+    starts, ends = starts[is_pause], ends[is_pause]
+    paused = int((ends - starts).sum())
+    if paused < _MIN_PAUSE_SHARE * total:
         return tracks, []
-    if total - paused.sum() < _LEAST_LIVE:
-        rare = f"Half of the ids that are seen move in {share:.1%} of the time only"
-        return tracks, [f"{rare}, which may be too little to find who follows: a longer recording shows more."]
-    first, after = first[paused > 0], after[paused > 0]
-    skipped = np.cumsum(after - first - _MARGIN)  # with each pause
+    if total - paused < _MIN_LIVE:
+        reason = f"Half of the ids that are seen move in {share:.1%} of the time only"
+        return tracks, [f"{reason}, which may be too little to find who follows: a longer recording shows more."]
+    skipped = np.cumsum(ends - starts - _MARGIN)  # with each pause
     number = _number_intervals(tracks.time, interval)
-    pause = np.searchsorted(first, number, side="right") - 1
-    kept = (pause < 0) | (number >= after[pause])
-    late = np.where(pause < 0, 0, skipped[pause]) * interval
-    starts = zip((after - skipped) * interval, skipped * interval, strict=True)
-    clock = replace(tracks.clock, skipped=tuple((float(begin), float(late)) for begin, late in starts))
-    short = _take(replace(tracks, time=tracks.time - late, clock=clock), kept)
-    what = f"{format_count(len(first), 'pause')} skipped, {skipped[-1] / total:.0%} of the time"
-    return short, [f"{what}: no id is seen there, or fewer than half of those seen move; they move in {share:.1%}."]
+    pause = np.searchsorted(starts, number, side="right") - 1
+    is_kept = (pause < 0) | (number >= ends[pause])
+    delay = np.where(pause < 0, 0, skipped[pause]) * interval
+    delays = np.column_stack([(ends - skipped) * interval, skipped * interval]).tolist()
+    clock = replace(tracks.clock, skipped=tuple((begin, pause) for begin, pause in delays))
+    shortened = _keep_samples(replace(tracks, time=tracks.time - delay, clock=clock), is_kept)
+    count = f"{format_count(len(starts), 'pause')} skipped, {skipped[-1] / total:.0%} of the time"
+    reason = f"no id is seen there, or fewer than half of those seen move; they move in {share:.1%}."
+    return shortened, [f"{count}: {reason}"]
 
 
 def _number_intervals(time: Floats, interval: float) -> Indices:
     return np.floor(time / interval + 1e-6).astype(np.int64)
 
 
-def _take(tracks: SamplesT, kept: Mask) -> SamplesT:
-    offsets = np.append(0, np.cumsum(kept))[tracks.offsets]
-    leader = None if tracks.leader is None else tracks.leader[kept]
-    return replace(tracks, offsets=offsets, time=tracks.time[kept], position=tracks.position[kept], leader=leader)
+def _keep_samples(tracks: SamplesT, is_kept: Mask) -> SamplesT:
+    offsets = np.append(0, np.cumsum(is_kept))[tracks.offsets]
+    leader = None if tracks.leader is None else tracks.leader[is_kept]
+    return replace(tracks, offsets=offsets, time=tracks.time[is_kept], position=tracks.position[is_kept], leader=leader)

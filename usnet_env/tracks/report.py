@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import chain
 
 import numpy as np
 
@@ -36,17 +35,17 @@ class TrackReport:
 
 def describe_samples(tracks: Samples) -> tuple[str, ...]:
     """Two sentences: what the tracks hold, and how many ids are always there."""
-    ids, typical = len(tracks.ids), typical_intervals(tracks)
-    usual = float(np.median(typical[np.isfinite(typical)])) if np.isfinite(typical).any() else 0.0
+    ids, intervals = len(tracks.ids), typical_intervals(tracks)
+    interval = float(np.median(intervals[np.isfinite(intervals)])) if np.isfinite(intervals).any() else 0.0
     filled = np.flatnonzero(np.diff(tracks.offsets) > 0)
     first, last = tracks.time[tracks.offsets[filled]], tracks.time[tracks.offsets[filled + 1] - 1]
     slack = 0.01 * tracks.duration
-    always = int(((first <= slack) & (last >= tracks.duration - slack)).sum())
+    complete = int(((first <= slack) & (last >= tracks.duration - slack)).sum())
     return (
         f"{ids} ids, {tracks.samples} samples from {tracks.file_time(0.0)} to {tracks.file_time(tracks.duration)} "
-        f"({format_number(tracks.duration)} s), one every {format_number(usual)} s; {tracks.dimensions}-D, "
+        f"({format_number(tracks.duration)} s), one every {format_number(interval)} s; {tracks.dimensions}-D, "
         f"{tracks.frame}.",
-        f"{always} of {ids} ids are there from the beginning to the end.",
+        f"{complete} of {ids} ids are there from the beginning to the end.",
     )
 
 
@@ -54,8 +53,9 @@ def find_problems(tracks: Samples) -> TrackReport:
     """Describe tracks and find what is doubtful about them."""
     moving, _ = skip_pauses(tracks)
     jumps = find_jumps(moving)
-    doubts = _doubt_units(tracks, jumps.usual), _doubt_gaps(tracks), _doubt_jumps(moving, jumps), _doubt_bodies(tracks)
-    return TrackReport((*describe_samples(tracks), *tracks.notes), (*tracks.doubts, *chain(*doubts)))
+    doubts = [*_doubt_units(tracks, jumps.typical_speed), *_doubt_gaps(tracks)]
+    doubts += [*_doubt_jumps(moving, jumps), *_doubt_bodies(tracks)]
+    return TrackReport((*describe_samples(tracks), *tracks.notes), (*tracks.doubts, *doubts))
 
 
 def _locate(tracks: Samples, sample: int) -> str:
@@ -63,26 +63,26 @@ def _locate(tracks: Samples, sample: int) -> str:
     return f"{tracks.file_time(tracks.time[sample])} (id {tracks.ids[owner]})"
 
 
-def _doubt_units(tracks: Samples, usual: float) -> Iterator[str]:
+def _doubt_units(tracks: Samples, typical_speed: float) -> Iterator[str]:
     """Times whose unit was guessed; coordinates that are as small, and change as slowly, as degrees."""
     if tracks.clock.guessed:
         yield f"Times are read as {tracks.clock.guessed}, not as seconds (--time-unit 1 reads seconds)."
     x, y, _ = np.abs(tracks.position + tracks.origin).max(axis=0, initial=0.0)
-    if tracks.frame == "metres" and x <= 180 and y <= 90 and max(x, y) > 1 and 0 < usual < _SLOW:
+    if tracks.frame == "metres" and x <= 180 and y <= 90 and max(x, y) > 1 and 0 < typical_speed < _SLOW:
         yield "Columns x and y are read as metres, but may be degrees (--column lon=NAME --column lat=NAME reads them)."
 
 
 def _doubt_gaps(tracks: Samples) -> Iterator[str]:
-    interval, inner = np.diff(tracks.time), tracks.inner_steps
+    interval, inside = np.diff(tracks.time), tracks.inner_steps
     expected = np.repeat(typical_intervals(tracks), np.diff(tracks.offsets))[:-1]
-    number = np.searchsorted([begin for begin, _ in tracks.recordings], tracks.time, side="right")
-    inner = inner & (np.diff(number) == 0)  # between two recordings is no gap
-    gaps = np.flatnonzero(inner & (interval > _GAP * expected))
+    recording = np.searchsorted([begin for begin, _ in tracks.recordings], tracks.time, side="right")
+    inside = inside & (np.diff(recording) == 0)  # between two recordings is no gap
+    gaps = np.flatnonzero(inside & (interval > _GAP * expected))
     if len(gaps):
-        longest = int(gaps[interval[gaps].argmax()])
-        worst = f"the longest takes {format_number(interval[longest])} s, after {_locate(tracks, longest)}"
-        yield f"{format_count(len(gaps), 'gap')} longer than {_GAP:g} typical intervals; {worst}."
-    share = (inner & (np.abs(interval - expected) > _UNEVEN * expected)).sum() / max(int(inner.sum()), 1)
+        longest_gap = int(gaps[interval[gaps].argmax()])
+        longest = f"the longest takes {format_number(interval[longest_gap])} s, after {_locate(tracks, longest_gap)}"
+        yield f"{format_count(len(gaps), 'gap')} longer than {_GAP:g} typical intervals; {longest}."
+    share = (inside & (np.abs(interval - expected) > _UNEVEN * expected)).sum() / max(int(inside.sum()), 1)
     if share > _UNEVEN:
         yield f"Sampling is uneven: {share:.0%} of the intervals differ from the typical one by more than 10 %."
 
@@ -97,12 +97,12 @@ def _doubt_bodies(tracks: Samples) -> Iterator[str]:
 
 
 def _doubt_jumps(tracks: Samples, jumps: Jumps) -> Iterator[str]:
-    fast = f"more than {JUMP:g} times as fast as 95 % of the steps ({format_number(jumps.usual, 3)} m/s)"
+    limit = f"more than {JUMP:g} times as fast as 95 % of the steps ({format_number(jumps.typical_speed, 3)} m/s)"
     if count := len(jumps.spikes):
-        where = _locate(tracks, int(jumps.spikes[0]))
-        yield f"{format_count(count, 'spike')}, samples to and from which tracks move {fast}; the first is at {where}."
+        place = _locate(tracks, int(jumps.spikes[0]))
+        yield f"{format_count(count, 'spike')}, samples to and from which tracks move {limit}; the first is at {place}."
     steps = np.setdiff1d(jumps.steps, np.concatenate([jumps.spikes, jumps.spikes - 1]))
     if count := len(steps):
         fastest = int(steps[jumps.speed[steps].argmax()])
         speed = format_number(jumps.speed[fastest], 3)
-        yield f"{format_count(count, 'jump')}, {fast}; the fastest has {speed} m/s, after {_locate(tracks, fastest)}."
+        yield f"{format_count(count, 'jump')}, {limit}; the fastest has {speed} m/s, after {_locate(tracks, fastest)}."

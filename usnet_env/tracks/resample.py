@@ -13,30 +13,30 @@ from usnet_env.config import ArgumentError, format_number
 from usnet_env.series import find_middle
 from usnet_env.tracks.samples import Samples, SamplesT
 
-_MOST_SPIKES = 0.05  # of the samples; where more are off the track, in more parts than ids, none is wrong
+_MAX_SPIKE_SHARE = 0.05  # of the samples; where more are off the track, in more parts than ids, none is wrong
 JUMP = 5.0  # a jump is faster than this many times the speed that 95 % of the steps don't exceed
-_GROSS = 20.0  # times the usual speed; such a jump has the squared length of more than 400 steps
+_GROSS_JUMP = 20.0  # times the usual speed; such a jump has the squared length of more than 400 steps
 
-_ROUNDS = 3  # a part between two excursions may be left out first, and they as one after it
-_LEAST_FIT = 3  # samples within a grid step from which a straight line is fitted
-_SNAP = 1e-6  # grid steps; times that differ by less are the same
-_TYPICAL_SHARE, _BRIDGE = 0.9, 1.5  # intervals up to 1.5 times that of this quantile are interpolated
-_MOST_GRID = 10**8  # samples of the result
-_OTHERS = (0.25, 0.5)  # times the chosen step
+_MAX_ROUNDS = 3  # a part between two excursions may be left out first, and they as one after it
+_MIN_FIT_SAMPLES = 3  # samples within a grid step from which a straight line is fitted
+_TIME_TOLERANCE = 1e-6  # grid steps; times that differ by less are the same
+_TYPICAL_SHARE, _BRIDGE_FACTOR = 0.9, 1.5  # intervals up to 1.5 times that of this quantile are interpolated
+_MAX_GRID_SAMPLES = 10**8  # samples of the result
+_OTHER_FACTORS = (0.25, 0.5)  # times the chosen step
 
 # The choice of the step looks at a part of the tracks: followers, ids in all, steps, and samples.
-_FOCAL, _POOL, _PART, _MOST_SAMPLES = 48, 400, 2048, 2**21
+_FOCAL_IDS, _POOL_IDS, _PART_STEPS, _MAX_SAMPLES = 48, 400, 2048, 2**21
 LAGS = 4  # steps in which delays lie; detectors look at least as far back
-_LEAST_STEPS, _FEWEST_STEPS = 100, 16  # of the longest step that is tried; of the shortest
-_GROWTH = 2**0.5  # from one step that is tried to the next
+_MAX_STEPS_OF_STAY, _MIN_STEPS = 100, 16  # of the longest step that is tried; of the shortest
+_STEP_GROWTH = 2**0.5  # from one step that is tried to the next
 _SHIFTS = 64
-_PART_OF_LAGS = 8  # delays of up to this part of the tracks are looked at
-_FEWEST = 16  # one in this many ids must follow another
+_MAX_DELAY_PART = 8  # delays of up to this part of the tracks are looked at
+_MIN_FOLLOWER_SHARE = 16  # one in this many ids must follow another
 _SIGNIFICANT = 5.0  # a lead exceeds those of shifted tracks by this many robust standard deviations
-_NEARLY = 0.8  # the shortest step whose lead is at least this share of the largest is chosen
-_SIGNAL = 4.0  # in a step, the squared movement should exceed the noise of the squared movement this many times
-_LONGER = (2, 4, 8, 16)  # times the shortest step that are tried, too, if no lead is found
-_UNLED, _UNLED_STEPS = 4, 50  # where no lead is found: times the shortest step, and steps of a stay that must remain
+_MIN_LEAD_SHARE = 0.8  # the shortest step whose lead is at least this share of the largest is chosen
+_MIN_SIGNAL = 4.0  # in a step, the squared movement should exceed the noise of the squared movement this many times
+_LONGER_FACTORS = (2, 4, 8, 16)  # times the shortest step that are tried, too, if no lead is found
+_UNLED_FACTOR, _UNLED_STEPS = 4, 50  # without a lead: times the shortest step, and steps of a stay that must remain
 _LARGEST_SCALE = 64  # samples; the noise asks for no longer step
 
 
@@ -52,7 +52,7 @@ class Jumps(NamedTuple):
     steps: Indices  # the samples after which a track jumps
     spikes: Indices  # samples off the track: see find_jumps
     speed: Floats  # (S - 1,) metres per second from each sample to the next of its id; 0 between ids
-    usual: float  # the speed that 95 % of the steps of moving ids don't exceed
+    typical_speed: float  # the speed that 95 % of the steps of moving ids don't exceed
 
 
 def find_jumps(tracks: Samples) -> Jumps:
@@ -65,34 +65,35 @@ def find_jumps(tracks: Samples) -> Jumps:
     samples, inner = np.arange(tracks.samples), tracks.inner_steps
     length = np.linalg.norm(np.diff(tracks.position, axis=0), axis=1)
     speed = length / np.where(inner, np.diff(tracks.time), np.inf)
-    moving = speed[speed > 0]
-    usual = float(np.quantile(moving, 0.95)) if len(moving) else 0.0
-    steps = np.flatnonzero(speed > JUMP * usual)
+    moving_speeds = speed[speed > 0]
+    typical_speed = float(np.quantile(moving_speeds, 0.95)) if len(moving_speeds) else 0.0
+    steps = np.flatnonzero(speed > JUMP * typical_speed)
     owner = np.searchsorted(tracks.offsets, steps, side="right") - 1
     begin, end = tracks.offsets[owner], tracks.offsets[owner + 1]
-    equal = np.maximum.accumulate(np.where(np.append(True, (length > 0) | ~inner), samples, 0))  # the first equal
-    low, high = np.append(steps[:-1], equal[steps]), np.append(steps[1:], steps) + 1  # what is between may be left out
-    way = np.linalg.norm(tracks.position[high] - tracks.position[low], axis=1)
-    good = way <= JUMP * usual * (tracks.time[high] - tracks.time[low])
-    most = np.append((end - begin)[1:] / 2, np.full(len(steps), tracks.samples))  # between two jumps, and repeated
-    good &= (low >= np.append(begin[1:], begin)) & (high - low <= 1 + most)
-    off = np.zeros(tracks.samples, bool)
+    first_equal = np.maximum.accumulate(np.where(np.append(True, (length > 0) | ~inner), samples, 0))
+    # What is between low and high may be left out: samples between two jumps, or repetitions before one.
+    low, high = np.append(steps[:-1], first_equal[steps]), np.append(steps[1:], steps) + 1
+    distance = np.linalg.norm(tracks.position[high] - tracks.position[low], axis=1)
+    is_excursion = distance <= JUMP * typical_speed * (tracks.time[high] - tracks.time[low])
+    max_samples = np.append((end - begin)[1:] / 2, np.full(len(steps), tracks.samples))
+    is_excursion &= (low >= np.append(begin[1:], begin)) & (high - low <= 1 + max_samples)
+    is_off = np.zeros(tracks.samples, bool)
     for k in np.argsort(high - low, kind="stable"):  # a short excursion is not the way between two others
-        if good[k] and not off[[low[k], high[k]]].any():
-            off[low[k] + 1 : high[k]] = True
+        if is_excursion[k] and not is_off[[low[k], high[k]]].any():
+            is_off[low[k] + 1 : high[k]] = True
     for step, first, last in zip(steps, begin, end, strict=True):
-        if equal[step] == first < step and 2 * (step + 1 - first) < last - first:
-            off[first : step + 1] = True
-        if equal[last - 1] == step + 1 < last - 1 and 2 * (last - step - 1) < last - first:
-            off[step + 1 : last] = True
-    if off.sum() > _MOST_SPIKES * tracks.samples and np.diff(off, prepend=False).sum() > 2 * len(tracks.ids):
-        off[:] = False
-    return Jumps(steps, np.flatnonzero(off), speed, usual)
+        if first_equal[step] == first < step and 2 * (step + 1 - first) < last - first:
+            is_off[first : step + 1] = True
+        if first_equal[last - 1] == step + 1 < last - 1 and 2 * (last - step - 1) < last - first:
+            is_off[step + 1 : last] = True
+    if is_off.sum() > _MAX_SPIKE_SHARE * tracks.samples and np.diff(is_off, prepend=False).sum() > 2 * len(tracks.ids):
+        is_off[:] = False
+    return Jumps(steps, np.flatnonzero(is_off), speed, typical_speed)
 
 
 def leave_out_spikes(tracks: SamplesT) -> SamplesT:
     """The tracks without the samples off the track."""
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_ROUNDS):
         if not len(spikes := find_jumps(tracks).spikes):
             break
         tracks = replace(
@@ -107,13 +108,15 @@ def leave_out_spikes(tracks: SamplesT) -> SamplesT:
 
 def close_jumps(tracks: SamplesT) -> tuple[SamplesT, int]:
     """The tracks with gross jumps, 20 times as fast as usual, of no length: each goes on from where it was before."""
-    steps, _, speed, usual = find_jumps(tracks)
-    jumps = steps[speed[steps] > _GROSS * usual]
-    moved = np.zeros_like(tracks.position)
-    moved[jumps + 1] = tracks.position[jumps + 1] - tracks.position[jumps]
-    moved = np.cumsum(moved, axis=0)  # within an id: all jumps up to a sample, less those of the ids before
-    first = np.repeat(tracks.offsets[:-1], np.diff(tracks.offsets))
-    return (replace(tracks, position=tracks.position - (moved - moved[first])) if len(jumps) else tracks), len(jumps)
+    steps, _, speed, typical_speed = find_jumps(tracks)
+    jumps = steps[speed[steps] > _GROSS_JUMP * typical_speed]
+    offset = np.zeros_like(tracks.position)
+    offset[jumps + 1] = tracks.position[jumps + 1] - tracks.position[jumps]
+    offset = np.cumsum(offset, axis=0)  # within an id: all jumps up to a sample, less those of the ids before
+    first_samples = np.repeat(tracks.offsets[:-1], np.diff(tracks.offsets))
+    if len(jumps):
+        tracks = replace(tracks, position=tracks.position - (offset - offset[first_samples]))
+    return tracks, len(jumps)
 
 
 def leave_out_heights(tracks: SamplesT) -> tuple[SamplesT, float]:
@@ -124,11 +127,11 @@ def leave_out_heights(tracks: SamplesT) -> tuple[SamplesT, float]:
     if tracks.dimensions == 2:
         return tracks, 0.0
     velocity = _sample_velocities(tracks, float(np.nanmedian(typical_intervals(tracks))))
-    noise, needed = _noise(velocity[..., 2:])[0], _noise(velocity[..., :2])[1]
+    noise, needed = _estimate_noise(velocity[..., 2:])[0], _estimate_noise(velocity[..., :2])[1]
     position = np.cumsum(np.nan_to_num(velocity[..., :2]), axis=0)
-    moves = position[needed:] - position[:-needed]
-    moved = float((moves**2).sum(axis=2).mean()) if len(moves) else np.inf
-    if 2 * noise**2 <= max(moved, 1e-6 * float(np.nanmean(velocity[..., 2] ** 2))):
+    displacements = position[needed:] - position[:-needed]
+    mean_square = float((displacements**2).sum(axis=2).mean()) if len(displacements) else np.inf
+    if 2 * noise**2 <= max(mean_square, 1e-6 * float(np.nanmean(velocity[..., 2] ** 2))):
         return tracks, 0.0
     return replace(tracks, position=tracks.position * (1.0, 1.0, 0.0)), noise
 
@@ -143,10 +146,11 @@ def resample_positions(tracks: SamplesT, step: float, max_gap: float | None) -> 
     """The tracks at the times 0, ``step``, 2 ``step``, ...; see :meth:`Tracks.resample`."""
     parts = [slice(int(first), int(last)) for first, last in pairwise(tracks.offsets)]
     filled = [i for i, part in enumerate(parts) if part.stop - part.start > 1]
-    if len(filled) * tracks.duration / step > _MOST_GRID:  # gaps may leave fewer
-        needed = sum(_grid_numbers(tracks.time[parts[i]] / step, step, max_gap)[1].sum() for i in filled)
-        if needed > _MOST_GRID:
-            raise ArgumentError(f"step must be longer, got {step:g} s, {needed:g} samples of at most {_MOST_GRID:g}.")
+    if len(filled) * tracks.duration / step > _MAX_GRID_SAMPLES:  # gaps may leave fewer
+        needed = sum(_number_grid(tracks.time[parts[i]] / step, step, max_gap)[1].sum() for i in filled)
+        if needed > _MAX_GRID_SAMPLES:
+            count = f"{needed:g} samples of at most {_MAX_GRID_SAMPLES:g}"
+            raise ArgumentError(f"step must be longer, got {step:g} s, {count}.")
     grids = [_resample_one(tracks.time[parts[i]], tracks.position[parts[i]], step, max_gap) for i in filled]
     counts = np.zeros(len(parts), np.int64)
     counts[filled] = [len(grid[0]) for grid in grids]
@@ -161,7 +165,7 @@ def resample_positions(tracks: SamplesT, step: float, max_gap: float | None) -> 
 def resample_others(tracks: SamplesT, step: float, max_gap: float | None) -> tuple[SamplesT, ...]:
     """The tracks at a quarter and a half of ``step``, as far as their samples are so near."""
     interval = float(np.nanmedian(typical_intervals(tracks)))
-    steps = [factor * step for factor in _OTHERS if factor * step >= interval * (1 - _SNAP)]
+    steps = [factor * step for factor in _OTHER_FACTORS if factor * step >= interval * (1 - _TIME_TOLERANCE)]
     return tuple(resample_positions(tracks, other, max_gap) for other in steps)
 
 
@@ -169,58 +173,58 @@ def _resample_one(
     time: Floats, position: Floats, step: float, max_gap: float | None
 ) -> tuple[Indices, Floats, Indices]:
     """Resample one track ``(S,)``, ``(S, 3)``: numbers of the grid times ``(G,)``, positions, and nearest samples."""
-    at = time / step
-    low, count = _grid_numbers(at, step, max_gap)
+    steps = time / step
+    low, count = _number_grid(steps, step, max_gap)
     number = np.repeat(low - np.cumsum(count) + count, count) + np.arange(int(count.sum()))
-    after = np.clip(np.searchsorted(at, number - _SNAP), 1, len(at) - 1)
-    before = after - 1
-    length = at[after] - at[before]
-    share = np.clip((number - at[before]) / length, 0.0, 1.0)
-    hit = np.minimum(share, 1 - share) * length <= _SNAP  # a sample lies at the grid time
-    share = np.where(hit, np.round(share), share)
-    resampled = position[before] + share[:, None] * (position[after] - position[before])
-    nearest = np.where(share < 0.5, before, after)
-    if len(number) and _find_quantile(np.diff(at), 0.5) <= 1 / 2:
-        _fit_lines(at, position, number, resampled)
+    next_sample = np.clip(np.searchsorted(steps, number - _TIME_TOLERANCE), 1, len(steps) - 1)
+    last_sample = next_sample - 1
+    interval = steps[next_sample] - steps[last_sample]
+    share = np.clip((number - steps[last_sample]) / interval, 0.0, 1.0)
+    on_grid = np.minimum(share, 1 - share) * interval <= _TIME_TOLERANCE  # a sample lies at the grid time
+    share = np.where(on_grid, np.round(share), share)
+    resampled = position[last_sample] + share[:, None] * (position[next_sample] - position[last_sample])
+    nearest = np.where(share < 0.5, last_sample, next_sample)
+    if len(number) and _find_quantile(np.diff(steps), 0.5) <= 1 / 2:
+        _fit_lines(steps, position, number, resampled)
     return number, resampled, nearest
 
 
-def _grid_numbers(at: Floats, step: float, max_gap: float | None) -> tuple[Indices, Indices]:
+def _number_grid(steps: Floats, step: float, max_gap: float | None) -> tuple[Indices, Indices]:
     """The first grid time from each sample on, and the number of those before the next; ``at`` is in steps."""
-    interval = np.diff(at)
-    usual = max(_BRIDGE * _find_quantile(interval, _TYPICAL_SHARE), 1.0)
-    longest = usual if max_gap is None else max_gap / step
-    low = np.ceil(at - _SNAP).astype(np.int64)
-    count = (low - at <= _SNAP).astype(np.int64)
-    bridged = interval <= longest * (1 + _SNAP)
-    count[:-1] = np.where(bridged, np.diff(low), count[:-1])
+    interval = np.diff(steps)
+    typical = max(_BRIDGE_FACTOR * _find_quantile(interval, _TYPICAL_SHARE), 1.0)
+    max_interval = typical if max_gap is None else max_gap / step
+    low = np.ceil(steps - _TIME_TOLERANCE).astype(np.int64)
+    count = (low - steps <= _TIME_TOLERANCE).astype(np.int64)
+    is_bridged = interval <= max_interval * (1 + _TIME_TOLERANCE)
+    count[:-1] = np.where(is_bridged, np.diff(low), count[:-1])
     return low, count
 
 
 def _find_quantile(values: Floats, quantile: float) -> float:
     """As ``np.quantile``, which takes ten times as long for few values."""
-    place = quantile * (len(values) - 1)
-    low, high = int(place), min(int(place) + 1, len(values) - 1)
+    rank = quantile * (len(values) - 1)
+    low, high = int(rank), min(int(rank) + 1, len(values) - 1)
     ordered = np.partition(values, (low, high))
-    return float(ordered[low] + (place - low) * (ordered[high] - ordered[low]))
+    return float(ordered[low] + (rank - low) * (ordered[high] - ordered[low]))
 
 
-def _fit_lines(at: Floats, position: Floats, number: Indices, resampled: Floats) -> None:
+def _fit_lines(steps: Floats, position: Floats, number: Indices, resampled: Floats) -> None:
     """Replace ``resampled`` ``(G, 3)`` by straight lines fitted within half a step, where there are enough samples."""
-    cell = np.floor(at + 0.5).astype(np.int64)
+    cell = np.floor(steps + 0.5).astype(np.int64)
     starts = np.flatnonzero(np.diff(cell, prepend=cell[0] - 1))
-    numbers, sizes = cell[starts], np.diff(np.append(starts, len(at)))
-    u, p = at - cell, position - np.repeat(position[starts], sizes, axis=0)
+    numbers, sizes = cell[starts], np.diff(np.append(starts, len(steps)))
+    u, p = steps - cell, position - np.repeat(position[starts], sizes, axis=0)
     count = sizes.astype(np.float64)
     sum_u, sum_uu = np.add.reduceat(u, starts), np.add.reduceat(u * u, starts)
     sum_p, sum_up = np.add.reduceat(p, starts, axis=0), np.add.reduceat(u[:, None] * p, starts, axis=0)
     spread = count * sum_uu - sum_u**2
     encloses = (np.minimum.reduceat(u, starts) <= 0) & (np.maximum.reduceat(u, starts) >= 0)
-    good = (count >= _LEAST_FIT) & encloses & (spread > 1e-4 * count**2)
-    line = (sum_uu[:, None] * sum_p - sum_u[:, None] * sum_up) / np.where(good, spread, 1.0)[:, None]
-    where = np.minimum(np.searchsorted(numbers, number), len(numbers) - 1)
-    fitted = (numbers[where] == number) & good[where]
-    resampled[fitted] = (position[starts] + line)[where[fitted]]
+    is_fitted = (count >= _MIN_FIT_SAMPLES) & encloses & (spread > 1e-4 * count**2)
+    line = (sum_uu[:, None] * sum_p - sum_u[:, None] * sum_up) / np.where(is_fitted, spread, 1.0)[:, None]
+    cells = np.minimum(np.searchsorted(numbers, number), len(numbers) - 1)
+    replaced = (numbers[cells] == number) & is_fitted[cells]
+    resampled[replaced] = (position[starts] + line)[cells[replaced]]
 
 
 def choose_step(tracks: Samples, length: int = 0) -> tuple[float, str]:
@@ -230,36 +234,36 @@ def choose_step(tracks: Samples, length: int = 0) -> tuple[float, str]:
     long as the typical stay of an id has 100 of them; it has 16, or half a window of ``length``, if it lasts so long.
     """
     interval = float(f"{np.nanmedian(typical_intervals(tracks)):.9g}")  # differences of times have rounding errors
-    noise, needed = _noise(_sample_velocities(tracks, interval))
+    noise, needed = _estimate_noise(_sample_velocities(tracks, interval))
     stay = typical_stay(tracks) / interval
-    needed = min(needed, max(1, int(stay / max(_FEWEST_STEPS, length / 2))))
-    longest = max(1.0, stay / (_LEAST_STEPS * needed))  # compared with the shortest step
-    powers = np.arange(1 + max(0, int(np.floor(np.log(longest) / np.log(_GROWTH) + 1e-9))))
-    factors = sorted({round(needed * _GROWTH ** int(k)) for k in powers})
+    needed = min(needed, max(1, int(stay / max(_MIN_STEPS, length / 2))))
+    longest = max(1.0, stay / (_MAX_STEPS_OF_STAY * needed))  # compared with the shortest step
+    powers = np.arange(1 + max(0, int(np.floor(np.log(longest) / np.log(_STEP_GROWTH) + 1e-9))))
+    factors = sorted({round(needed * _STEP_GROWTH ** int(k)) for k in powers})
     leads = [_find_leads(_sample_velocities(tracks, factor * interval)) for factor in factors]
-    most = stay / max(_FEWEST_STEPS, length / 2)
-    for factor in (f * needed for f in _LONGER if factors[-1] < f * needed <= most and not max(leads)[0]):
+    max_factor = stay / max(_MIN_STEPS, length / 2)
+    for factor in (f * needed for f in _LONGER_FACTORS if factors[-1] < f * needed <= max_factor and not max(leads)[0]):
         factors.append(factor)
         leads.append(_find_leads(_sample_velocities(tracks, factor * interval)))
-    largest = max(leads)[0]
-    if largest:
-        best = next(k for k, (mean, _, _) in enumerate(leads) if mean >= _NEARLY * largest)
+    largest_lead = max(leads)[0]
+    if largest_lead:
+        best = next(k for k, (mean, _, _) in enumerate(leads) if mean >= _MIN_LEAD_SHARE * largest_lead)
     else:  # gait and wing beats fill short steps
-        best = sum(f <= max(needed, min(_UNLED * needed, stay / _UNLED_STEPS)) for f in factors) - 1
+        best = sum(f <= max(needed, min(_UNLED_FACTOR * needed, stay / _UNLED_STEPS)) for f in factors) - 1
     (_, lag, followers), step = leads[best], factors[best] * interval
-    why = "no id follows another with a significant delay"
-    if largest:
+    reason = "no id follows another with a significant delay"
+    if largest_lead:
         typical = f"typical delay {format_number(lag * step, 2)} s, median of {followers}"
-        why = f"it is the shortest at which following shows ({typical})"
+        reason = f"it is the shortest at which following shows ({typical})"
     sampled = f"{factors[best]:g} times the sampling interval".removeprefix("1 times ")
     noisy = f"; the noise of the positions is about {format_number(noise, 2)} m" * bool(noise)
-    hidden = ", and shorter delays may be missed" if largest and best == 0 and needed > 1 else ""
-    return step, f"The step is {format_number(step)} s, {sampled}: {why}{noisy}{hidden}."
+    hidden = ", and shorter delays may be missed" if largest_lead and best == 0 and needed > 1 else ""
+    return step, f"The step is {format_number(step)} s, {sampled}: {reason}{noisy}{hidden}."
 
 
 def _sample_velocities(tracks: Samples, interval: float) -> Floats:
     """Velocities ``(T, n, 3)`` of the longest tracks in the 2048 steps with the most samples; NaN where unseen."""
-    length = _PART * interval
+    length = _PART_STEPS * interval
     edges = np.arange(0.0, tracks.duration + length, length / 2)
     counts = np.histogram(tracks.time, edges)[0] if len(edges) > 1 else np.ones(1)
     pairs = counts[:-1] + counts[1:] if len(counts) > 1 else counts
@@ -267,19 +271,19 @@ def _sample_velocities(tracks: Samples, interval: float) -> Floats:
     low, high = np.empty((2, len(tracks.ids)), np.int64)
     for i, (first, last) in enumerate(pairwise(tracks.offsets)):
         low[i], high[i] = first + np.searchsorted(tracks.time[first:last], (begin, begin + length))
-    longest = np.argsort(low - high, kind="stable")[:_POOL]
-    longest = longest[: max(2, int(np.searchsorted(np.cumsum((high - low)[longest]), _MOST_SAMPLES)) + 1)]
-    instants = int(min(_PART, tracks.duration / interval)) + 1
+    longest = np.argsort(low - high, kind="stable")[:_POOL_IDS]
+    longest = longest[: max(2, int(np.searchsorted(np.cumsum((high - low)[longest]), _MAX_SAMPLES)) + 1)]
+    instants = int(min(_PART_STEPS, tracks.duration / interval)) + 1
     position = np.full((instants, len(longest), 3), np.nan)
     for k, i in enumerate(longest[(high - low)[longest] > 1]):
         part = slice(int(low[i]), int(high[i]))
-        number, where, _ = _resample_one(tracks.time[part] - begin, tracks.position[part], interval, None)
-        inside = (number >= 0) & (number < instants)
-        position[number[inside], k] = where[inside]
+        number, points, _ = _resample_one(tracks.time[part] - begin, tracks.position[part], interval, None)
+        is_inside = (number >= 0) & (number < instants)
+        position[number[is_inside], k] = points[is_inside]
     return np.diff(position, axis=0)
 
 
-def _noise(velocity: Floats) -> tuple[float, int]:
+def _estimate_noise(velocity: Floats) -> tuple[float, int]:
     """Estimate the noise of the positions, metres, and the steps after which the movement exceeds it enough.
 
     White noise adds -σ² to the covariance c_1 of successive steps and nothing to those further apart, so
@@ -287,24 +291,24 @@ def _noise(velocity: Floats) -> tuple[float, int]:
     """
     mean = np.nanmean(velocity, axis=(0, 1)) if np.isfinite(velocity).any() else np.zeros(3)
     centred = np.nan_to_num(velocity - mean)
-    known = np.isfinite(velocity[..., 0])
+    is_seen = np.isfinite(velocity[..., 0])
 
     def covariance(lag: int) -> float:
-        both = known[lag:] & known[: len(known) - lag]
+        both_seen = is_seen[lag:] & is_seen[: len(is_seen) - lag]
         total = (centred[lag:] * centred[: len(centred) - lag]).sum()
-        return float(total / max(int(both.sum()), 1))
+        return float(total / max(int(both_seen.sum()), 1))
 
     if len(velocity) < 8:
         return 0.0, 1
-    total = covariance(0)
+    variance_of_steps = covariance(0)
     variance = max(0.0, 2 * covariance(2) - covariance(3) - covariance(1))  # summed over the axes
-    if variance < 0.01 * total:
+    if variance < 0.01 * variance_of_steps:
         return 0.0, 1
     position = np.cumsum(np.nan_to_num(velocity), axis=0)
     needed = 1
     while needed < min(_LARGEST_SCALE, len(position) // 4):
-        moved = float(((position[needed:] - position[:-needed]) ** 2).sum(axis=2).mean())
-        if moved - 2 * variance >= _SIGNAL * 2 * variance / needed:
+        mean_square = float(((position[needed:] - position[:-needed]) ** 2).sum(axis=2).mean())
+        if mean_square - 2 * variance >= _MIN_SIGNAL * 2 * variance / needed:
             break
         needed += 1
     axes = max(int((np.abs(centred).sum(axis=(0, 1)) > 0).sum()), 1)
@@ -318,10 +322,10 @@ def _find_leads(velocity: Floats) -> tuple[float, float, int]:
     those of j's τ steps before. That over i is the best j's, less the median for tracks that are shifted in time. There
     is none if C is larger at more than 4 steps, up to an eighth of the tracks, and larger than by chance.
     """
-    if velocity.shape[1] < 2 or len(velocity) <= _FEWEST_STEPS:
+    if velocity.shape[1] < 2 or len(velocity) <= _MIN_STEPS:
         return 0.0, 0.0, 0
-    known = np.isfinite(velocity[..., 0]).sum(axis=0)
-    mean = np.nansum(velocity, axis=0) / np.maximum(known, 1)[:, None]
+    times_seen = np.isfinite(velocity[..., 0]).sum(axis=0)
+    mean = np.nansum(velocity, axis=0) / np.maximum(times_seen, 1)[:, None]
     changes = np.diff(np.nan_to_num(velocity - mean), axis=0)
     steps, ids = changes.shape[:2]
     size = np.sqrt((changes**2).sum(axis=(0, 2)))
@@ -329,25 +333,25 @@ def _find_leads(velocity: Floats) -> tuple[float, float, int]:
     spectrum = np.fft.rfft(scaled)
     shifts = np.arange(_SHIFTS) * steps // _SHIFTS if steps > _SHIFTS else np.arange(steps)  # 0 is among them
     lags = np.arange(1, LAGS + 1)[:, None]
-    later, earlier = (shifts + lags) % steps, (shifts - lags) % steps  # (4, S)
-    focal = np.linspace(0, ids - 1, min(ids, _FOCAL)).astype(int)
+    later_shifts, earlier_shifts = (shifts + lags) % steps, (shifts - lags) % steps  # (4, S)
+    focal = np.linspace(0, ids - 1, min(ids, _FOCAL_IDS)).astype(int)
     leads, delays = [], []
     for i in focal:
         curve = np.fft.irfft((spectrum[i] * np.conj(spectrum)).sum(axis=1), steps)  # (n, T): i, after each id
-        leads_of = curve[:, later].max(axis=1) - curve[:, earlier].max(axis=1)  # (n, S)
-        leads_of[i] = -np.inf
-        by_chance = leads_of[:, 1:].max(axis=0)
-        short = curve[:, 1 : LAGS + 1].max(axis=1)
-        inside = short > curve[:, LAGS + 1]  # otherwise the delay is longer than 4 steps
-        far = curve[:, LAGS + 1 : max(LAGS + 2, steps // _PART_OF_LAGS)].max(axis=1)
-        by_far = max(float(far[i]), float(curve[:, steps // 4 : -(steps // 4)].max()))  # i repeats itself, or by chance
-        if np.delete(far, i).max() > by_far:  # an id was there long before: siblings are no leaders
-            inside &= short > far.max()
-        lead = np.where(inside, leads_of[:, 0], -np.inf)
-        middle, spread = find_middle(by_chance)
-        if lead.max() > middle + _SIGNIFICANT * spread:
-            leads.append(float(lead.max()) - middle)
+        shifted_leads = curve[:, later_shifts].max(axis=1) - curve[:, earlier_shifts].max(axis=1)  # (n, S)
+        shifted_leads[i] = -np.inf
+        chance_leads = shifted_leads[:, 1:].max(axis=0)
+        short_lags = curve[:, 1 : LAGS + 1].max(axis=1)
+        is_short = short_lags > curve[:, LAGS + 1]  # otherwise the delay is longer than 4 steps
+        long_lags = curve[:, LAGS + 1 : max(LAGS + 2, steps // _MAX_DELAY_PART)].max(axis=1)
+        repeats, chance = float(long_lags[i]), float(curve[:, steps // 4 : -(steps // 4)].max())
+        if np.delete(long_lags, i).max() > max(repeats, chance):  # an id was there long before: siblings are no leaders
+            is_short &= short_lags > long_lags.max()
+        lead = np.where(is_short, shifted_leads[:, 0], -np.inf)
+        median, spread = find_middle(chance_leads)
+        if lead.max() > median + _SIGNIFICANT * spread:
+            leads.append(float(lead.max()) - median)
             delays.append(1 + int(curve[lead.argmax(), 1 : LAGS + 1].argmax()))
-    if len(leads) < max(1, len(focal) / _FEWEST):
+    if len(leads) < max(1, len(focal) / _MIN_FOLLOWER_SHARE):
         return 0.0, 0.0, 0
     return sum(leads) / len(focal), float(np.median(delays)), len(leads)

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.config import ArgumentError, format_count, quote
 
-_INSTANTS = 64  # at which ids are compared
-_NEAR, _SLOW = 0.01, 0.03  # of the way, and of the movement
-_LITTLE, _BEHIND = 0.3, 0.7  # of the square, and of the size of an offset
-_DIGITS = 9  # decimals of a time that is written as a number, where float64 has as many
+_COMPARED_INSTANTS = 64  # at which ids are compared
+_MAX_DISTANCE, _MAX_DRIFT = 0.01, 0.03  # of the way, and of the movement
+_MAX_NOISE_PRODUCT, _MIN_COSINE = 0.3, 0.7  # of the square, and of the size of an offset
+_MAX_DECIMALS = 9  # decimals of a time that is written as a number, where float64 has as many
 _EPOCH = datetime(1970, 1, 1)
-_NO_VALUE = {"", "-", "na", "n/a", "#n/a", "nan", "null", "none", "nat", "\\n", "?"}
+_EMPTY_CELLS = {"", "-", "na", "n/a", "#n/a", "nan", "null", "none", "nat", "\\n", "?"}
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Clock:
 
     def file_time(self, seconds: float) -> float | int | str:
         """Write ``seconds`` after the start as a time of the file."""
-        seconds += max((late for begin, late in self.skipped if begin <= seconds), default=0.0)
+        seconds += max((pause for begin, pause in self.skipped if begin <= seconds), default=0.0)
         if self.recordings:
             name, begin, _, clock = min(self.recordings, key=lambda each: max(each[1] - seconds, seconds - each[2]))
             return f"{name}: {clock.file_time(max(0.0, seconds - begin))}"
@@ -143,7 +143,7 @@ def sort_samples(
     start = float(time.min())
     latest = max(abs(start), abs(float(time.max())))
     time = time - start
-    if _count_decimals(latest) < _DIGITS:  # seconds since 1970: the difference of two has as few decimals
+    if _count_decimals(latest) < _MAX_DECIMALS:  # seconds since 1970: the difference of two has as few decimals
         time = np.round(time, _count_decimals(latest))
     time *= clock.unit
     clock = replace(clock, origin=clock.origin + start)
@@ -151,22 +151,22 @@ def sort_samples(
     codes, time = codes[order], time[order]
     position = np.zeros((len(time), 3))
     position[:, : len(axes)] = np.stack(axes, axis=1)[order]
-    doubled = np.flatnonzero((np.diff(codes) == 0) & (np.diff(time) <= 0))
-    if len(doubled):
-        differ = doubled[(position[doubled] != position[doubled + 1]).any(axis=1)]
-        if len(differ) and duplicates == "error":
-            moment, who = quote(clock.file_time(float(time[differ[0]]))), quote(ids[codes[differ[0]]])
+    repeated = np.flatnonzero((np.diff(codes) == 0) & (np.diff(time) <= 0))
+    if len(repeated):
+        conflicts = repeated[(position[repeated] != position[repeated + 1]).any(axis=1)]
+        if len(conflicts) and duplicates == "error":
+            moment, name = quote(clock.file_time(float(time[conflicts[0]]))), quote(ids[codes[conflicts[0]]])
             raise ArgumentError(
-                f"time must differ between samples of an id, got {moment} with two places for id {who} "
-                f"({format_count(len(differ), 'such pair')}; duplicates='first' or 'mean', or --duplicates, helps)."
+                f"time must differ between samples of an id, got {moment} with two places for id {name} "
+                f"({format_count(len(conflicts), 'such pair')}; duplicates='first' or 'mean', or --duplicates, helps)."
             )
         if duplicates == "mean":
-            first = np.setdiff1d(np.arange(len(time)), doubled + 1)
+            first = np.setdiff1d(np.arange(len(time)), repeated + 1)
             position[first] = np.add.reduceat(position, first) / np.diff(np.append(first, len(time)))[:, None]
-        same = "same id and time" if len(differ) else "same id, time and place"
-        notes = [*notes, f"Left out as repetitions ({same}): {format_count(len(doubled), 'sample')}."]
-        order = np.delete(order, doubled + 1)
-        codes, time, position = (np.delete(values, doubled + 1, axis=0) for values in (codes, time, position))
+        same = "same id and time" if len(conflicts) else "same id, time and place"
+        notes = [*notes, f"Left out as repetitions ({same}): {format_count(len(repeated), 'sample')}."]
+        order = np.delete(order, repeated + 1)
+        codes, time, position = (np.delete(values, repeated + 1, axis=0) for values in (codes, time, position))
     if origin is None:
         origin = np.round((position.min(axis=0) + position.max(axis=0)) / 2)
         position -= origin
@@ -192,8 +192,8 @@ def split_gaps(tracks: SamplesT, gap: float) -> SamplesT:
     ids = tuple(f"{tracks.ids[k]}/{n + 1}" if n else str(tracks.ids[k]) for k, n in zip(owner, number, strict=True))
     leader = tracks.leader
     if leader is not None:  # the part of the leader that is there, or was last
-        length = tracks.duration + 1.0
-        part = np.searchsorted(owner * length + start, leader * length + tracks.time, side="right") - 1
+        stride = tracks.duration + 1.0
+        part = np.searchsorted(owner * stride + start, leader * stride + tracks.time, side="right") - 1
         leader = np.where(leader < 0, -1, np.maximum(part, np.searchsorted(owner, leader)))
     return replace(tracks, ids=ids, offsets=np.append(parts, tracks.samples), leader=leader)
 
@@ -206,30 +206,31 @@ def find_one_body(tracks: Samples) -> list[str | int]:
     """
     if not tracks.inner_steps.any():
         return []
-    interval, long = 2 * np.median(np.diff(tracks.time)[tracks.inner_steps]), tracks.duration / _INSTANTS / 8
-    start = np.linspace(0.0, tracks.duration - max(interval, long), _INSTANTS)
-    times, plane = np.concatenate([start, start + interval, start + long]), tracks.position @ (1, 1j, 0)
+    interval, delay = 2 * np.median(np.diff(tracks.time)[tracks.inner_steps]), tracks.duration / _COMPARED_INSTANTS / 8
+    starts = np.linspace(0.0, tracks.duration - max(interval, delay), _COMPARED_INSTANTS)
+    times, plane = np.concatenate([starts, starts + interval, starts + delay]), tracks.position @ (1, 1j, 0)
     parts = [slice(*ends) for ends in pairwise(tracks.offsets)]
-    place = np.array([np.interp(times, tracks.time[part], plane[part], np.nan, np.nan) for part in parts])
-    now, soon, later = np.split(place, 3, axis=1)
-    found: set[int] = set()
+    positions = np.array([np.interp(times, tracks.time[part], plane[part], np.nan, np.nan) for part in parts])
+    present, after_interval, after_delay = np.split(positions, 3, axis=1)
+    rows_found: set[int] = set()
     with np.errstate(all="ignore"), warnings.catch_warnings(action="ignore"):  # of ids that are never seen together
-        extent = 2 * np.nanmax(np.abs(now - np.nanmean(now, axis=1, keepdims=True)), axis=1)
-        for k in range(len(now) - 1):
-            offset, way = now[k + 1 :] - now[k], later[k] - now[k]
-            near = _mean(abs(offset)) < _NEAR * np.minimum(extent[k], extent[k + 1 :])
-            near = np.flatnonzero(near & (np.isfinite(offset).sum(axis=1) > _INSTANTS // 4))
-            then, last = (each[k + 1 + near] - each[k] for each in (soon, later))
-            offset, size = offset[near], _mean(abs(offset[near]) ** 2)
-            noise = _mean((offset * then.conj()).real) < _LITTLE * size
-            slow = _mean(abs(last - offset) ** 2) < _SLOW**2 * _mean(abs(way[None]) ** 2)
-            behind = abs(_mean((offset * (way / abs(way)).conj()).real)) > _BEHIND * np.sqrt(size)
-            tied = k + 1 + near[noise | (slow & ~behind)]
-            found.update([k, *tied.tolist()] if len(tied) else [])
-    return [tracks.ids[k] for k in sorted(found)]
+        extent = 2 * np.nanmax(np.abs(present - np.nanmean(present, axis=1, keepdims=True)), axis=1)
+        for k in range(len(present) - 1):
+            offset, travel = present[k + 1 :] - present[k], after_delay[k] - present[k]
+            neighbours = _time_mean(abs(offset)) < _MAX_DISTANCE * np.minimum(extent[k], extent[k + 1 :])
+            neighbours = np.flatnonzero(neighbours & (np.isfinite(offset).sum(axis=1) > _COMPARED_INSTANTS // 4))
+            next_offset, late_offset = (p[k + 1 + neighbours] - p[k] for p in (after_interval, after_delay))
+            offset = offset[neighbours]
+            square, travel_square = _time_mean(abs(offset) ** 2), _time_mean(abs(travel[None]) ** 2)
+            is_noise = _time_mean((offset * next_offset.conj()).real) < _MAX_NOISE_PRODUCT * square
+            is_slow = _time_mean(abs(late_offset - offset) ** 2) < _MAX_DRIFT**2 * travel_square
+            is_behind = abs(_time_mean((offset * (travel / abs(travel)).conj()).real)) > _MIN_COSINE * np.sqrt(square)
+            tied_rows = k + 1 + neighbours[is_noise | (is_slow & ~is_behind)]
+            rows_found.update([k, *tied_rows.tolist()] if len(tied_rows) else [])
+    return [tracks.ids[k] for k in sorted(rows_found)]
 
 
-def _mean(values: Any) -> Any:
+def _time_mean(values: Any) -> Any:
     return np.nanmean(values, axis=1)
 
 
@@ -237,8 +238,8 @@ def number_labels(labels: pd.Series[Any]) -> tuple[Indices, tuple[str | int, ...
     """Which of the different labels each row has, in the order in which they come: whole numbers, or else texts."""
     if len({type(label) for label in labels.unique()}) > 1:
         labels = labels.astype(str)
-    codes, different = pd.factorize(labels)
-    return codes.astype(np.int64), tuple(pd.Series(different).tolist())
+    codes, distinct = pd.factorize(labels)
+    return codes.astype(np.int64), tuple(pd.Series(distinct).tolist())
 
 
 def match_leaders(
@@ -253,25 +254,25 @@ def match_leaders(
     A label, of which ``index`` ``(S,)`` are the numbers, names the id of the same text, or else the only id of an equal
     number: pandas writes 0 as 0.0 in a column with gaps. ``codes`` ``(S,)`` are the numbers of the samples' own ids.
     """
-    same = {str(name): k for k, name in enumerate(ids)}
-    equal: dict[float | None, int] = {}
-    for text, k in same.items():
-        equal[_to_number(text)] = -1 if _to_number(text) in equal else k
-    equal[None] = -1
-    known = np.array([same.get(text, equal.get(_to_number(text), -1)) for text in map(str, labels)], np.int64)
+    row_of = {str(name): k for k, name in enumerate(ids)}
+    row_of_number: dict[float | None, int] = {}
+    for text, k in row_of.items():
+        row_of_number[_to_number(text)] = -1 if _to_number(text) in row_of_number else k
+    row_of_number[None] = -1
+    rows = np.array([row_of.get(text, row_of_number.get(_to_number(text), -1)) for text in map(str, labels)], np.int64)
     notes = []
-    unknown = [label for label, k in zip(labels, known, strict=True) if k < 0 and not is_none(label)]
+    unknown = [label for label, k in zip(labels, rows, strict=True) if k < 0 and not is_none(label)]
     if unknown:
         notes.append(f"Leaders without a track: {len(unknown)} ({', '.join(map(str, unknown[:3]))}).")
-        if (known < 0).all():
+        if (rows < 0).all():
             return None, [*notes, f"No leader{where} has a track: it is not known who leads."]
-    leader = known[index]
+    leader = rows[index]
     return np.where(leader == codes, -1, leader), notes
 
 
 def is_none(value: Any) -> bool:
     """Whether a cell holds no value, as files write it."""
-    return str(value).strip().lower() in _NO_VALUE
+    return str(value).strip().lower() in _EMPTY_CELLS
 
 
 def _to_number(text: str) -> float | None:
@@ -283,4 +284,4 @@ def _to_number(text: str) -> float | None:
 
 def _count_decimals(number: float) -> int:
     """How many decimals float64 has at this size, at most 9; -3 if it has whole thousands."""
-    return min(_DIGITS, math.floor(-np.log10(np.spacing(abs(number)))))
+    return min(_MAX_DECIMALS, math.floor(-np.log10(np.spacing(abs(number)))))
