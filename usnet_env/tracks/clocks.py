@@ -10,7 +10,7 @@ from usnet_env.series import centre_columns, correlate_at_lag, scale_to_unit
 from usnet_env.tracks.links import cut_velocities
 from usnet_env.tracks.tracks import Tracks, TrackWindow
 
-_MOST_OF, _LEAST, _MOST_COMPARED = 0.75, 4, 20  # of a group: those ahead, and its size
+_MIN_SHARE_AHEAD, _MIN_GROUP, _MAX_COMPARED = 0.75, 4, 20  # of a group: those ahead, and its size
 
 
 def find_late_clock(
@@ -21,15 +21,15 @@ def find_late_clock(
     Ids that copy a leader agree with none as well as with it, so such a follower may lead, by a clock that is late. It
     is behind three quarters of the group, of which at most 20 are looked at, at the sampling interval.
     """
-    group = [leader, *followers][:_MOST_COMPARED]
+    group = [leader, *followers][:_MAX_COMPARED]
     _, velocity, known, _, longest = cut_velocities(fine, track_window, group)
-    if len(group) < _LEAST or longest < 1:
+    if len(group) < _MIN_GROUP or longest < 1:
         return None
     unit = scale_to_unit(centre_columns(velocity, known), least=0.0)
     curves = np.array([correlate_at_lag(unit, unit, lag) for lag in range(-longest, longest + 1)])
-    lag, agree = curves.argmax(axis=0) - longest, curves.max(axis=0)  # of each, after each
-    np.fill_diagonal(agree, 0.0)
-    hub = int(agree.sum(axis=1).argmax())
-    if lag[hub, 0] <= 0 or (lag[hub] > 0).sum() < _MOST_OF * (len(group) - 1):
+    lag, agreement = curves.argmax(axis=0) - longest, curves.max(axis=0)  # of each, after each
+    np.fill_diagonal(agreement, 0.0)
+    hub = int(agreement.sum(axis=1).argmax())
+    if lag[hub, 0] <= 0 or (lag[hub] > 0).sum() < _MIN_SHARE_AHEAD * (len(group) - 1):
         return None
     return group[hub], float(lag[hub, 0] * (fine.step or 1.0))

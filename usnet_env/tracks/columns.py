@@ -20,13 +20,13 @@ from usnet_env.tracks.samples import is_none
 class Table(NamedTuple):
     """The names of the columns, and what reads some of them: it takes names by role, and its columns are the roles.
 
-    ``about`` may have the ``rate`` of frames a second, lists of ``notes`` and ``doubts``, and ``for_itself``: whether
+    ``details`` may have the ``rate`` of frames a second, lists of ``notes`` and ``doubts``, and ``for_itself``: whether
     an id, such as the name of a track, means nothing in another file.
     """
 
     header: list[str]
     read: Callable[[Mapping[str, str]], pd.DataFrame]
-    about: Mapping[str, Any] = {}
+    details: Mapping[str, Any] = {}
 
 
 Role = Literal["id", "t", "frame", "lon", "lat", "x", "y", "z", "leader", "confidence"]
@@ -74,17 +74,17 @@ LABELS = ("id", "leader")
 NUMBERS = ROLES.keys() - set(LABELS)
 TIMES = ("t", "frame")
 MOVEBANK = {"individual-local-identifier", "tag-local-identifier"}  # one of these is in each of its files
-_MOST_LISTED = 40  # names in a message
-_LARGEST = 1e15  # of a number in a file: float64 has no fractions beyond
+_MAX_LISTED = 40  # names in a message
+_MAX_NUMBER = 1e15  # of a number in a file: float64 has no fractions beyond
 _LIMITS = {"lon": 360.0, "lat": 90.0, "t": 1e19, "frame": 1e19}  # degrees; nanoseconds since 1970 until 2286
-_SWAP = str.maketrans(",.", ".,")
-_DAYS = re.compile(r"(\d{1,2})[/.-](\d{1,2})[/.-]\d{4}\b")  # and months, or the reverse
+_SWAP_SIGNS = str.maketrans(",.", ".,")
+_DAY_AND_MONTH = re.compile(r"(\d{1,2})[/.-](\d{1,2})[/.-]\d{4}\b")  # and months, or the reverse
 _DATE = re.compile(
     r"\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{1,2}[-/. ](\d{1,2}|[A-Za-z]{3,})[-/. ]\d{4}|[A-Za-z]{3,} \d{1,2},? \d{4}"
 )
-_WHOLE = re.compile(r"([+-]?\d+)(\.0+)?")
-_AXIS = re.compile(r"(?P<axis>[xyz])_?(?P<id>\w+)|(?P<name>\w+?)_(?P<last>[xyz])")
-_COMMA = re.compile(r"\s*[+-]?(\d*,\d+|\d+,)([eE][+-]?\d+)?\s*")
+_WHOLE_NUMBER = re.compile(r"([+-]?\d+)(\.0+)?")
+_AXIS_NAME = re.compile(r"(?P<axis>[xyz])_?(?P<id>\w+)|(?P<name>\w+?)_(?P<last>[xyz])")
+_DECIMAL_COMMA = re.compile(r"\s*[+-]?(\d*,\d+|\d+,)([eE][+-]?\d+)?\s*")
 
 
 def as_table(frame: pd.DataFrame) -> Table:
@@ -94,46 +94,47 @@ def as_table(frame: pd.DataFrame) -> Table:
 
 def as_long(table: Table) -> Table:
     """A table with a row for each time, such as ``t, x1, y1, x2, y2``, as one with a row for each sample of an id."""
-    header, read, about = table
-    known, wide = guess_columns(header), find_wide(header)
-    if len(wide) < 2 or {"x", "y"} <= known.keys() or "id" in known:
+    header, read, details = table
+    guessed, axes_of = guess_columns(header), find_wide(header)
+    if len(axes_of) < 2 or {"x", "y"} <= guessed.keys() or "id" in guessed:
         return table
-    rest = [name for name in header if not any(name in axes.values() for axes in wide.values())]
-    if not known.keys() & {*TIMES}:
-        rest.append("frame")  # the number of the row
+    other_names = [name for name in header if not any(name in axes.values() for axes in axes_of.values())]
+    if not guessed.keys() & {*TIMES}:
+        other_names.append("frame")  # the number of the row
 
     def read_long(names: Mapping[str, str]) -> pd.DataFrame:
-        of_ids = {f"{axis}:{label}": axes[axis] for label, axes in wide.items() for axis in names if axis in axes}
+        wide = {f"{axis}:{label}": axes[axis] for label, axes in axes_of.items() for axis in names if axis in axes}
         times = {role: name for role, name in names.items() if name in header}
-        rows = read(times | of_ids)
+        rows = read(times | wide)
         frame = rows[list(times)] if times else pd.DataFrame({"frame": np.arange(len(rows))})
         parts = [
             frame.assign(id=label, **{axis: rows[f"{axis}:{label}"] for axis in axes if f"{axis}:{label}" in rows})
-            for label, axes in wide.items()
+            for label, axes in axes_of.items()
         ]
         return pd.concat(parts, ignore_index=True).dropna(subset=["x", "y"], ignore_index=True)
 
-    height = ["z"] if all("z" in axes for axes in wide.values()) else []
-    return Table(["id", *rest, "x", "y", *height], read_long, about)
+    height = ["z"] if all("z" in axes for axes in axes_of.values()) else []
+    return Table(["id", *other_names, "x", "y", *height], read_long, details)
 
 
 def guess_columns(header: Sequence[str]) -> dict[str, str]:
     """The name of the column of each role that has a usual name."""
-    plain = {_letters(name): name for name in reversed(header)}
-    return {role: plain[known[0]] for role, usual in ROLES.items() if (known := [n for n in usual if n in plain])}
+    name_of = {_reduce_name(name): name for name in reversed(header)}
+    guesses = {role: [name_of[name] for name in names if name in name_of] for role, names in ROLES.items()}
+    return {role: names[0] for role, names in guesses.items() if names}
 
 
 def find_recording(header: Sequence[str]) -> str | None:
     """The column that probably tells recordings apart."""
-    return next((name for name in header if _letters(name) in RECORDINGS and header.count(name) == 1), None)
+    return next((name for name in header if _reduce_name(name) in RECORDINGS and header.count(name) == 1), None)
 
 
-def _letters(name: str) -> str:
+def _reduce_name(name: str) -> str:
     return split_unit(name)[0].replace("_", "")
 
 
 def choose_columns(
-    header: Sequence[str], mapping: Mapping[Any, str], where: str, *, one_id: bool = False, confidence: bool = False
+    header: Sequence[str], mapping: Mapping[Any, str], source: str, *, one_id: bool = False, confidence: bool = False
 ) -> dict[str, str]:
     """Choose the name of the column of each role: x and y or lon and lat, t or frame, and others.
 
@@ -141,11 +142,11 @@ def choose_columns(
     may have no id, as all of it is one track. ``confidence``: it must have that column, which is otherwise left out.
     """
 
-    def add_unit(name: str) -> str:
-        whole = [each for each in header if each.partition(" (")[0] == name]
-        return whole[0] if name not in header and len(whole) == 1 else name
+    def find_with_unit(name: str) -> str:
+        matches = [column for column in header if column.partition(" (")[0] == name]
+        return matches[0] if name not in header and len(matches) == 1 else name
 
-    chosen = {role: add_unit(name) for role, name in mapping.items() if name}
+    chosen = {role: find_with_unit(name) for role, name in mapping.items() if name}
     mapped = set(chosen)
     for role, name in guess_columns(header).items():
         if role not in mapping and name not in chosen.values():
@@ -155,23 +156,23 @@ def choose_columns(
     time = "frame" if "frame" in chosen and ("frame" in mapped or "t" not in chosen) else "t"
     needed = ["id", time, *plane, *["confidence"] * confidence]
     chosen = {role: name for role, name in chosen.items() if role in (*needed, "z", "leader")}
-    must, names = "", list(chosen.values())
+    rule, names = "", list(chosen.values())
     if missing := [role for role in needed if role not in chosen and not (one_id and role == "id")]:
         if any(map(is_number, header)):
             first = quote(" ".join(header)[:80])
             hint = f"header=, or --columns, names its {len(header)} columns in order: id, t or frame, x, y, and others"
-            raise ArgumentError(f"row 1 of {where} must name its columns, got values: {first} ({hint}).")
+            raise ArgumentError(f"row 1 of {source} must name its columns, got values: {first} ({hint}).")
     elif len(set(names)) < len(names) or any(header.count(name) != 1 for name in names):
-        must = f"give each role a column that {where} has once"
-    listed = ", ".join(header[:_MOST_LISTED]) + ", …" * (len(header) > _MOST_LISTED)
+        rule = f"give each role a column that {source} has once"
+    listed = ", ".join(header[:_MAX_LISTED]) + ", …" * (len(header) > _MAX_LISTED)
     if missing:
-        which = f"column of {where} is" if len(missing) == 1 else f"columns of {where} are"
+        subject = f"column of {source} is" if len(missing) == 1 else f"columns of {source} are"
         hint = " (several files may be the tracks of one id each)" * (missing == ["id"])
         hint = " (min_confidence needs it)" if "confidence" in missing else hint
-        how = f"name {'it' if len(missing) == 1 else 'them'} with --column {missing[0]}=NAME (columns= in Python)"
-        raise ArgumentError(f"which {which} {', '.join(missing)}? It has {listed}; {how}{hint}.")
-    if must:
-        raise ArgumentError(f"columns (--column) must {must}, got {quote(chosen)}; its columns are {listed}.")
+        advice = f"name {'it' if len(missing) == 1 else 'them'} with --column {missing[0]}=NAME (columns= in Python)"
+        raise ArgumentError(f"which {subject} {', '.join(missing)}? It has {listed}; {advice}{hint}.")
+    if rule:
+        raise ArgumentError(f"columns (--column) must {rule}, got {quote(chosen)}; its columns are {listed}.")
     return chosen
 
 
@@ -181,17 +182,17 @@ def _normalise(name: str) -> str:
 
 def split_unit(name: str) -> tuple[str, str]:
     """The plain name of a column, and the unit behind it, or ``""``: ``"X (cm)"`` is ``"x"`` in ``"cm"``."""
-    plain, _, unit = _normalise(name).rpartition("_")
-    return (plain, unit) if plain and unit in TIME_UNITS | LENGTH_UNITS else (_normalise(name), "")
+    name_only, _, unit = _normalise(name).rpartition("_")
+    return (name_only, unit) if name_only and unit in TIME_UNITS | LENGTH_UNITS else (_normalise(name), "")
 
 
 def find_wide(header: Sequence[str]) -> dict[str, dict[str, str]]:
     """The columns x, y and perhaps z of each id of a table with a row for each time, such as ``x1, y1, x2, y2``."""
-    wide: dict[str, dict[str, str]] = {}
+    axes_of: dict[str, dict[str, str]] = {}
     for name in header:
-        if match := _AXIS.fullmatch(_normalise(name)):
-            wide.setdefault(match["id"] or match["name"], {})[match["axis"] or match["last"]] = name
-    return {label: axes for label, axes in wide.items() if {"x", "y"} <= axes.keys()}
+        if match := _AXIS_NAME.fullmatch(_normalise(name)):
+            axes_of.setdefault(match["id"] or match["name"], {})[match["axis"] or match["last"]] = name
+    return {label: axes for label, axes in axes_of.items() if {"x", "y"} <= axes.keys()}
 
 
 def is_number(cell: str) -> bool:
@@ -200,7 +201,7 @@ def is_number(cell: str) -> bool:
 
 
 def read_numbers(
-    column: pd.Series[Any], role: str, where: str, decimal: str, time_format: str | None, *, skip_few: bool
+    column: pd.Series[Any], role: str, source: str, decimal: str, time_format: str | None, *, skip_few: bool
 ) -> Floats:
     """The numbers of a column, or its timestamps as microseconds since 1970; NaN where there is none, or no end.
 
@@ -211,27 +212,24 @@ def read_numbers(
     if column.dtype.kind in "fiu" and not formatted:
         numbers = column.to_numpy(np.float64)
     else:
-        codes, different = pd.factorize(column)
-        cells = pd.Series(different)
-        dated = formatted or (role in TIMES and has_timestamps(column))
-        values = (
-            _parse_timestamps(cells, time_format)
-            if dated
-            else np.array([_parse(cell, decimal) for cell in cells], np.float64)
-        )
-        wrong = np.isnan(values) & ~cells.map(is_none).to_numpy(bool)
-        if wrong.any() and not (skip_few and wrong.mean() < 0.5):
+        codes, distinct = pd.factorize(column)
+        cells = pd.Series(distinct)
+        is_time = formatted or (role in TIMES and has_timestamps(column))
+        numbers = [] if is_time else [_parse(cell, decimal) for cell in cells]
+        values = _parse_timestamps(cells, time_format) if is_time else np.array(numbers, np.float64)
+        is_wrong = np.isnan(values) & ~cells.map(is_none).to_numpy(bool)
+        if is_wrong.any() and not (skip_few and is_wrong.mean() < 0.5):
             if formatted:
-                got = f"{quote(time_format)} for {quote(to_text(cells[wrong].iloc[0]))} in column {column.name!r}"
-                raise ArgumentError(f"time_format (--time-format) must be that of all times of {where}, got {got}.")
-            refuse_cell(role, column, cells[wrong].iloc[0], where)
+                got = f"{quote(time_format)} for {quote(to_text(cells[is_wrong].iloc[0]))} in column {column.name!r}"
+                raise ArgumentError(f"time_format (--time-format) must be that of all times of {source}, got {got}.")
+            refuse_cell(role, column, cells[is_wrong].iloc[0], source)
         numbers = np.append(values, math.nan)[codes]
-        if dated:
+        if is_time:
             return numbers
     numbers = np.where(np.isinf(numbers), math.nan, numbers)
-    wild = np.abs(numbers) > _LIMITS.get(role, _LARGEST)
-    if wild.any():
-        refuse_cell(role, column, numbers[wild][0].item(), where)
+    is_wild = np.abs(numbers) > _LIMITS.get(role, _MAX_NUMBER)
+    if is_wild.any():
+        refuse_cell(role, column, numbers[is_wild][0].item(), source)
     return numbers
 
 
@@ -259,7 +257,7 @@ def _parse(cell: Any, decimal: str) -> float:
     """The number in a cell, or NaN."""
     text = to_text(cell)
     try:
-        return float(text.translate(_SWAP) if decimal == "," else text)
+        return float(text.translate(_SWAP_SIGNS) if decimal == "," else text)
     except ValueError:
         return math.nan
 
@@ -285,12 +283,13 @@ def _parse_timestamps(cells: pd.Series[Any], time_format: str | None) -> Floats:
     except ValueError:  # the format has a directive that does not exist
         return np.full(len(cells), math.nan)
     if not time_format and moments.isna().any() and texts.dtype.kind != "M":
-        pairs = texts.str.extract(_DAYS).dropna().astype(int)
+        pairs = texts.str.extract(_DAY_AND_MONTH).dropna().astype(int)
         day_first, month_first = (bool((pairs[k] > 12).any()) for k in (0, 1))
-        plain = texts.str.contains(_DATE.pattern.replace("(", "(?:")) & (pairs.empty | (day_first != month_first))
+        is_clear = texts.str.contains(_DATE.pattern.replace("(", "(?:")) & (pairs.empty | (day_first != month_first))
         with warnings.catch_warnings(action="ignore"):  # of days and months
-            read = pd.to_datetime(texts.where(plain), format="mixed", dayfirst=day_first, utc=True, errors="coerce")
-        moments = moments.fillna(read)
+            texts = texts.where(is_clear)
+            parsed = pd.to_datetime(texts, format="mixed", dayfirst=day_first, utc=True, errors="coerce")
+        moments = moments.fillna(parsed)
     moments = moments.dt.tz_localize(None).dt.round("us")
     return np.where(moments.isna(), math.nan, moments.to_numpy("datetime64[us]").astype(np.float64))
 
@@ -300,25 +299,25 @@ def read_labels(column: pd.Series[Any]) -> NDArray[np.object_]:
     codes, cells = pd.factorize(column)
     labels: list[str | int] = []
     for cell in pd.Series(cells).tolist():
-        number = isinstance(cell, int | float) and not isinstance(cell, bool) and float(cell).is_integer()
-        labels.append(int(cell) if number else to_text(cell))
-    matches = [_WHOLE.fullmatch(label) for label in labels if isinstance(label, str) and not is_none(label)]
+        is_whole = isinstance(cell, int | float) and not isinstance(cell, bool) and float(cell).is_integer()
+        labels.append(int(cell) if is_whole else to_text(cell))
+    matches = [_WHOLE_NUMBER.fullmatch(label) for label in labels if isinstance(label, str) and not is_none(label)]
     integers = [label if isinstance(label, int) else label.partition(".")[0] for label in labels]
     labels = integers if matches and all(matches) and len(set(integers)) == len(set(labels)) else labels
     return np.array([*labels, ""], object)[codes]
 
 
-def refuse_cell(role: str, column: pd.Series[Any], cell: Any, where: str) -> NoReturn:
+def refuse_cell(role: str, column: pd.Series[Any], cell: Any, source: str) -> NoReturn:
     """Refuse a value of a column; the sentence says which option may help."""
-    limit = _LIMITS.get(role, _LARGEST)
-    must = "a text or a number" if role == "id" else f"a number from {-limit:g} to {limit:g}"
-    must += ", or a timestamp throughout," * (role in TIMES)
+    limit = _LIMITS.get(role, _MAX_NUMBER)
+    rule = "a text or a number" if role == "id" else f"a number from {-limit:g} to {limit:g}"
+    rule += ", or a timestamp throughout," * (role in TIMES)
     got, hint = quote(cell), ""
     if is_none(cell):
         got, hint = "none", " (missing='skip', or --skip-missing, skips such rows)"
-    elif _COMMA.fullmatch(str(cell)):
+    elif _DECIMAL_COMMA.fullmatch(str(cell)):
         hint = " (decimal=',', or --decimal , reads decimal commas)"
     elif role in TIMES and re.search(r"\d\D\d", str(cell)):
-        what = "names another format; missing='skip', or --skip-missing, skips a few that can't be read"
-        hint = f" (time_format='%d/%m/%Y %H:%M:%S', or --time-format, {what})"
-    raise ArgumentError(f"{role} must be {must} in every row of {where}, got {got} in column {column.name!r}{hint}.")
+        advice = "names another format; missing='skip', or --skip-missing, skips a few that can't be read"
+        hint = f" (time_format='%d/%m/%Y %H:%M:%S', or --time-format, {advice})"
+    raise ArgumentError(f"{role} must be {rule} in every row of {source}, got {got} in column {column.name!r}{hint}.")

@@ -20,14 +20,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_INNER = 0.42  # radius of the heads' circle
+_HEADS_RADIUS = 0.42  # radius of the heads' circle
 _BOX = {"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 0.8}  # behind texts
-_MOST_LABELS, _LONGEST_NAME = 40, 18
-_MOST_MAPS, _COLUMNS = 6, 3
-_MOST_CURVES = 12  # of a picture of evidence
-_MAP, _MARGIN = 5.2, 2.0  # inches: a map, and the space for titles and legend
-_MOST_NAMES = 12  # leaders that a map names
-_LONGEST_ON_MAP = 24  # characters of a name
+_MAX_LABELS, _MAX_NAME_LENGTH = 40, 18
+_MAX_MAPS, _COLUMNS = 6, 3
+_MAX_CURVES = 12  # of a picture of evidence
+_MAP_SIZE, _MARGIN = 5.2, 2.0  # inches: a map, and the space for titles and legend
+_MAX_NAMES = 12  # leaders that a map names
+_MAX_MAP_NAME_LENGTH = 24  # characters of a name
 _MARKS = (drawing.HEAD_MARK, drawing.FOLLOWER_MARK, drawing.LINK_MARK, drawing.UNLED_MARK)  # of the legend
 
 Id = str | int
@@ -51,32 +51,32 @@ def draw_maps(
         title: what the tracks are.
         detector: its label.
     """
-    choice = [k for k, window in enumerate(windows) if window.leaders] or [*range(len(windows))]
-    chosen = [choice[int(k)] for k in np.linspace(0, len(choice) - 1, min(len(choice), _MOST_MAPS))]
+    candidates = [k for k, window in enumerate(windows) if window.leaders] or [*range(len(windows))]
+    chosen = [candidates[int(k)] for k in np.linspace(0, len(candidates) - 1, min(len(candidates), _MAX_MAPS))]
     columns = min(len(chosen), _COLUMNS)
     rows = -(-len(chosen) // columns)
-    figure = drawing.new_figure(columns * _MAP + _MARGIN + 1, rows * _MAP + _MARGIN)
+    figure = drawing.new_figure(columns * _MAP_SIZE + _MARGIN + 1, rows * _MAP_SIZE + _MARGIN)
     figure.set_layout_engine("constrained")
-    shown = f"{len(chosen)} of {len(windows)} windows, " if len(chosen) < len(windows) else ""
-    about = f"{title}: {shown}by {detector}. Stars are leaders, lines connect followers to them."
-    drawing.caption_figure(figure, "Leaders and followers", drawing.escape_math(about))
-    names = dict(zip(leading, drawing.abbreviate([*map(str, leading)], _LONGEST_ON_MAP), strict=True))
+    share = f"{len(chosen)} of {len(windows)} windows, " if len(chosen) < len(windows) else ""
+    caption = f"{title}: {share}by {detector}. Stars are leaders, lines connect followers to them."
+    drawing.caption_figure(figure, "Leaders and followers", drawing.escape_math(caption))
+    names = dict(zip(leading, drawing.abbreviate([*map(str, leading)], _MAX_MAP_NAME_LENGTH), strict=True))
     grid = figure.add_gridspec(rows, columns)
     maps = [figure.add_subplot(grid[divmod(n, columns)]) for n in range(len(chosen))]
     positions, marks = list[Any](), dict[str, str]()
     for axes, k in zip(maps, chosen, strict=True):
-        position, present = _draw_map(axes, track_windows[k], windows[k], tracks, leading)
+        position, window_marks = _draw_map(axes, track_windows[k], windows[k], tracks, leading)
         positions.append(position)
-        marks |= present
+        marks |= window_marks
         axes.set_title(f"{windows[k].start} to {windows[k].end}", fontsize=9, loc="left")
     drawing.draw_legend(maps[columns - 1], {mark: marks[mark] for mark in _MARKS if mark in marks})
     with warnings.catch_warnings(action="ignore"):  # the figure's file tells which characters are missing
         figure.draw_without_rendering()
     figure.set_layout_engine("none")  # the axes have their places now
     for axes, k, position in zip(maps, chosen, positions, strict=True):
-        named = [leader.id for leader in windows[k].leaders[:_MOST_NAMES]]
-        points = position[[track_windows[k].ids.index(name) for name in named], :2].reshape(-1, 2)
-        drawing.annotate_points(axes, points, [names[name] for name in named], fontsize=8, weight="bold", zorder=7)
+        head_names = [leader.id for leader in windows[k].leaders[:_MAX_NAMES]]
+        points = position[[track_windows[k].ids.index(name) for name in head_names], :2].reshape(-1, 2)
+        drawing.annotate_points(axes, points, [names[name] for name in head_names], fontsize=8, weight="bold", zorder=7)
     return figure
 
 
@@ -85,17 +85,18 @@ def _draw_map(
 ) -> tuple[Any, dict[str, str]]:
     """Draw one window; returns where each UAV was seen last, and the marks for the legend."""
     ids = track_window.ids
-    root, none = window.roots(ids), np.zeros(len(ids), bool)
+    root, no_decoys = window.roots(ids), np.zeros(len(ids), bool)
     head = np.isin(np.arange(len(root)), root)
-    number = np.array([leading.index(name) if name in leading else 0 for name in ids])
+    color_numbers = np.array([leading.index(name) if name in leading else 0 for name in ids])
     origin = track_window.origin + (tracks.origin if "degrees" not in tracks.frame else 0.0)
     position: Any = track_window.window.position + origin  # in float64: coordinates may be large
     seen, alive = track_window.window.seen, track_window.window.alive
     limits = drawing.limits_around(position[seen], 0.08, 1e-6)
-    drawing.draw_round(position, seen, alive, head, root, none, axes=axes, legend=False, number=number, limits=limits)
-    last: Any = drawing.last_seen_position(position, seen)
-    present = drawing.round_marks(last, alive, head, root, none)
-    return last, {mark: drawing.TRACK_WORDS.get(mark, mark) for mark, who in present.items() if who.any()}
+    style: Any = {"axes": axes, "legend": False, "number": color_numbers, "limits": limits}
+    drawing.draw_round(position, seen, alive, head, root, no_decoys, **style)
+    last_position: Any = drawing.last_seen_position(position, seen)
+    marks = drawing.round_marks(last_position, alive, head, root, no_decoys)
+    return last_position, {mark: drawing.TRACK_WORDS.get(mark, mark) for mark, uavs in marks.items() if uavs.any()}
 
 
 def draw_network(rows: pd.DataFrame, windows: int, colors: Mapping[Id, str], ax: Any = None) -> Figure:
@@ -107,12 +108,12 @@ def draw_network(rows: pd.DataFrame, windows: int, colors: Mapping[Id, str], ax:
     """
     figure, axes = _make_axes(ax, 7, 7)
     axes.set_position((0.02, 0.02, 0.96, 0.9)) if ax is None else None
-    most = rows.groupby("id")["head"].agg(lambda heads: heads.value_counts().index[0])
-    heads = [name for name in dict.fromkeys(rows["head"]) if (most == name).any()]
-    members = sorted((name for name in most.index if name not in heads), key=lambda name: heads.index(most[name]))
-    position = {name: 0.0 * _circle(1)[0] for name in heads[:1]} if len(heads) < 2 else {}
-    position |= dict(zip(heads, _INNER * _circle(len(heads)), strict=True)) if len(heads) > 1 else {}
-    position |= dict(zip(members, _circle(len(members)), strict=True))
+    main_head = rows.groupby("id")["head"].agg(lambda heads: heads.value_counts().index[0])
+    heads = [name for name in dict.fromkeys(rows["head"]) if (main_head == name).any()]
+    members = [name for head in heads for name in main_head.index[main_head == head] if name not in heads]
+    radius = _HEADS_RADIUS if len(heads) > 1 else 0.0
+    position = dict(zip(heads, radius * _place_on_circle(len(heads)), strict=True))
+    position |= dict(zip(members, _place_on_circle(len(members)), strict=True))
     pairs = rows.dropna(subset="leader").groupby(["id", "leader"])
     links = pairs.agg(
         times=("head", "size"),
@@ -122,23 +123,23 @@ def draw_network(rows: pd.DataFrame, windows: int, colors: Mapping[Id, str], ax:
     )
     for (name, leader), (times, delay, head, direct) in links.iterrows():
         begin, end = position[name], position[leader]
-        way, width = end - begin, 0.5 + 3.5 * times / windows
+        vector, width = end - begin, 0.5 + 3.5 * times / windows
         arrow = {"arrowstyle": "-|>", "lw": width, "color": colors[head], "shrinkA": 12, "shrinkB": 14}
         arrow["linestyle"] = "-" if direct else (0, (4, 2))
         axes.annotate("", end, begin, arrowprops=arrow | {"alpha": 0.8, "mutation_scale": 10 + 2 * width})
-        if len(links) <= _MOST_LABELS and not np.isnan(delay):
-            axes.text(*(begin + 0.45 * way), f"{delay:.3g} s", fontsize=7, ha="center", va="center", bbox=_BOX)
+        if len(links) <= _MAX_LABELS and not np.isnan(delay):
+            axes.text(*(begin + 0.45 * vector), f"{delay:.3g} s", fontsize=7, ha="center", va="center", bbox=_BOX)
     for name, (x, y) in position.items():
-        size, color = 420 if name in heads else 200, colors.get(name, colors[most[name]])
+        size, color = 420 if name in heads else 200, colors.get(name, colors[main_head[name]])
         axes.scatter(x, y, s=size, color=color, edgecolor="black", linewidth=0.6, zorder=3)
-        label = drawing.escape_math(drawing.abbreviate([str(name)], _LONGEST_NAME)[0])
+        label = drawing.escape_math(drawing.abbreviate([str(name)], _MAX_NAME_LENGTH)[0])
         axes.annotate(
             label, (x, y), xytext=(0, 13), textcoords="offset points", fontsize=8, ha="center", zorder=4, bbox=_BOX
         )
     axes.set(xlim=(-1.2, 1.2), ylim=(-1.2, 1.2), aspect="equal")
     axes.set_axis_off()
-    dashed = "\n(dashed: in the group of, directly or not)" * (len(links) > 0 and not links["direct"].all())
-    axes.set_title(f"Followers and their leaders{dashed}" if len(rows) else "No leader was found.", fontsize=11)
+    note = "\n(dashed: in the group of, directly or not)" * (len(links) > 0 and not links["direct"].all())
+    axes.set_title(f"Followers and their leaders{note}" if len(rows) else "No leader was found.", fontsize=11)
     return figure
 
 
@@ -150,19 +151,19 @@ def draw_delays(rows: pd.DataFrame, ax: Any = None) -> Figure:
     links = rows.dropna(subset="leader")
     links = links.assign(error=(links["delay_high"].astype(float) - links["delay_low"].astype(float)) / 2)
     table, error, direct = (
-        links.pivot_table(name, "id", "leader", how, dropna=False, sort=False).astype(float)
-        for name, how in (("delay", "median"), ("error", "median"), ("direct", "mean"))
+        links.pivot_table(name, "id", "leader", function, dropna=False, sort=False).astype(float)
+        for name, function in (("delay", "median"), ("error", "median"), ("direct", "mean"))
     )
-    error, direct = (each.reindex_like(table).to_numpy() for each in (error, direct))
+    error, direct = (matrix.reindex_like(table).to_numpy() for matrix in (error, direct))
     figure, axes = _make_axes(ax, 2.5 + 0.9 * table.shape[1], 1.5 + 0.3 * table.shape[0])
     figure.set_layout_engine("constrained") if ax is None else None
-    about = "± half of the 95 % interval" + "\n(in brackets: not surely direct)" * bool((direct < 0.5).any())
-    axes.set_title(f"Median delay in seconds\n{about}" if table.size else "No leader was found.", fontsize=10)
+    note = "± half of the 95 % interval" + "\n(in brackets: not surely direct)" * bool((direct < 0.5).any())
+    axes.set_title(f"Median delay in seconds\n{note}" if table.size else "No leader was found.", fontsize=10)
     if table.size:
         image = axes.imshow(table.to_numpy(), cmap="viridis", aspect="auto", vmin=0.0)
         figure.colorbar(image, ax=axes)
-        axes.set_xticks(range(table.shape[1]), _labels(table.columns), rotation=90, fontsize=8)
-        axes.set_yticks(range(table.shape[0]), _labels(table.index), fontsize=8)
+        axes.set_xticks(range(table.shape[1]), _shorten_names(table.columns), rotation=90, fontsize=8)
+        axes.set_yticks(range(table.shape[0]), _shorten_names(table.index), fontsize=8)
         axes.set(xlabel="followed", ylabel="follower")
         for (i, j), delay in np.ndenumerate(table.to_numpy()):
             if not np.isnan(delay) and table.size <= 400:
@@ -193,9 +194,9 @@ def draw_timeline(
             middles = middles[(middles > begin + 0.1) & (middles < end - 0.1)]
             stars = middles if len(middles) else [(begin + end) / 2]
             axes.plot(stars, [row[name]] * len(stars), "*", color="white", markersize=7, markeredgewidth=0)
-    axes.set_yticks(range(len(ids)), _labels(ids), fontsize=8)
-    shown = np.unique(np.linspace(0, len(starts) - 1, min(len(starts), 6)).astype(int))
-    axes.set_xticks(shown, [str(starts[k]) for k in shown], fontsize=8)
+    axes.set_yticks(range(len(ids)), _shorten_names(ids), fontsize=8)
+    ticks = np.unique(np.linspace(0, len(starts) - 1, min(len(starts), 6)).astype(int))
+    axes.set_xticks(ticks, [str(starts[k]) for k in ticks], fontsize=8)
     axes.set(xlim=(0, len(starts)), ylim=(len(ids) - 0.4, -0.6), xlabel="start of the window")
     patches = [axes.barh([0], 0, color=color, label=str(head)) for head, color in list(colors.items())[:9]]
     if patches:
@@ -212,18 +213,18 @@ def draw_evidence(curves: pd.DataFrame, chance: float, leader: Id, ax: Any = Non
     """
     figure, axes = _make_axes(ax, 7.6, 3.8)
     figure.set_layout_engine("constrained") if ax is None else None
-    shown = curves[curves.max().sort_values(ascending=False, kind="stable").index[:_MOST_CURVES]]
-    for k, (name, curve) in enumerate(shown.items()):
-        style = {"color": drawing.CLUSTER_COLORS[k % len(drawing.CLUSTER_COLORS)], "label": _labels([name])[0]}
+    shown_curves = curves[curves.max().sort_values(ascending=False, kind="stable").index[:_MAX_CURVES]]
+    for k, (name, curve) in enumerate(shown_curves.items()):
+        style = {"color": drawing.CLUSTER_COLORS[k % len(drawing.CLUSTER_COLORS)], "label": _shorten_names([name])[0]}
         axes.plot(curve.index, curve, marker=".", markersize=4, linewidth=1.2, **style)
         axes.plot(curve.idxmax(), curve.max(), "o", markersize=6, color=style["color"])
     if np.isfinite(chance):
         axes.axhline(chance, color="#777777", linestyle="--", linewidth=1)
         axes.text(curves.index[0], chance, "by chance at most", fontsize=7, va="bottom", color="#555555")
     axes.axvline(0, color="black", linewidth=0.8)
-    name = _labels([leader])[0]
-    more = f" ({_MOST_CURVES} of {curves.shape[1]})" * (curves.shape[1] > _MOST_CURVES)
-    axes.set_title(f"Why {name}: its followers{more} repeat its velocity later", fontsize=10)
+    name = _shorten_names([leader])[0]
+    note = f" ({_MAX_CURVES} of {curves.shape[1]})" * (curves.shape[1] > _MAX_CURVES)
+    axes.set_title(f"Why {name}: its followers{note} repeat its velocity later", fontsize=10)
     axes.set(xlabel=f"seconds after {name}", ylabel="correlation of velocity")
     axes.legend(fontsize=7, ncols=2, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
     axes.spines[["top", "right"]].set_visible(False)
@@ -241,11 +242,11 @@ def draw_probabilities(table: pd.DataFrame, colors: Mapping[Id, str], ax: Any = 
     for name in sorted(table.columns, key=lambda name: name in colors or name is None):
         style: dict[str, Any] = {"color": "#bbbbbb", "linewidth": 0.8}
         if name is None or name in colors:
-            style = {"label": "no id leads" if name is None else _labels([name])[0], "linewidth": 1.6}
+            style = {"label": "no id leads" if name is None else _shorten_names([name])[0], "linewidth": 1.6}
             style |= {"color": "black", "linestyle": ":"} if name is None else {"color": colors[name]}
         axes.plot(x, table[name], marker=".", **style)
-    shown = np.unique(np.linspace(0, len(table) - 1, min(len(table), 6)).astype(int))
-    axes.set_xticks(shown, [str(table.index[k]) for k in shown], fontsize=8)
+    ticks = np.unique(np.linspace(0, len(table) - 1, min(len(table), 6)).astype(int))
+    axes.set_xticks(ticks, [str(table.index[k]) for k in ticks], fontsize=8)
     axes.set(ylim=(-0.03, 1.03), xlim=(0, len(table)), xlabel="start of the window", ylabel="p")
     axes.set_title("Probability to lead (grey: ids that lead in no window)", fontsize=10)
     if axes.get_legend_handles_labels()[0]:
@@ -262,10 +263,10 @@ def _make_axes(ax: Any, width: float, height: float) -> tuple[Figure, Any]:
     return figure, figure.add_subplot()
 
 
-def _circle(points: int) -> Any:
+def _place_on_circle(points: int) -> Any:
     angle = np.pi / 2 - 2 * np.pi * np.arange(points) / max(points, 1)
     return np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
-def _labels(names: Any) -> list[str]:
-    return [drawing.escape_math(name) for name in drawing.abbreviate([str(name) for name in names], _LONGEST_NAME)]
+def _shorten_names(names: Any) -> list[str]:
+    return [drawing.escape_math(name) for name in drawing.abbreviate([str(name) for name in names], _MAX_NAME_LENGTH)]

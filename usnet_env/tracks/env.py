@@ -83,10 +83,10 @@ class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
         if not self.windows:
             raise ArgumentError(f"path must hold 2 ids that are seen together in a window, got {arguments.path!r}.")
         uavs = len(self.tracks.ids)
-        far = float(max(np.abs(track_window.window.position).max() for track_window in self.windows)) + 1.0
+        limit = float(max(np.abs(track_window.window.position).max() for track_window in self.windows)) + 1.0
         step = spaces.Box(0, 2 * float(self.tracks.step or 1.0), (1,), np.float32)
-        shown = {**window_spaces(arguments.window, uavs, 2, far, 2 * far), "step": step}
-        self.observation_space = spaces.Dict(shown)  # type: ignore[assignment]  # Dict is invariant
+        space = {**window_spaces(arguments.window, uavs, 2, limit, 2 * limit), "step": step}
+        self.observation_space = spaces.Dict(space)  # type: ignore[assignment]  # Dict is invariant
         self.action_space = spaces.MultiBinary(uavs)
         self._number = -1
         self._over = True
@@ -129,26 +129,26 @@ class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
         roots = find_roots(direct)
         follows = (roots >= 0) & (roots != np.arange(uavs))
         head = np.isin(np.arange(uavs), roots[follows])
-        last, none = np.zeros((1, uavs, 3), np.float32), np.zeros((0, uavs, 3), np.float32)
-        last[0, track_window.rows] = track_window.window.position[-1]
-        free, root = np.flatnonzero(alive & ~follows), np.where(alive, roots, -1)
+        last_position, no_velocity = np.zeros((1, uavs, 3), np.float32), np.zeros((0, uavs, 3), np.float32)
+        last_position[0, track_window.rows] = track_window.window.position[-1]
+        free_uavs, root = np.flatnonzero(alive & ~follows), np.where(alive, roots, -1)
         return SwarmState(
             head=head,
             decoy=alive & ~head & ~follows,
             alive=alive,
             root=root,
-            past_position=last,
-            past_velocity=none,
-            free=free,
-            mobility_state=np.zeros((len(free), 0)),
+            past_position=last_position,
+            past_velocity=no_velocity,
+            free=free_uavs,
+            mobility_state=np.zeros((len(free_uavs), 0)),
             parameters=np.zeros(0, np.float32),
             not_led=np.zeros(uavs, bool),
             source=root,
             clock=np.zeros((), np.int64),
             kinematic_state=np.zeros((uavs, 0), np.float32),
             reference_source=np.zeros(0, np.int64),
-            reference_position=last[:, :0],
-            reference_velocity=none[:, :0],
+            reference_position=last_position[:, :0],
+            reference_velocity=no_velocity[:, :0],
         )
 
     def score_answer(self, scores: NDArray[np.float64]) -> dict[str, float | None]:

@@ -17,7 +17,7 @@ CONFOUNDS = {
     "one path": "go along one path, each at a pace of its own",
     "one signal": "move alike, but none is seen ahead: they may follow one signal, each other, or one without a track",
 }
-_MOST_NAMES = 6
+_MAX_NAMES = 6
 _SENTENCES = {
     "leads": "{new} leads {who}.",
     "ends": "{old} leads no more.",
@@ -143,22 +143,23 @@ class Event:
     probability: float | None = None
 
     def __str__(self) -> str:
-        more = f" and {len(self.ids) - _MOST_NAMES} more" * (len(self.ids) > _MOST_NAMES)
-        who, follow = ", ".join(map(str, self.ids[:_MOST_NAMES])) + more, "follow" + "s" * (len(self.ids) == 1)
-        follow = "follow" if self.kind == "leaves" else follow
+        names = ", ".join(map(str, self.ids[:_MAX_NAMES]))
+        names += f" and {len(self.ids) - _MAX_NAMES} more" * (len(self.ids) > _MAX_NAMES)
+        follow = "follows" if len(self.ids) == 1 and self.kind != "leaves" else "follow"
         group = f" and its {format_count(len(self.ids), 'follower')} follow" if self.ids else " follows"
-        names = {"who": who, "follow": follow, "group": group, "old": self.old, "new": self.new}
+        words = {"who": names, "follow": follow, "group": group, "old": self.old, "new": self.new}
         interval = "" if self.low in (None, self.time) else f" ({self.low} to {self.high})"
-        return f"From {self.time}{interval}: {_SENTENCES[self.kind].format(**names)}"
+        return f"From {self.time}{interval}: {_SENTENCES[self.kind].format(**words)}"
 
 
 def find_events(windows: Iterable[DetectedWindow]) -> tuple[Event, ...]:
     """Compare the heads of all ids in each window with those in the window before; before the first, there are none."""
-    events, before = list[Event](), dict[Name, Name]()
+    events, old_heads = list[Event](), dict[Name, Name]()
     for window in windows:
-        now = {leader.id: leader.id for leader in window.leaders} | {link.follower: link.head for link in window.links}
-        events += compare_heads(before, now, window.start)
-        before = now
+        heads = {leader.id: leader.id for leader in window.leaders}
+        heads |= {link.follower: link.head for link in window.links}
+        events += compare_heads(old_heads, heads, window.start)
+        old_heads = heads
     return tuple(events)
 
 
@@ -169,8 +170,8 @@ def compare_heads(before: Mapping[Name, Name], now: Mapping[Name, Name], time: f
         if before.get(name) != now.get(name):
             moves.setdefault((before.get(name), now.get(name)), []).append(name)
     for (old, new), ids in sorted(moves.items(), key=lambda move: (-len(move[1]), str(move[0]))):
-        rest = tuple(name for name in ids if name not in (old, new))
-        events.append(Event(time, name_kind(old in ids, new in ids, old, new), rest, old, new))
+        members = tuple(name for name in ids if name not in (old, new))
+        events.append(Event(time, name_kind(old in ids, new in ids, old, new), members, old, new))
     return [event for event in events if event.ids or event.kind in ("ends", "merges")]
 
 

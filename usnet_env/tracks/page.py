@@ -19,8 +19,8 @@ from usnet_env.files import write_html
 from usnet_env.tracks.found import DetectedWindow, Leader, Name
 from usnet_env.tracks.tracks import Tracks, TrackWindow
 
-_MOST_IDS, _MOST_INSTANTS = 100, 600  # of the map
-_MOST_CURVES = 12  # leaders whose lag curves the page has
+_MAX_IDS, _MAX_INSTANTS = 100, 600  # of the map
+_MAX_CURVES = 12  # leaders whose lag curves the page has
 _GRID = 9999  # coordinates are whole numbers up to this one
 _PICTURES = {
     "network.png": "The network of links: an arrow points from a follower to its leader",
@@ -63,20 +63,21 @@ def write_page(
         table: HTML.
         facts: sentences about the tracks and the settings.
     """
-    parts, led = [_list(sentences)], data is not None and any(window["leaders"] for window in data["windows"])
+    parts = [_list_sentences(sentences)]
+    has_leader = data is not None and any(window["leaders"] for window in data["windows"])
     if data is not None:
         values = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", r"\u003c")
         script = files("usnet_env.tracks").joinpath("page.js").read_text(encoding="utf-8")
-        parts += [_STYLE, _MAP, f"<p>{_HINT * led}</p>", f"<script>const data = {values};{script}</script>"]
-    parts.append(table if led or data is None else "")
-    for name, words in _PICTURES.items() if led else ():
+        parts += [_STYLE, _MAP, f"<p>{_HINT * has_leader}</p>", f"<script>const data = {values};{script}</script>"]
+    parts.append(table if has_leader or data is None else "")
+    for name, words in _PICTURES.items() if has_leader else ():
         if (image := path.with_name(name)).exists():
-            coded = b64encode(image.read_bytes()).decode()
-            parts.append(f'<figure><img alt="{words}" src="data:image/png;base64,{coded}"></figure>')
-    write_html(path, f"Leaders in {title}", "".join([*parts, "<h2>The tracks</h2>", _list(facts)]))
+            encoded = b64encode(image.read_bytes()).decode()
+            parts.append(f'<figure><img alt="{words}" src="data:image/png;base64,{encoded}"></figure>')
+    write_html(path, f"Leaders in {title}", "".join([*parts, "<h2>The tracks</h2>", _list_sentences(facts)]))
 
 
-def _list(sentences: Iterable[str]) -> str:
+def _list_sentences(sentences: Iterable[str]) -> str:
     items = "".join(f"<li>{escape(printable(sentence))}</li>" for sentence in sentences)
     return f"<ul>{items}</ul>"
 
@@ -110,7 +111,7 @@ def collect_data(
     row_of = {name: k for k, name in enumerate(names)}
     instants = _choose_instants(tracks)
     window_of = _number_windows(track_windows, instants)
-    drawn = {leader.id: curves(leader.id) for leader in leaders[:_MOST_CURVES] if leader.id in row_of}
+    curves_of = {leader.id: curves(leader.id) for leader in leaders[:_MAX_CURVES] if leader.id in row_of}
     return {
         "ids": [printable(name) for name in names],
         "all": len(tracks.ids),
@@ -124,7 +125,7 @@ def collect_data(
         "no_leader": [_round(each.get(None)) for each in chances],
         "curves": {
             row_of[name]: _collect_curves(table, chance, row_of)
-            for name, (table, chance) in drawn.items()
+            for name, (table, chance) in curves_of.items()
             if table is not None
         },
         "first": next((row_of[leader.id] for leader in leaders if leader.id in row_of), 0),
@@ -141,38 +142,38 @@ def _choose_rows(tracks: Tracks, leaders: Sequence[Leader]) -> list[int]:
     followers = [name for leader in leaders for name in leader.followers]
     order = dict.fromkeys([*(leader.id for leader in leaders), *followers, *tracks.ids])
     row_of = {name: row for row, name in enumerate(tracks.ids)}
-    return [row_of[name] for name in order][:_MOST_IDS]
+    return [row_of[name] for name in order][:_MAX_IDS]
 
 
 def _choose_instants(tracks: Tracks) -> list[float]:
     """Seconds on the grid of the resampled tracks, some of them if they are many."""
     step = float(tracks.step or 1.0)
-    known = np.unique(np.round(tracks.time / step).astype(np.int64))
-    chosen = known[np.unique(np.linspace(0, len(known) - 1, min(len(known), _MOST_INSTANTS)).astype(int))]
+    numbers = np.unique(np.round(tracks.time / step).astype(np.int64))
+    chosen = numbers[np.unique(np.linspace(0, len(numbers) - 1, min(len(numbers), _MAX_INSTANTS)).astype(int))]
     return [float(second) for second in chosen * step]
 
 
 def _locate(tracks: Tracks, rows: list[int], instants: list[float]) -> Floats:
     """Where some ids are at some instants, ``(n, T, 2)``; not a number where they are not seen."""
-    step, place = float(tracks.step or 1.0), np.full((len(rows), len(instants), 2), np.nan)
-    wanted = np.round(np.array(instants) / step).astype(np.int64)
+    step, position = float(tracks.step or 1.0), np.full((len(rows), len(instants), 2), np.nan)
+    numbers = np.round(np.array(instants) / step).astype(np.int64)
     for k, row in enumerate(rows):
         part = slice(tracks.offsets[row], tracks.offsets[row + 1])
-        number = np.round(tracks.time[part] / step).astype(np.int64)
-        _, here, there = np.intersect1d(wanted, number, return_indices=True)
-        place[k, here] = tracks.position[part][there, :2]
-    return place
+        sample_numbers = np.round(tracks.time[part] / step).astype(np.int64)
+        _, columns, samples = np.intersect1d(numbers, sample_numbers, return_indices=True)
+        position[k, columns] = tracks.position[part][samples, :2]
+    return position
 
 
-def _scale(place: Floats) -> dict[str, Any]:
+def _scale(position: Floats) -> dict[str, Any]:
     """The places ``(n, T, 2)`` as whole numbers, and what the map needs to know of them."""
-    low, high = np.nanmin(place, axis=(0, 1)), np.nanmax(place, axis=(0, 1))
+    low, high = np.nanmin(position, axis=(0, 1)), np.nanmax(position, axis=(0, 1))
     unit = _GRID / max(float((high - low).max()), 1e-9)
-    scaled = (place - low) * unit
+    scaled = (position - low) * unit
     first, last = np.fmin.reduce(scaled, axis=0), np.fmax.reduce(scaled, axis=0)  # (T, 2) of all ids
     middles = np.nan_to_num((first + last) / 2).round().astype(int)
     return {
-        "points": np.where(np.isnan(scaled), -1, scaled).round().astype(int).reshape(len(place), -1).tolist(),
+        "points": np.where(np.isnan(scaled), -1, scaled).round().astype(int).reshape(len(position), -1).tolist(),
         "size": ((high - low) * unit).clip(1).round().astype(int).tolist(),
         "spread": np.nanmax(last - first, axis=0).clip(1).round().astype(int).tolist(),
         "middles": middles.tolist(),
@@ -182,9 +183,9 @@ def _scale(place: Floats) -> dict[str, Any]:
 
 def _number_windows(track_windows: Sequence[TrackWindow], instants: list[float]) -> list[int]:
     """The last window that holds each instant, or -1."""
-    numbers = np.full(len(instants), -1)
-    for number, cut in enumerate(track_windows):
-        numbers[(np.array(instants) >= cut.start - 1e-6) & (np.array(instants) <= cut.end + 1e-6)] = number
+    numbers, seconds = np.full(len(instants), -1), np.array(instants)
+    for number, window in enumerate(track_windows):
+        numbers[(seconds >= window.start - 1e-6) & (seconds <= window.end + 1e-6)] = number
     return [int(number) for number in numbers]
 
 
@@ -203,5 +204,5 @@ def _collect_window(window: DetectedWindow, row_of: Mapping[Name, int]) -> dict[
 
 def _collect_curves(table: pd.DataFrame, chance: float, row_of: Mapping[Name, int]) -> dict[str, Any]:
     """The lag curves of the followers that are shown, and what is reached by chance."""
-    of = {row_of[name]: [_round(value) for value in table[name]] for name in table.columns if name in row_of}
-    return {"lags": [round(float(lag), 6) for lag in table.index], "chance": _round(chance), "of": of}
+    curves = {row_of[name]: [_round(value) for value in table[name]] for name in table.columns if name in row_of}
+    return {"lags": [round(float(lag), 6) for lag in table.index], "chance": _round(chance), "of": curves}

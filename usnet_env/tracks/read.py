@@ -23,10 +23,10 @@ from usnet_env.tracks.tables import Options, open_table, read_text, split_wide
 from usnet_env.tracks.tracks import Tracks
 from usnet_env.tracks.units import guess_time_unit, project_positions, scale_lengths
 
-_MANY = 0.05  # of the rows
+_MAX_REPEATED_SHARE = 0.05  # of the rows
 _CHUNK = 2**16  # bytes that are read at once, or as many as there are
 _TIME_OF_DAY = r"\d{1,2}:\d\d"
-_SKIPPED = {
+_SKIP_REASONS = {
     "skipped": "without a time, place or id that can be read",
     "marked": "marked as outliers in the file",
     "unsure": "with less than the least confidence",
@@ -98,26 +98,26 @@ def read_tracks(
         >>> read_tracks(frame)
         <Tracks: 2 ids, 4 samples, 1 s, 2-D>
     """
-    asked = {name: value for name, value in locals().items() if name != "path"}
-    where, options = "the frame", Options(**asked)
+    arguments = {name: value for name, value in locals().items() if name != "path"}
+    source, options = "the frame", Options(**arguments)
     try:
         if "position" in getattr(path, "data_vars", ()):
-            path, where = read_dataset(path), "the dataset"
+            path, source = read_dataset(path), "the dataset"
         if isinstance(path, pd.DataFrame):
-            plain = path.reset_index() if any(path.index.names) else path
-            table = split_wide(roles.as_table(plain.rename(columns=str)), options)
-            return _make_tracks([where], [_read_rows(table, options, where, None)], options, where)
-        listed = path if isinstance(path, list | tuple) else [path]
-        if not listed or not isinstance(listed[0], str | os.PathLike):
-            what = "a file of tracks, a list of such files, a pandas.DataFrame, or an xarray.Dataset of positions"
-            raise ArgumentError(f"path must be {what}, got {quote(path)}.")
-        files = [as_path("path", file) for file in listed]
+            frame = path.reset_index() if any(path.index.names) else path
+            table = split_wide(roles.as_table(frame.rename(columns=str)), options)
+            return _make_tracks([source], [_read_rows(table, options, source, None)], options, source)
+        path_list = path if isinstance(path, list | tuple) else [path]
+        if not path_list or not isinstance(path_list[0], str | os.PathLike):
+            kinds = "a file of tracks, a list of such files, a pandas.DataFrame, or an xarray.Dataset of positions"
+            raise ArgumentError(f"path must be {kinds}, got {quote(path)}.")
+        files = [as_path("path", file) for file in path_list]
         paths = list({file.resolve(): file for file in reversed(files)}.values())[::-1]  # two paths may be of one file
-        where = ", ".join(quote(os.fspath(file)) for file in paths[:3])
-        read = [_read_file(file, options, len(paths) > 1) for file in paths]
-        return _make_tracks([*map(str, paths)], read, options, where)
+        source = ", ".join(quote(os.fspath(file)) for file in paths[:3])
+        file_rows = [_read_file(file, options, len(paths) > 1) for file in paths]
+        return _make_tracks([*map(str, paths)], file_rows, options, source)
     except ImportError as error:
-        hint = f"{where}, which needs {error.name}; {how_to_install('tracks')}"
+        hint = f"{source}, which needs {error.name}; {how_to_install('tracks')}"
         raise ArgumentError(f"path must be in a format that can be read, got {hint}.") from None
 
 
@@ -130,34 +130,34 @@ def read_stream(stream: Any, **reading: Any) -> Iterator[tuple[float, Floats, li
     Yields:
         Seconds; positions ``(n, 2)`` or ``(n, 3)`` in metres; the n ids; and what writes seconds as times of the text.
     """
-    options, where, head, text = Options(**reading), "standard input", b"", b""
+    options, source, header_lines, text = Options(**reading), "standard input", b"", b""
     clock: Clock | None = None
     origin: Floats | None = None
     while chunk := stream.read1(_CHUNK):
-        whole, newline, text = (text + chunk).rpartition(b"\n")
-        lines = (whole + newline).splitlines(keepends=True)
-        if not head:
-            names = sum(line.startswith(b"#") for line in lines) + (options.header is None)
-            if len(lines) <= names:
-                text = whole + newline + text
+        complete, newline, text = (text + chunk).rpartition(b"\n")
+        lines = (complete + newline).splitlines(keepends=True)
+        if not header_lines:
+            header_count = sum(line.startswith(b"#") for line in lines) + (options.header is None)
+            if len(lines) <= header_count:
+                text = complete + newline + text
                 continue
-            head, lines = b"".join(lines[:names]), lines[names:]
+            header_lines, lines = b"".join(lines[:header_count]), lines[header_count:]
         if not b"".join(lines).strip():
             continue
-        table = split_wide(read_text(head + b"".join(lines), options), options)
+        table = split_wide(read_text(header_lines + b"".join(lines), options), options)
         if clock is None:  # each id may come once at first, as if it numbered the rows
-            known = roles.choose_columns(table.header, options.columns or {}, where)
-            options = options.model_copy(update={"columns": {"id": known["id"], **(options.columns or {})}})
-        file = _read_rows(table, options, where, None)
+            guessed = roles.choose_columns(table.header, options.columns or {}, source)
+            options = options.model_copy(update={"columns": {"id": guessed["id"], **(options.columns or {})}})
+        file = _read_rows(table, options, source, None)
         time = file.rows["frame" if "frame" in file.names else "t"].to_numpy()
         if clock is None:
             unit = 1e-6 if file.timestamps else options.time_unit or guess_time_unit(time, file.names)[0]
             clock = Clock(unit=unit, timestamps=file.timestamps, whole=bool((time == np.floor(time)).all()))
         axes, middle, _ = project_positions(scale_lengths(file.rows, file.names, options.length_unit), origin)
-        origin, place, ids = middle, np.stack(axes, axis=1), file.rows["id"].to_numpy()
+        origin, position, ids = middle, np.stack(axes, axis=1), file.rows["id"].to_numpy()
         for moment in np.unique(time):
-            now = time == moment
-            yield float(moment * clock.unit), place[now], ids[now].tolist(), clock
+            is_present = time == moment
+            yield float(moment * clock.unit), position[is_present], ids[is_present].tolist(), clock
 
 
 @dataclass
@@ -169,14 +169,14 @@ class _FileRows:
     counts: Counter[str]  # of all "rows", and of those of _SKIPPED
     timestamps: bool  # in microseconds since 1970
     zone: Any  # of these
-    about: Mapping[str, Any]  # as in Table
+    details: Mapping[str, Any]  # as in Table
 
 
-def _read_file(path: Path, options: Options, several: bool) -> _FileRows:
+def _read_file(path: Path, options: Options, one_of_several: bool) -> _FileRows:
     """Read a file; one of several may be the track of one id, that of its name."""
-    where = quote(os.fspath(path))
+    source = quote(os.fspath(path))
     try:
-        return _read_rows(open_table(path, options), options, where, path.stem if several else None)
+        return _read_rows(open_table(path, options), options, source, path.stem if one_of_several else None)
     except (ArgumentError, ImportError, MemoryError):
         raise
     except Exception as error:  # libraries raise many kinds for damaged files
@@ -184,73 +184,73 @@ def _read_file(path: Path, options: Options, several: bool) -> _FileRows:
         raise ArgumentError(describe_fault(path, "file of tracks", error, hint)) from error
 
 
-def _read_rows(table_of_file: roles.Table, options: Options, where: str, stem: str | None) -> _FileRows:
+def _read_rows(table_of_file: roles.Table, options: Options, source: str, stem: str | None) -> _FileRows:
     """Read the columns of a table; ``stem`` is its id if it has none."""
-    (header, read_columns, about), mapping = table_of_file, options.columns or {}
-    sure = {"confidence": options.min_confidence is not None}
+    (header, read_columns, details), mapping = table_of_file, options.columns or {}
+    required = {"confidence": options.min_confidence is not None}
     try:
-        names = roles.choose_columns(header, mapping, where, one_id=stem is not None, **sure)
+        names = roles.choose_columns(header, mapping, source, one_id=stem is not None, **required)
     except ArgumentError as error:
-        if "suffix" not in about:
+        if "suffix" not in details:
             raise
-        what = f"was read as CSV, as no format has the suffix {about['suffix']} (--format names one)"
-        raise ArgumentError(f"{str(error)[:-1]}; it {what}.") from None
+        reason = f"was read as CSV, as no format has the suffix {details['suffix']} (--format names one)"
+        raise ArgumentError(f"{str(error)[:-1]}; it {reason}.") from None
     movebank = roles.MOVEBANK & {name.replace("_", "-") for name in header}
-    marks = {"visible": "visible"} if movebank and "visible" in header else {}
+    extra_columns = {"visible": "visible"} if movebank and "visible" in header else {}
     if "t" in names and (dates := [name for name in header if name.strip().lower() == "date"]):
-        marks["date"] = dates[0]
+        extra_columns["date"] = dates[0]
     recording = roles.find_recording(header) if options.pool_by is None else options.pool_by
     if recording is not None:
-        marks["recording"], about = recording, {**about, "recording": recording}
+        extra_columns["recording"], details = recording, {**details, "recording": recording}
         if header.count(recording) != 1:
             listed = ", ".join(header)
-            raise ArgumentError(
-                f"pool_by (--pool-by) must be a column of {where}, got {quote(recording)}; it has {listed}."
-            )
-    table = read_columns(names | marks)
+            got = f"{quote(recording)}; it has {listed}"
+            raise ArgumentError(f"pool_by (--pool-by) must be a column of {source}, got {got}.")
+    table = read_columns(names | extra_columns)
     if "id" in names and not mapping.get("id") and len(table) > 1 and table["id"].is_unique:
-        other = [name for name in header if name != names["id"]]  # it numbers the rows
-        again = roles.choose_columns(other, mapping, where, one_id=True, **sure)
-        if "id" in again:
-            names, table = again, read_columns(again | marks)
+        other_names = [name for name in header if name != names["id"]]  # it numbers the rows
+        other_columns = roles.choose_columns(other_names, mapping, source, one_id=True, **required)
+        if "id" in other_columns:
+            names, table = other_columns, read_columns(other_columns | extra_columns)
     if "id" not in names:
         names, table = {"id": "file", **names}, table.assign(id=stem)
-        about = {**about, "for_itself": True}
+        details = {**details, "for_itself": True}
     count = len(table)
-    joins = options.time_format is None or "date" in marks
-    if "t" in names and count and joins and re.match(_TIME_OF_DAY, roles.to_text(table["t"].iloc[0])):
+    may_join = options.time_format is None or "date" in extra_columns
+    if "t" in names and count and may_join and re.match(_TIME_OF_DAY, roles.to_text(table["t"].iloc[0])):
         table["t"] = _join_date(table["t"].astype(str), table.get("date"))
-        names["t"] += " + date" * ("date" in marks)
-    if "visible" in marks:
+        names["t"] += " + date" * ("date" in extra_columns)
+    if "visible" in extra_columns:
         table = table[~table["visible"].astype(str).str.strip().str.lower().isin({"false", "f", "no", "0"})]
-    rows = table[["recording"] if "recording" in marks else []].copy()
+    rows = table[["recording"] if "recording" in extra_columns else []].copy()
     skip = options.missing == "skip" or bool(movebank)
-    good = np.ones(len(rows), bool)
+    is_valid = np.ones(len(rows), bool)
     for role, name in names.items():
         column = table[role].rename(name)
         if role in roles.LABELS:
             rows[role] = roles.read_labels(column)
         else:
-            few = options.missing == "skip"
-            rows[role] = roles.read_numbers(column, role, where, options.decimal, options.time_format, skip_few=few)
+            reading = options.decimal, options.time_format
+            rows[role] = roles.read_numbers(column, role, source, *reading, skip_few=options.missing == "skip")
         if role in ("leader", "confidence") or (role == "z" and not mapping.get("z")):
             continue
-        none = (rows[role].isna() | (rows[role] == "")).to_numpy()
-        if none.any() and not skip:
-            roles.refuse_cell(role, column, "", where)
-        good &= ~none
+        is_missing = (rows[role].isna() | (rows[role] == "")).to_numpy()
+        if is_missing.any() and not skip:
+            roles.refuse_cell(role, column, "", source)
+        is_valid &= ~is_missing
     if options.missing_place is not None:
         plane = [role for role in names if role in ("lon", "lat", "x", "y")]
-        good &= (rows[plane].to_numpy() != options.missing_place).any(axis=1)
-    unsure = np.zeros(len(rows), bool)
+        is_valid &= (rows[plane].to_numpy() != options.missing_place).any(axis=1)
+    is_uncertain = np.zeros(len(rows), bool)
     if "confidence" in names:
-        unsure = good & ~(rows["confidence"] >= options.min_confidence).to_numpy()
+        is_uncertain = is_valid & ~(rows["confidence"] >= options.min_confidence).to_numpy()
     time = table["frame" if "frame" in names else "t"]
     timestamps = roles.has_timestamps(time) or options.time_format is not None
-    counts = Counter(rows=count, marked=count - len(rows), skipped=int((~good).sum()), unsure=int(unsure.sum()))
-    kept = good & ~unsure
+    skipped, unsure = int((~is_valid).sum()), int(is_uncertain.sum())
+    counts = Counter(rows=count, marked=count - len(rows), skipped=skipped, unsure=unsure)
+    is_kept = is_valid & ~is_uncertain
     zone = roles.find_zone(time) if timestamps else None
-    return _FileRows(names, rows if kept.all() else rows[kept], counts, timestamps, zone, about)
+    return _FileRows(names, rows if is_kept.all() else rows[is_kept], counts, timestamps, zone, details)
 
 
 def _join_date(clock: pd.Series[Any], date: pd.Series[Any] | None) -> pd.Series[Any]:
@@ -261,16 +261,16 @@ def _join_date(clock: pd.Series[Any], date: pd.Series[Any] | None) -> pd.Series[
     return seconds if seconds.notna().all() else clock
 
 
-def _make_tracks(paths: list[str], read: list[_FileRows], options: Options, where: str) -> Tracks:
-    names, timestamps, pool = dict(read[-1].names), read[0].timestamps, options.pool or options.pool_by is not None
-    if any(file.names.keys() != names.keys() or file.timestamps != timestamps for file in read if file.counts["rows"]):
-        named = ", ".join(quote(file.names) for file in read)
-        raise ArgumentError(f"path must be files with the same columns and kind of times, got {named} in {where}.")
-    count = Counter(label for file in read for label in file.rows["id"].unique())
-    for path, file in zip(paths, read, strict=True):
-        if file.about.get("for_itself") and not pool:
-            file.rows["id"] = [f"{name} ({path})" if count[name] > 1 else name for name in file.rows["id"]]
-    parts = [(path, file.rows) for path, file in zip(paths, read, strict=True)]
+def _make_tracks(paths: list[str], files: list[_FileRows], options: Options, source: str) -> Tracks:
+    names, timestamps, pool = dict(files[-1].names), files[0].timestamps, options.pool or options.pool_by is not None
+    if any(file.names.keys() != names.keys() or file.timestamps != timestamps for file in files if file.counts["rows"]):
+        named = ", ".join(quote(file.names) for file in files)
+        raise ArgumentError(f"path must be files with the same columns and kind of times, got {named} in {source}.")
+    file_counts = Counter(label for file in files for label in file.rows["id"].unique())
+    for path, file in zip(paths, files, strict=True):
+        if file.details.get("for_itself") and not pool:
+            file.rows["id"] = [f"{name} ({path})" if file_counts[name] > 1 else name for name in file.rows["id"]]
+    parts = [(path, file.rows) for path, file in zip(paths, files, strict=True)]
     if options.pool_by is not None:
         parts = [
             (f"{Path(path).name} " * (len(paths) > 1) + f"{options.pool_by} {label}", part)
@@ -278,65 +278,63 @@ def _make_tracks(paths: list[str], read: list[_FileRows], options: Options, wher
             for label, part in rows.groupby("recording", sort=False, dropna=False)
         ]
     rows = pd.concat([part for _, part in parts], ignore_index=True)
-    counts = sum((file.counts for file in read), Counter())
+    counts = sum((file.counts for file in files), Counter())
     notes = []
-    if empty := int(rows["z"].isna().sum()) if "z" in names else 0:
-        notes.append(f"Column {names.pop('z')} (z) has no value in {empty} of {len(rows)} rows and is left out.")
+    if "z" in names and (missing := int(rows["z"].isna().sum())):
+        notes.append(f"Column {names.pop('z')} (z) has no value in {missing} of {len(rows)} rows and is left out.")
         rows = rows.drop(columns="z")
     notes.insert(0, f"Columns: {', '.join(f'{role} = {name}' for role, name in names.items())}.")
-    for kind, what in _SKIPPED.items():
+    for kind, meaning in _SKIP_REASONS.items():
         if counts[kind]:
-            notes.append(f"{counts[kind]} of {counts['rows']} rows, {what}, skipped.")
-    about = [file.about for file in read]
-    notes += dict.fromkeys(note for each in about for note in each.get("notes", ()))
-    rate, unit = about[0].get("rate"), options.time_unit
+            notes.append(f"{counts[kind]} of {counts['rows']} rows, {meaning}, skipped.")
+    details = [file.details for file in files]
+    notes += dict.fromkeys(note for file_details in details for note in file_details.get("notes", ()))
+    rate, unit = details[0].get("rate"), options.time_unit
     if "frame" in names and unit is None:
-        what = (
-            f"the file has {rate:g} in a second" if rate else "one frame counts as 1 s (a time unit gives its seconds)"
-        )
-        notes.append(f"Times are numbers of frames; {what}.")
+        meaning = "one frame counts as 1 s (a time unit gives its seconds)"
+        notes.append(f"Times are numbers of frames; {f'the file has {rate:g} in a second' if rate else meaning}.")
         unit = 1 / rate if rate else None
     codes, ids = number_labels(rows["id"])
     if len(ids) < 2:
-        got = f"{where} with {counts['rows']} rows of {', '.join(map(quote, ids)) or 'no id'}"
+        got = f"{source} with {counts['rows']} rows of {', '.join(map(quote, ids)) or 'no id'}"
         raise ArgumentError(f"path must hold the tracks of at least 2 ids, got {got}.")
     time = rows["frame" if "frame" in names else "t"].to_numpy()
-    why = ""
+    guess = ""
     if unit is None and not timestamps:
-        unit, why = guess_time_unit(time, names)
+        unit, guess = guess_time_unit(time, names)
     whole = bool((time == np.floor(time)).all())
-    clock = Clock(unit=unit or 1.0, timestamps=timestamps, whole=whole, guessed=why, zone=read[0].zone)
+    clock = Clock(unit=unit or 1.0, timestamps=timestamps, whole=whole, guessed=guess, zone=files[0].zone)
     if timestamps:
         if options.time_unit is not None:
             raise ArgumentError(f"time_unit must be left out for timestamps, got {options.time_unit:g} (--time-unit).")
         start = float(time.min())  # whole microseconds: their differences are exact
         time, clock = (time - start) / 1e6, replace(clock, origin=start / 1e6)
     if pool:
-        time, clock = _pool(time, clock, [(Path(name).name, len(part)) for name, part in parts])
+        time, clock = _join_recordings(time, clock, [(Path(name).name, len(part)) for name, part in parts])
     elif "recording" in rows and options.duplicates == "error":
-        _refuse_recordings(rows[["id", "recording"]].assign(time=time), about[0]["recording"], where)
+        _refuse_recordings(rows[["id", "recording"]].assign(time=time), details[0]["recording"], source)
     axes, origin, frame = project_positions(scale_lengths(rows, names, options.length_unit))
     leader = None
     if "leader" in rows:
         leader, sentences = match_leaders(*number_labels(rows["leader"]), codes, ids, f" in column {names['leader']}")
         notes += sentences
-    others: Any = {"clock": clock, "origin": origin, "leader": leader, "notes": notes, "duplicates": options.duplicates}
+    fields: Any = {"clock": clock, "origin": origin, "leader": leader, "notes": notes, "duplicates": options.duplicates}
     frame = "pixels" if options.length_unit == "px" and frame == "metres" else frame
-    doubts = tuple(dict.fromkeys(doubt for each in about for doubt in each.get("doubts", ())))
-    tracks = Tracks(**sort_samples(ids, codes, time, axes, **others), frame=frame, doubts=doubts)
+    doubts = tuple(dict.fromkeys(doubt for file_details in details for doubt in file_details.get("doubts", ())))
+    tracks = Tracks(**sort_samples(ids, codes, time, axes, **fields), frame=frame, doubts=doubts)
     return tracks if options.split_gap is None else split_gaps(tracks, options.split_gap)
 
 
-def _refuse_recordings(keys: pd.DataFrame, column: str, where: str) -> None:
+def _refuse_recordings(keys: pd.DataFrame, column: str, source: str) -> None:
     """Refuse rows of which many have the id and the time of another, if the column ``recording`` tells them apart."""
     count = int(keys.duplicated(["id", "time"]).sum())
-    if count > _MANY * len(keys) and not keys.duplicated().any():
-        got = f"{count} of {len(keys)} rows of {where} with the id and the time of another"
+    if count > _MAX_REPEATED_SHARE * len(keys) and not keys.duplicated().any():
+        got = f"{count} of {len(keys)} rows of {source} with the id and the time of another"
         hint = f"column {column!r} tells them apart: pool_by={column!r}, or --pool-by {column}, reads recordings"
         raise ArgumentError(f"time must differ between samples of an id, got {got} ({hint}).")
 
 
-def _pool(time: Floats, clock: Clock, files: Sequence[tuple[str, int]]) -> tuple[Floats, Clock]:
+def _join_recordings(time: Floats, clock: Clock, files: Sequence[tuple[str, int]]) -> tuple[Floats, Clock]:
     """Times with each recording after the one before, and their clock; ``files`` are the names and numbers of rows.
 
     Between two, there is as much time as in the longest, which is no gap that could be interpolated.
@@ -347,7 +345,7 @@ def _pool(time: Floats, clock: Clock, files: Sequence[tuple[str, int]]) -> tuple
     for name, times in filled:
         start, length = float(times.min()), float(np.ptp(times))
         pooled.append(times - start + begin)
-        of_file = replace(clock, origin=clock.origin + start)
-        recordings.append((name, begin * clock.unit, (begin + length) * clock.unit, of_file))
+        recording_clock = replace(clock, origin=clock.origin + start)
+        recordings.append((name, begin * clock.unit, (begin + length) * clock.unit, recording_clock))
         begin += length + pause
     return np.concatenate(pooled), replace(clock, origin=0.0, recordings=tuple(recordings))

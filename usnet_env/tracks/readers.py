@@ -51,10 +51,10 @@ _POSITIONS = {  # in messages of ROS: the columns, and where they are
     "sensor_msgs/msg/NavSatFix": ("lon lat z", "longitude latitude altitude"),
     (_TRANSFORMS := "tf2_msgs/msg/TFMessage"): ("x y z", _POSITION.format("transform.translation")),
 }
-_TEXTS = (".csv", ".tsv", ".gpx", ".json", ".txt")  # in zip archives; one of the last only if there is no other
+_TEXT_SUFFIXES = (".csv", ".tsv", ".gpx", ".json", ".txt")  # in zip archives; one of the last only if there is no other
 _SLEAP = {"tracks": '["track", "xy", "node", "frame"]', "instance_scores": '["track", "frame"]'}  # the usual axes
 _MOVEMENT = ("position", "confidence")
-_VECTORS = {"coordinates": ("lon", "lat", "z"), "xyz": ("x", "y", "z")}  # lists in JSON
+_VECTOR_AXES = {"coordinates": ("lon", "lat", "z"), "xyz": ("x", "y", "z")}  # lists in JSON
 _GEOJSON = ("properties", "geometry")  # whose names are those of a record
 _FROM_START = (
     "Times of ULog files without UTC are those since each drone's own start: leaders are right only if all started at "
@@ -63,36 +63,36 @@ _FROM_START = (
 _NO_STAMPS = "Times are those of the bag's log, as messages have no stamps; a late connection makes a leader late."
 
 
-def unpack(path: Path, most: float) -> tuple[bytes, str]:
+def unpack(path: Path, max_size: float) -> tuple[bytes, str]:
     """The content of a text file, unpacked to at most so many MiB, and its name."""
     data = path.read_bytes()
     if data[:2] == b"\x1f\x8b":
         with gzip.open(io.BytesIO(data)) as packed:
-            data = packed.read(int(most * 2**20) + 1)
-        _check_size(len(data), most)
+            data = packed.read(int(max_size * 2**20) + 1)
+        _check_size(len(data), max_size)
         return data, path.stem
     if data[:4] != b"PK\x03\x04":
         return data, path.name
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         names = archive.namelist()
-        texts = [name for name in names if name.lower().endswith(_TEXTS) and not name.startswith("__MACOSX/")]
+        texts = [name for name in names if name.lower().endswith(_TEXT_SUFFIXES) and not name.startswith("__MACOSX/")]
         texts = [name for name in texts if not name.lower().endswith(".txt")] or texts
         if len(texts) != 1:
-            raise ValueError(f"the archive must hold one file of {', '.join(_TEXTS)}, not {quote(names)}")
-        _check_size(archive.getinfo(texts[0]).file_size, most)
+            raise ValueError(f"the archive must hold one file of {', '.join(_TEXT_SUFFIXES)}, not {quote(names)}")
+        _check_size(archive.getinfo(texts[0]).file_size, max_size)
         return archive.read(texts[0]), texts[0]
 
 
-def check_archive(path: Path, most: float) -> None:
+def check_archive(path: Path, max_size: float) -> None:
     """Refuse a zip archive, as NPZ is one, whose files unpack to more MiB."""
     if path.is_file() and zipfile.is_zipfile(path):  # a pipe can be read once
         with zipfile.ZipFile(path) as archive:
-            _check_size(sum(info.file_size for info in archive.infolist()), most)
+            _check_size(sum(info.file_size for info in archive.infolist()), max_size)
 
 
-def _check_size(size: int, most: float) -> None:
-    if size > most * 2**20:
-        raise ValueError(f"it unpacks to more than {most:g} MiB (max_size, or --max-size, allows more)")
+def _check_size(size: int, max_size: float) -> None:
+    if size > max_size * 2**20:
+        raise ValueError(f"it unpacks to more than {max_size:g} MiB (max_size, or --max-size, allows more)")
 
 
 def read_json(path: Path) -> pd.DataFrame:
@@ -108,7 +108,7 @@ def read_json(path: Path) -> pd.DataFrame:
 def read_lines(path: Path) -> pd.DataFrame:
     """A JSON record on each line, perhaps with lists of records in it, or the tracks of Trajnet++."""
     records = [json.loads(line) for line in path.read_bytes().splitlines() if line.strip()]
-    tracks = [each["track"] for each in records if isinstance(each.get("track"), dict)]
+    tracks = [record["track"] for record in records if isinstance(record.get("track"), dict)]
     return pd.DataFrame(tracks).rename(columns={"f": "frame", "p": "id"}) if tracks else _table_records(records)
 
 
@@ -119,26 +119,25 @@ def _list_nested(record: Mapping[str, Any]) -> list[str]:
 def _table_records(records: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
     """A frame of records, in which a list of coordinates is a column for each."""
     frame = pd.DataFrame([row for record in records for row in _flatten(record, {})])
-    for name, axes in _VECTORS.items():
+    for name, axes in _VECTOR_AXES.items():
         if name in frame:
             vectors = frame.pop(name)
-            frame = frame.drop(columns=[*axes], errors="ignore").assign(
-                **{axis: vectors.str[k] for k, axis in enumerate(axes) if vectors.str[k].notna().any()}
-            )
+            columns = {axis: vectors.str[k] for k, axis in enumerate(axes) if vectors.str[k].notna().any()}
+            frame = frame.drop(columns=[*axes], errors="ignore").assign(**columns)
     return frame
 
 
 def _flatten(record: Mapping[str, Any], outer: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     """The rows of a record: itself, or one for each record in its lists, but for those of a ball."""
-    nested, plain = _list_nested(record), dict(outer)
+    nested, row = _list_nested(record), dict(outer)
     for name, cell in record.items():
         if name not in nested:
-            plain |= cell if name in _GEOJSON and isinstance(cell, dict) else {name: cell}
+            row |= cell if name in _GEOJSON and isinstance(cell, dict) else {name: cell}
     for name in nested:
-        for row in record[name] if not name.lower().startswith("ball") else ():
-            yield from _flatten(row, plain)
+        for inner_row in record[name] if not name.lower().startswith("ball") else ():
+            yield from _flatten(inner_row, row)
     if not nested:
-        yield plain
+        yield row
 
 
 def read_parquet(path: Path) -> pd.DataFrame:
@@ -178,8 +177,8 @@ def read_npz(path: Path) -> pd.DataFrame:
         position[~arrays.pop("seen", np.ones((), bool)).astype(bool) & np.ones(position.shape[:2], bool)] = np.nan
         return _list_samples(position, arrays, arrays.pop("ids", None))
     length = max((values.size for values in arrays.values() if values.ndim == 1), default=0)
-    alike = {name: values for name, values in arrays.items() if values.size == 1 or values.shape == (length,)}
-    return pd.DataFrame({k: v.item() if v.size == 1 else v for k, v in alike.items()}, index=range(length))
+    same_length = {name: values for name, values in arrays.items() if values.size == 1 or values.shape == (length,)}
+    return pd.DataFrame({k: v.item() if v.size == 1 else v for k, v in same_length.items()}, index=range(length))
 
 
 def read_hdf5(path: Path) -> pd.DataFrame:
@@ -206,8 +205,8 @@ def read_hdf5(path: Path) -> pd.DataFrame:
             frame.attrs["rate"] = float(file["trajectory"].attrs["fps"])
             return frame
         if "position" not in file:
-            known = "trajectories, tracks, trajectory nor position"
-            raise ValueError(f"it has neither {known}, but {', '.join(file) or 'nothing'}")
+            names_read = "trajectories, tracks, trajectory nor position"
+            raise ValueError(f"it has neither {names_read}, but {', '.join(file) or 'nothing'}")
         axes = {name: [scales[0].name.strip("/") for scales in file[name].dims] for name in _MOVEMENT if name in file}
         individuals = next(name for name in axes["position"] if name.startswith("individual"))
         arrays = {name: _arrange(file[name], axes[name], ("time", individuals, "space")) for name in axes}
@@ -219,53 +218,53 @@ def read_hdf5(path: Path) -> pd.DataFrame:
 def read_dataset(dataset: Any) -> pd.DataFrame:
     """A dataset of xarray as movement makes it; the place of an animal is the mean of its parts."""
     position = dataset["position"]
-    rest = [name for name in position.dims if name not in ("time", "space") and not name.startswith("individual")]
-    frame = position.mean(rest).to_dataset("space")
+    other_axes = [name for name in position.dims if name not in ("time", "space") and not name.startswith("individual")]
+    frame = position.mean(other_axes).to_dataset("space")
     if "confidence" in dataset:
-        frame = frame.assign(
-            confidence=dataset["confidence"].mean([name for name in rest if name in dataset["confidence"].dims])
-        )
+        confidence = dataset["confidence"]
+        frame = frame.assign(confidence=confidence.mean([name for name in other_axes if name in confidence.dims]))
     time = "frame" if dataset.attrs.get("time_unit") == "frames" else "t"
     return frame.to_dataframe().dropna(subset=["x", "y"]).reset_index().rename(columns={"time": time})
 
 
 def _arrange(values: Any, axes: Sequence[str], order: Sequence[str]) -> Floats:
     """An array with its axes in this order; over those that are not named, the mean is taken."""
-    rest = tuple(k for k, name in enumerate(axes) if name not in order)
-    left = [name for name in axes if name in order]
+    averaged = tuple(k for k, name in enumerate(axes) if name not in order)
+    remaining = [name for name in axes if name in order]
     with warnings.catch_warnings(action="ignore"):  # of places where no part is seen
-        mean = np.nanmean(np.asarray(values, np.float64), axis=rest)
-    return np.transpose(mean, [left.index(name) for name in order if name in left])
+        mean = np.nanmean(np.asarray(values, np.float64), axis=averaged)
+    return np.transpose(mean, [remaining.index(name) for name in order if name in remaining])
 
 
 def _list_samples(position: NDArray[Any], columns: Mapping[str, Any], names: Any = None) -> pd.DataFrame:
     """A row for each seen position ``(time, individuals, space)``; others are over time, individuals or both."""
     times, ids, axes = position.shape
-    who, when = np.nonzero(np.isfinite(position).all(axis=2).T)
-    rows: dict[str, Any] = {"id": (np.arange(ids) if names is None else np.asarray(names))[who], "frame": when}
+    individual, instant = np.nonzero(np.isfinite(position).all(axis=2).T)
+    labels = np.arange(ids) if names is None else np.asarray(names)
+    rows: dict[str, Any] = {"id": labels[individual], "frame": instant}
     for name, values in columns.items():
         of_times = values.shape == (times,) and name not in ("id", "leader")
-        rows[name] = np.broadcast_to(values[:, None] if of_times else values, (times, ids))[when, who]
-    return pd.DataFrame(rows | {"xyz"[axis]: position[when, who, axis] for axis in range(axes)})
+        rows[name] = np.broadcast_to(values[:, None] if of_times else values, (times, ids))[instant, individual]
+    return pd.DataFrame(rows | {"xyz"[axis]: position[instant, individual, axis] for axis in range(axes)})
 
 
 def read_deeplabcut(path: Path) -> pd.DataFrame:
     """CSV of DeepLabCut, a file for one animal or for several; a place is the mean of the parts of the body."""
     with open(path, encoding="utf-8") as file:
-        several = [file.readline(), file.readline()][1].startswith("individuals")
-    table = read_csv(path, header=[1, 2, 3] if several else [1, 2], index_col=0)
-    table.columns = table.columns.set_names(["id", "part", "axis"] if several else ["part", "axis"])
-    mean = table.T.groupby(level=["id", "axis"] if several else ["axis"], sort=False).mean().T
+        has_individuals = [file.readline(), file.readline()][1].startswith("individuals")
+    table = read_csv(path, header=[1, 2, 3] if has_individuals else [1, 2], index_col=0)
+    table.columns = table.columns.set_names(["id", "part", "axis"] if has_individuals else ["part", "axis"])
+    mean = table.T.groupby(level=["id", "axis"] if has_individuals else ["axis"], sort=False).mean().T
     mean = mean.rename_axis("frame")
-    return (mean.stack("id", future_stack=True) if several else mean).dropna(subset=["x", "y"]).reset_index()
+    return (mean.stack("id", future_stack=True) if has_individuals else mean).dropna(subset=["x", "y"]).reset_index()
 
 
 def read_mot(path: Path) -> pd.DataFrame:
     """Boxes of the MOT challenge: frame, id, left, top, width, height, confidence; a place is the middle of a box."""
     rows = read_csv(path, header=None).iloc[:, :7]
-    frame, name, left, top, width, height, sure = (rows[k] for k in rows)
+    frame, name, left, top, width, height, confidence = (rows[k] for k in rows)
     middle = {"x": left + width / 2, "y": top + height / 2}
-    return pd.DataFrame({"frame": frame, "id": name, **middle, "confidence": sure})
+    return pd.DataFrame({"frame": frame, "id": name, **middle, "confidence": confidence})
 
 
 def read_gpx(path: Path) -> pd.DataFrame:
@@ -321,8 +320,8 @@ def read_mavlink(path: Path) -> pd.DataFrame:
         while (message := log.recv_match(type=list(_MESSAGES))) is not None:
             *fields, degree, metre = _MESSAGES[message.get_type()]
             lon, lat, z = (getattr(message, str(name)) for name in fields)
-            who = message.get_srcSystem() if hasattr(message, "get_srcSystem") else path.stem
-            rows.append((who, message._timestamp, lon / degree, lat / degree, z / metre))
+            name = message.get_srcSystem() if hasattr(message, "get_srcSystem") else path.stem
+            rows.append((name, message._timestamp, lon / degree, lat / degree, z / metre))
     return pd.DataFrame(rows, columns=["id", "t", "lon", "lat", "z"])
 
 
@@ -341,13 +340,13 @@ def read_ros(path: Path) -> pd.DataFrame:
         if not kind:
             raise ValueError(f"it has no places in {', '.join(_POSITIONS)}, but {', '.join(kinds) or 'nothing'}")
         names, fields = _POSITIONS[kind]
-        find = attrgetter("header.stamp.sec", "header.stamp.nanosec", "header.frame_id", *fields.split())
+        read_fields = attrgetter("header.stamp.sec", "header.stamp.nanosec", "header.frame_id", *fields.split())
         rows = []
         for topic, time, raw in bag.messages([topic for topic in bag.connections if topic.msgtype == kind]):
             message = bag.deserialize(raw, kind)
-            for each in getattr(message, "transforms", [message]):
-                who = each.child_frame_id if kind == _TRANSFORMS else topic.topic
-                rows.append((who, time / 1e9, *find(each)))
+            for part in getattr(message, "transforms", [message]):
+                name = part.child_frame_id if kind == _TRANSFORMS else topic.topic
+                rows.append((name, time / 1e9, *read_fields(part)))
     frame = pd.DataFrame(rows, columns=["id", "t", "sec", "nanosec", "parent", *names.split()])
     if kind == _TRANSFORMS:
         frame = frame[~frame["parent"].isin(frame["id"])]
@@ -359,7 +358,7 @@ def read_ros(path: Path) -> pd.DataFrame:
     return frame.drop(columns="parent")
 
 
-_OWN: dict[str, Reader] = {
+_BUILT_IN: dict[str, Reader] = {
     **dict.fromkeys(("parquet", "pq"), read_parquet),
     **dict.fromkeys(("feather", "arrow"), pd.read_feather),
     **dict.fromkeys(("sqlite", "sqlite3"), read_sqlite),
@@ -375,5 +374,5 @@ _OWN: dict[str, Reader] = {
     "mot": read_mot,
 }
 READERS = Registry(
-    "reader", "format", "usnet.readers", __name__, check_factory, own=_OWN, reserved=("csv",), classes=True
+    "reader", "format", "usnet.readers", __name__, check_factory, own=_BUILT_IN, reserved=("csv",), classes=True
 )

@@ -126,10 +126,10 @@ class FoundLeaders:
     def _list_rows(self) -> pd.DataFrame:
         rows = []
         for window in self.windows:
-            of = {leader.id: {"probability": leader.probability, "group": leader.group} for leader in window.leaders}
+            head_of = {head.id: {"probability": head.probability, "group": head.group} for head in window.leaders}
             roles: list[Any] = [{"id": leader.id, "head": leader.id} for leader in window.leaders]
             roles += [vars(link) | {"id": link.follower} for link in window.links]
-            rows += [{"start": window.start, "end": window.end} | role | of[role["head"]] for role in roles]
+            rows += [{"start": window.start, "end": window.end} | role | head_of[role["head"]] for role in roles]
         frame = pd.DataFrame(rows, columns=_COLUMNS["rows"].split())
         return frame.assign(leader=pd.Series([row.get("leader") for row in rows], dtype=object))  # whole numbers stay
 
@@ -158,14 +158,15 @@ class FoundLeaders:
     def _lag_curves(self, leader: str | int) -> tuple[pd.DataFrame | None, float]:
         """The median correlation by lag (index, seconds) and follower, if any window is long enough, and by chance."""
         fine, curves, chance = sample_finely(self._resampled), list[pd.DataFrame](), np.nan
-        for window, cut in zip(self.windows, self.track_windows, strict=True):
-            behind = [link.follower for link in window.links if link.head == leader]
-            found = (
-                compare_with_head(fine, cut, cut.ids.index(leader), [*map(cut.ids.index, behind)]) if behind else None
-            )
-            if found is not None:
-                curves.append(pd.DataFrame(found.correlation.T, found.lags.round(9), behind))
-                chance = np.fmax(chance, found.by_chance.max())
+        for window, track_window in zip(self.windows, self.track_windows, strict=True):
+            followers = [link.follower for link in window.links if link.head == leader]
+            if not followers:
+                continue
+            head, *members = map(track_window.ids.index, (leader, *followers))
+            head_curves = compare_with_head(fine, track_window, head, members)
+            if head_curves is not None:
+                curves.append(pd.DataFrame(head_curves.correlation.T, head_curves.lags.round(9), followers))
+                chance = np.fmax(chance, head_curves.by_chance.max())
         return (pd.concat(curves).groupby(level=0).median() if curves else None), float(chance)
 
     def plot(self, ax: Axes | None = None) -> Figure:
@@ -189,9 +190,9 @@ class FoundLeaders:
     def _probabilities(self) -> list[dict[Any, float]]:
         """Of each window: the probability to lead of each id, and under ``None`` that nobody leads, if known."""
         rows = []
-        for cut, answer in zip(self.track_windows, self.answers, strict=True):
-            own = np.asarray(answer.extras.get("probability", []), float).tolist()
-            row: dict[Any, float] = dict(zip(cut.ids, own, strict=False))
+        for track_window, answer in zip(self.track_windows, self.answers, strict=True):
+            probabilities = np.asarray(answer.extras.get("probability", []), float).tolist()
+            row: dict[Any, float] = dict(zip(track_window.ids, probabilities, strict=False))
             rows.append(row | ({None: float(answer.extras["p_no_leader"])} if "p_no_leader" in answer.extras else {}))
         return rows
 
@@ -210,7 +211,7 @@ class FoundLeaders:
             number = {window.start: k for k, window in enumerate(self.windows)}
             rows = self.to_frame()[["id", "head", "start"]].itertuples(index=False)
             return [(name, head, number[start], number[start] + 1) for name, head, start in rows]
-        starts = [*(cut.start for cut in self.track_windows), self.track_windows[-1].end]
+        starts = [*(track_window.start for track_window in self.track_windows), self.track_windows[-1].end]
         spans = []
         for each in (period for period in self.periods if period.leader >= 0):
             begin, end = np.interp((each.start, each.end), starts, np.arange(len(starts))).tolist()
@@ -254,7 +255,7 @@ class FoundLeaders:
             rows["probabilities"] = self._probability_rows
         rows["links"] = [vars(window) | vars(link) for window in self.windows for link in window.links]
         return {
-            name: pd.DataFrame(rows[name], columns=names.split(), dtype=object).map(_cell)
+            name: pd.DataFrame(rows[name], columns=names.split(), dtype=object).map(_join_names)
             for name, names in _COLUMNS.items()
             if name in rows
         }
@@ -270,8 +271,8 @@ class FoundLeaders:
         config: dict[str, Any] = {"ids": [*tracks.ids], "step": tracks.step, "frame": tracks.frame}
         config |= {"origin": tracks.origin.tolist()}
         config |= {end: [getattr(window, end) for window in self.windows] for end in ("start", "end")}
-        about: dict[str, Any] = {"env_id": title, "detector": self.detector, "detector_seed": self.seed}
-        return EpisodeRecord.from_rounds(windows, answers, config=config, **about)
+        source: dict[str, Any] = {"env_id": title, "detector": self.detector, "detector_seed": self.seed}
+        return EpisodeRecord.from_rounds(windows, answers, config=config, **source)
 
     def write(self, folder: str | os.PathLike[str], title: str = "tracks", *, record: bool = False) -> list[Path]:
         """Write the files of ``usnet detect --out``: a page, tables, JSON, and pictures.
@@ -293,11 +294,11 @@ class FoundLeaders:
         Example:
             >>> find_leaders("flock.csv").write("runs/flock", "flock.csv", record=True)  # doctest: +SKIP
         """
-        final = reserve_folder(as_path("folder", folder), "folder")
-        with replace_files(final, _OPTIONAL) as aside:
-            self._write_files(aside, title, record)
-            names = sorted(path.name for path in aside.iterdir())
-        return [final / name for name in names]
+        target = reserve_folder(as_path("folder", folder), "folder")
+        with replace_files(target, _OPTIONAL) as temporary:
+            self._write_files(temporary, title, record)
+            names = sorted(path.name for path in temporary.iterdir())
+        return [target / name for name in names]
 
     def _write_files(self, folder: Path, title: str, record: bool) -> None:
         write_text(folder / "leaders.json", json.dumps(self.as_dict(), indent=2, allow_nan=False) + "\n")
@@ -330,8 +331,8 @@ class FoundLeaders:
         """Write the page; without tracks it has no map."""
         data, version = None, versions().get("usnet", "unknown")
         if self.tracks is not None and self.windows:
-            known = (self.windows, self.track_windows, self.leaders, self.colors, self._probabilities)
-            data = collect_data(self.tracks, *known, self._lag_curves)
+            results = (self.windows, self.track_windows, self.leaders, self.colors, self._probabilities)
+            data = collect_data(self.tracks, *results, self._lag_curves)
         facts = [*self.facts, f"Found by {self.detector}, seed {self.seed}, with usnet {version}."]
         write_page(path, title, str(self).splitlines(), data, self._repr_html_(), facts)
 
@@ -349,5 +350,5 @@ def _answer_among(ids: int, track_window: TrackWindow, answer: Detection, detect
     return Detection(leader == np.arange(ids), scores, leader=leader, extras=extras)
 
 
-def _cell(value: Any) -> Any:
+def _join_names(value: Any) -> Any:
     return ";".join(re.sub(r"([;\\])", r"\\\1", str(name)) for name in value) if isinstance(value, tuple) else value

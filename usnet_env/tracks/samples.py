@@ -247,7 +247,7 @@ def match_leaders(
     labels: Sequence[str | int],
     codes: NDArray[np.integer[Any]],
     ids: Sequence[str | int],
-    where: str = "",
+    suffix: str = "",
 ) -> tuple[Indices | None, list[str]]:
     """Which id each sample follows: ``(S,)``, -1 for none, or ``None`` if no leader has a track; and sentences.
 
@@ -265,7 +265,7 @@ def match_leaders(
     if unknown:
         notes.append(f"Leaders without a track: {len(unknown)} ({', '.join(map(str, unknown[:3]))}).")
         if (rows < 0).all():
-            return None, [*notes, f"No leader{where} has a track: it is not known who leads."]
+            return None, [*notes, f"No leader{suffix} has a track: it is not known who leads."]
     leader = rows[index]
     return np.where(leader == codes, -1, leader), notes
 

@@ -14,7 +14,7 @@ from usnet_env.tracks.found import CONFOUNDS, DetectedWindow
 from usnet_env.tracks.resample import LAGS
 from usnet_env.tracks.tracks import TrackWindow
 
-_MOST_NAMES = 3
+_MAX_NAMES = 3
 
 
 def describe_windows(track_windows: Sequence[TrackWindow]) -> str:
@@ -22,8 +22,8 @@ def describe_windows(track_windows: Sequence[TrackWindow]) -> str:
     steps = [each.window.observation_steps for each in track_windows]
     halves = sum(count < max(steps) for count in steps)
     length = f"{format_count(max(steps), 'step')} ({format_number(max(steps) * track_windows[0].step)} s)"
-    parts = f", of which {halves} are parts of one" * bool(halves)
-    return f"{format_count(len(steps), 'window')} of {length} read{parts}."
+    split = f", of which {halves} are parts of one" * bool(halves)
+    return f"{format_count(len(steps), 'window')} of {length} read{split}."
 
 
 def explain_silence(
@@ -33,42 +33,42 @@ def explain_silence(
 
     Tracks can't tell that no id leads, so each reason that fits is named, and the id with the largest probability.
     """
-    silent = [k for k, window in enumerate(windows) if not window.leaders]
+    leaderless = [k for k, window in enumerate(windows) if not window.leaders]
     sentences, of_all = [], f"of {format_count(len(windows), 'window')}"
-    if 2 * len(silent) < len(windows):
+    if 2 * len(leaderless) < len(windows):
         return []
     for kind, words in CONFOUNDS.items():
-        counts = [len(windows[k].alike) for k in silent if windows[k].confound == kind]
+        counts = [len(windows[k].alike) for k in leaderless if windows[k].confound == kind]
         if 2 * len(counts) >= len(windows):
             ids = format_count(round(np.mean(counts)), "id")
             sentences.append(f"In {len(counts)} {of_all} no leader is found, and {ids} {words}.")
     if not track_windows:
         return sentences
     reasons = []
-    if any(windows[k].confound == "one signal" for k in silent):
+    if any(windows[k].confound == "one signal" for k in leaderless):
         longest = format_number(LAGS * track_windows[0].step)
         reasons += ["the leader changes within a window", "followers mirror it", f"delays are longer than {longest} s"]
-    left_out = Counter(name for k in silent for name in windows[k].left_out).most_common(_MOST_NAMES)
+    left_out = Counter(name for k in leaderless for name in windows[k].left_out).most_common(_MAX_NAMES)
     if left_out:
         reasons.append(
             f"an id leads that is left out, as it is seen too little ({', '.join(str(n) for n, _ in left_out)})"
         )
-    if (steps := min(track_windows[k].window.observation_steps for k in silent)) < 2 * LEAST_STEPS:
+    if (steps := min(track_windows[k].window.observation_steps for k in leaderless)) < 2 * LEAST_STEPS:
         reasons.append(f"windows of {steps} steps are short (--window)")
     if reasons:
         sentences.append(f"A leader may be missed because {', or '.join(reasons)}.")
-    if nearest := _find_nearest(silent, track_windows, answers):
+    if nearest := _find_nearest(leaderless, track_windows, answers):
         sentences.append(nearest)
     return sentences
 
 
-def _find_nearest(silent: Sequence[int], track_windows: Sequence[TrackWindow], answers: Sequence[Detection]) -> str:
+def _find_nearest(leaderless: Sequence[int], track_windows: Sequence[TrackWindow], answers: Sequence[Detection]) -> str:
     """The id with the largest mean probability in the windows without a leader, as a sentence."""
     sums: Counter[str | int] = Counter()
-    for k in silent:
+    for k in leaderless:
         if "probability" in answers[k].extras:
             sums.update(dict(zip(track_windows[k].ids, map(float, answers[k].extras["probability"]), strict=True)))
     if not sums:
         return ""
     name, total = sums.most_common(1)[0]
-    return f"The nearest candidate is {name}, p {total / len(silent):.2f}, not confirmed."
+    return f"The nearest candidate is {name}, p {total / len(leaderless):.2f}, not confirmed."

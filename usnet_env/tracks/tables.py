@@ -25,11 +25,11 @@ from usnet_env.tracks.readers import READERS, check_archive, unpack
 
 _DELIMITERS = ",;\t|"
 _TEXTS = ("", "csv", "tsv", "txt", "tab", "dat", "asc", "zip")  # suffixes of texts with a table
-_MOST_UNIT_ROWS = 4
-_BEGINS = re.compile(r"[+-]?\.?\d")  # of a number or a date
+_MAX_UNIT_ROWS = 4
+_NUMBER_START = re.compile(r"[+-]?\.?\d")  # of a number or a date
 _RATE = re.compile(r"(?:frame ?rate|fps)\W{0,3}(\d[\d.]*)|(\d[\d.]*) ?fps", re.IGNORECASE)
-_NO_NUMBER = ["", "NA", "na", "N/A", "n/a", "NaN", "nan", "NULL", "null", "None", "none"]  # others are read one by one
-_OTHERS = {  # suffixes and beginnings of files that other programs read, and what they are
+_EMPTY_CELLS = ["", "NA", "na", "N/A", "n/a", "NaN", "nan", "NULL", "null", "None", "none"]  # of columns of numbers
+_OTHER_FORMATS = {  # suffixes and beginnings of files that other programs read, and what they are
     r"\.(xml|kml|kmz|tcx)|\s*<": "XML, of which only GPX is read; kloppy reads football's, and GPSBabel writes GPX",
     r"\.igc|A[A-Z]{3}[^,;]{0,40}\r?\nH": "a flight log (IGC); GPSBabel writes it as GPX",
     r"\.(nmea|ais)|(\\[^\\]*\\)?[!$][A-Z]{5},": "NMEA; pyais decodes that of ships, and GPSBabel writes others as GPX",
@@ -62,15 +62,15 @@ class Options(Config):
 
 def open_table(path: Path, options: Options) -> Table:
     """The table of a file."""
-    packed = path.suffix.lower() in (".gz", ".zip")
-    data, name = unpack(path, options.max_size) if packed else (b"", path.name)
+    is_packed = path.suffix.lower() in (".gz", ".zip")
+    data, name = unpack(path, options.max_size) if is_packed else (b"", path.name)
     rosbag = (path / "metadata.yaml").exists()  # a folder, in ROS 2
     suffix = Path(name).suffix.lower()
     kind = options.format or ("db3" if rosbag else suffix[1:])
     if kind in READERS or options.format not in (None, "csv"):
         reader = READERS.find(kind)
         with TemporaryDirectory() as folder:
-            if packed:
+            if is_packed:
                 path = Path(folder, Path(name).name)
                 path.write_bytes(data)
             check_archive(path, options.max_size)
@@ -78,14 +78,14 @@ def open_table(path: Path, options: Options) -> Table:
         if not isinstance(frame, pd.DataFrame):
             raise ArgumentError(f"reader {kind!r} must return a pandas.DataFrame, got {quote(frame)}.")
         return split_wide(roles.as_table(frame), options)
-    data = data if packed else unpack(path, options.max_size)[0]
-    beginning = data[:200].decode("latin-1").removeprefix("\u00ef\u00bb\u00bf")
-    for pattern, what in _OTHERS.items():
-        if options.format is None and any(re.match(pattern, text) for text in (suffix, beginning)):
-            raise ArgumentError(f"path must be in a format that is read, got {quote(os.fspath(path))}: it is {what}.")
+    data = data if is_packed else unpack(path, options.max_size)[0]
+    first_text = data[:200].decode("latin-1").removeprefix("\u00ef\u00bb\u00bf")
+    for pattern, words in _OTHER_FORMATS.items():
+        if options.format is None and any(re.match(pattern, text) for text in (suffix, first_text)):
+            raise ArgumentError(f"path must be in a format that is read, got {quote(os.fspath(path))}: it is {words}.")
     table = split_wide(read_text(data, options), options)
-    strange = options.format is None and kind not in _TEXTS
-    return table._replace(about={**table.about, "suffix": suffix}) if strange else table
+    is_unknown = options.format is None and kind not in _TEXTS
+    return table._replace(details={**table.details, "suffix": suffix}) if is_unknown else table
 
 
 def split_wide(table: Table, options: Options) -> Table:
@@ -102,32 +102,34 @@ def read_text(data: bytes, options: Options) -> Table:
     with io.TextIOWrapper(io.BytesIO(data), encoding) as lines:
         while (first := lines.readline(2**20).removeprefix("\ufeff")).startswith("#"):
             comments.append(first.lstrip("# ").rstrip())
-        below = [*islice(lines, _MOST_UNIT_ROWS)]
+        next_lines = [*islice(lines, _MAX_UNIT_ROWS)]
     delimiter = max(_DELIMITERS, key=first.count)
-    if blanks := delimiter not in first and len(first.split()) > 1:
+    if has_blanks := delimiter not in first and len(first.split()) > 1:
         delimiter = r"\s+"
 
     def split(line: str) -> list[str]:
-        cells = line.split() if blanks else next(csv.reader([line], delimiter=delimiter), [])
+        cells = line.split() if has_blanks else next(csv.reader([line], delimiter=delimiter), [])
         return [cell.strip() for cell in cells]
 
     cells = split(first)
     header = [name.strip() for name in options.header or cells]
     if len(header) != len(cells):
         raise ValueError(f"row 1 has {len(cells)} cells for {len(header)} names in header (--columns)")
-    skipped, about = len(comments), dict[str, Any]()
+    skipped, details = len(comments), dict[str, Any]()
     if options.header is None and any(map(roles.is_number, cells)):
         header = _find_names(comments, split, len(cells)) or header
     elif options.header is None:
-        units = [*takewhile(lambda row: len(row) == len(cells) and not any(map(_BEGINS.match, row)), map(split, below))]
+        rows = map(split, next_lines)
+        units = [*takewhile(lambda row: len(row) == len(cells) and not any(map(_NUMBER_START.match, row)), rows)]
         header, skipped = _add_units(header, units), skipped + 1 + len(units)
-        about["notes"] = [f"{format_count(len(units), 'row')} without a number below the names, skipped."] * bool(units)
+        if units:
+            details["notes"] = [f"{format_count(len(units), 'row')} without a number below the names, skipped."]
     rates = [float(rate[1] or rate[2]) for line in comments if (rate := _RATE.search(line))]
 
     def read(names: Mapping[str, str]) -> pd.DataFrame:
         role_of = {header.index(name): role for role, name in names.items()}
-        plain = roles.NUMBERS - set(roles.TIMES if options.time_format is not None else ())  # others are texts
-        numbers = [number for number, role in role_of.items() if role.partition(":")[0] in plain]
+        number_roles = roles.NUMBERS - set(roles.TIMES if options.time_format is not None else ())  # others are texts
+        numbers = [number for number, role in role_of.items() if role.partition(":")[0] in number_roles]
         with warnings.catch_warnings():
             warnings.simplefilter("error", ParserWarning)  # a row has more cells than the header
             warnings.simplefilter("ignore", DtypeWarning)  # texts among numbers are read, or refused by name, later
@@ -143,11 +145,11 @@ def read_text(data: bytes, options: Options) -> Table:
                 dtype={k: object for k in range(len(header)) if k not in numbers},  # the text, also of 007
                 skipinitialspace=True,
                 keep_default_na=False,
-                na_values=dict.fromkeys(numbers, _NO_NUMBER),
+                na_values=dict.fromkeys(numbers, _EMPTY_CELLS),
             )
         return rows[list(role_of)].rename(columns=role_of)
 
-    return Table(header, read, about | ({"rate": rates[-1]} if rates else {}))
+    return Table(header, read, details | ({"rate": rates[-1]} if rates else {}))
 
 
 def _find_names(comments: Sequence[str], split: Callable[[str], list[str]], count: int) -> list[str]:

@@ -15,18 +15,13 @@ from usnet_env.arrays import Floats, Indices
 from usnet_env.config import ArgumentError, MissingExtraError, quote, real_number, whole_number
 from usnet_env.tracks.clean import clean_samples
 from usnet_env.tracks.report import TrackReport, describe_samples, find_problems
-from usnet_env.tracks.resample import (
-    choose_step,
-    resample_others,
-    resample_positions,
-    typical_stay,
-)
+from usnet_env.tracks.resample import choose_step, resample_others, resample_positions, typical_stay
 from usnet_env.tracks.samples import Samples, match_leaders, number_labels, sort_samples
 from usnet_env.window import Window, as_array, frozen_array
 
-_USUAL, _SHORTEST = 100, 16  # steps of a window
-_MOST_STEPS = 400  # of a window at another step
-_LITTLE = 0.1  # of a window; so many steps at the end are no reason for one more window
+_TYPICAL_STEPS, _MIN_STEPS = 100, 16  # steps of a window
+_MAX_STEPS = 400  # of a window at another step
+_MIN_REMAINDER = 0.1  # of a window; so many steps at the end are no reason for one more window
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,8 +166,8 @@ class Tracks(Samples):
             notes += changes
         source = replace(tracks, leader=None) if step is None else None
         if step is None:
-            step, why = choose_step(tracks, length)
-            notes.append(why)
+            step, reason = choose_step(tracks, length)
+            notes.append(reason)
         resampled = resample_positions(tracks, step, max_gap)
         if not resampled.inner_steps.any():
             got = f"{step:g} s for tracks of {self.duration:g} s"
@@ -190,9 +185,9 @@ class Tracks(Samples):
         step = float(self.step or 1.0)
         first = int(np.ceil(track_window.start / step - 1e-6))
         last = int(np.floor(track_window.end / step + 1e-6))
-        if last - first > _MOST_STEPS:
+        if last - first > _MAX_STEPS:
             return None
-        return _cut(self, np.round(self.time / step).astype(np.int64), first, last - first, 0, track_window.rows)
+        return _cut_window(self, np.round(self.time / step).astype(np.int64), first, last - first, 0, track_window.rows)
 
     def to_dataset(self) -> Any:
         """A dataset of xarray with ``position`` in metres ``(time, space, individuals)``, as that of movement."""
@@ -200,15 +195,18 @@ class Tracks(Samples):
             import xarray
         except ModuleNotFoundError:
             raise MissingExtraError("to_dataset needs xarray; `pip install xarray` installs it.") from None
-        times, when = np.unique(self.time, return_inverse=True)
-        place = np.full((len(times), 3, len(self.ids)), np.nan)
-        place[when, :, np.repeat(np.arange(len(self.ids)), np.diff(self.offsets))] = self.position + self._corner
-        known: Any = {"time": times, "space": [*"xyz"][: self.dimensions], "individuals": [*self.ids]}
-        about = {"time_unit": "seconds", "source_software": "usnet"} | ({"fps": 1 / self.step} if self.step else {})
-        return xarray.Dataset({"position": ([*known], place[:, : self.dimensions])}, known, about)
+        times, instant = np.unique(self.time, return_inverse=True)
+        position = np.full((len(times), 3, len(self.ids)), np.nan)
+        owner = np.repeat(np.arange(len(self.ids)), np.diff(self.offsets))
+        position[instant, :, owner] = self.position + self._file_offset
+        coordinates: Any = {"time": times, "space": [*"xyz"][: self.dimensions], "individuals": [*self.ids]}
+        attributes = {"time_unit": "seconds", "source_software": "usnet"} | (
+            {"fps": 1 / self.step} if self.step else {}
+        )
+        return xarray.Dataset({"position": ([*coordinates], position[:, : self.dimensions])}, coordinates, attributes)
 
     @property
-    def _corner(self) -> Floats:
+    def _file_offset(self) -> Floats:
         """``(3,)`` metres to add to positions for those of the file; degrees have none."""
         return self.origin * ("degrees" not in self.frame)
 
@@ -233,12 +231,12 @@ class Tracks(Samples):
         least_steps = -(-length // 2) if least_steps is None else whole_number("least_steps", least_steps, 1, length)
         starts, step = resampled._window_starts(length, stride), float(resampled.step or 1.0)
         if not len(starts):
-            most = f"{round(resampled.duration / step)}, the steps of {step:g} s in the tracks"
-            raise ArgumentError(f"length must be at most {most}, got {length} (--window sets it).")
-        number = np.round(resampled.time / step).astype(np.int64)
-        known = np.unique(number)
-        filled = np.searchsorted(known, starts + length, side="right") > np.searchsorted(known, starts)
-        windows = (_cut(resampled, number, int(first), length, least_steps) for first in starts[filled])
+            limit = f"{round(resampled.duration / step)}, the steps of {step:g} s in the tracks"
+            raise ArgumentError(f"length must be at most {limit}, got {length} (--window sets it).")
+        step_numbers = np.round(resampled.time / step).astype(np.int64)
+        instants = np.unique(step_numbers)
+        filled = np.searchsorted(instants, starts + length, side="right") > np.searchsorted(instants, starts)
+        windows = (_cut_window(resampled, step_numbers, int(first), length, least_steps) for first in starts[filled])
         return (track_window for track_window in windows if track_window is not None)
 
     def choose_length(self) -> int:
@@ -246,8 +244,8 @@ class Tracks(Samples):
         step = self.step or 1.0
         steps = round(min(end - begin for begin, end in self.recordings) / step)
         stay = round(typical_stay(self) / step)
-        least = max(1, min(_USUAL, steps, max(stay, _SHORTEST)))
-        return max(1, steps // max(1, steps // least))
+        min_steps = max(1, min(_TYPICAL_STEPS, steps, max(stay, _MIN_STEPS)))
+        return max(1, steps // max(1, steps // min_steps))
 
     def count_windows(self, length: int, stride: int) -> int:
         """Number of windows in resampled tracks."""
@@ -259,7 +257,7 @@ class Tracks(Samples):
         for begin, end in self.recordings:
             last = round(end / (self.step or 1.0)) - length
             starts = np.arange(np.ceil(round(begin / (self.step or 1.0), 6)), last + 1, stride).astype(np.int64)
-            if len(starts) and last - starts[-1] > length * _LITTLE:
+            if len(starts) and last - starts[-1] > length * _MIN_REMAINDER:
                 starts = np.append(starts, last)
             starts[-1:] = last
             all_starts.append(starts)
@@ -268,43 +266,43 @@ class Tracks(Samples):
 
 def _read_ids(name: str, value: Any, samples: int) -> tuple[Indices, tuple[str | int, ...]]:
     ids = as_array(name, value)
-    plain = ids.tolist()
-    if ids.shape != (samples,) or not samples or not all(isinstance(label, str | int) for label in plain):
+    labels = ids.tolist()
+    if ids.shape != (samples,) or not samples or not all(isinstance(label, str | int) for label in labels):
         raise ArgumentError(f"{name} must hold a text or a whole number for {samples} samples, got {quote(value)}.")
-    return number_labels(pd.Series(plain, dtype=object))
+    return number_labels(pd.Series(labels, dtype=object))
 
 
-def _cut(
-    tracks: Tracks, number: Indices, first: int, length: int, least_steps: int, wanted: Indices | None = None
+def _cut_window(
+    tracks: Tracks, step_numbers: Indices, first: int, length: int, least_steps: int, wanted: Indices | None = None
 ) -> TrackWindow | None:
-    """Cut the window from grid time ``first`` on, if two ids are seen long enough; ``number`` ``(S,)`` in steps.
+    """Cut the window from grid time ``first`` on, if two ids are seen long enough; ``step_numbers`` ``(S,)``.
 
     Its ids are those in the rows ``wanted``, or all.
     """
     step = float(tracks.step or 0.0)
-    inside = np.flatnonzero((number >= first) & (number <= first + length))
-    owner = np.searchsorted(tracks.offsets, inside, side="right") - 1
+    samples = np.flatnonzero((step_numbers >= first) & (step_numbers <= first + length))
+    owner = np.searchsorted(tracks.offsets, samples, side="right") - 1
     rows = np.unique(owner) if wanted is None else wanted
-    inside, owner = inside[known := np.isin(owner, rows)], owner[known]
+    samples, owner = samples[is_known := np.isin(owner, rows)], owner[is_known]
     column = np.searchsorted(rows, owner)
     seen = np.zeros((length + 1, len(rows)), bool)
-    seen[number[inside] - first, column] = True
-    enough = (seen[1:] & seen[:-1]).sum(axis=0) >= least_steps
-    if enough.sum() < 2:
+    seen[step_numbers[samples] - first, column] = True
+    is_enough = (seen[1:] & seen[:-1]).sum(axis=0) >= least_steps
+    if is_enough.sum() < 2:
         return None
-    kept = enough[column]
-    left_out = tuple(tracks.ids[i] for i in rows[~enough])
-    inside, column = inside[kept], (np.cumsum(enough) - 1)[column[kept]]
-    rows, seen = rows[enough], seen[:, enough]
-    origin = tracks.position[inside].mean(axis=0)
+    is_kept = is_enough[column]
+    left_out = tuple(tracks.ids[i] for i in rows[~is_enough])
+    samples, column = samples[is_kept], (np.cumsum(is_enough) - 1)[column[is_kept]]
+    rows, seen = rows[is_enough], seen[:, is_enough]
+    origin = tracks.position[samples].mean(axis=0)
     position = np.zeros((length + 1, len(rows), 3))
-    position[number[inside] - first, column] = tracks.position[inside] - origin
+    position[step_numbers[samples] - first, column] = tracks.position[samples] - origin
     velocity = np.where((seen[1:] & seen[:-1])[..., None], np.diff(position, axis=0), 0.0)
     leader = None
     if tracks.leader is not None:
-        pairs = pd.DataFrame({"column": column, "leader": tracks.leader[inside]}).groupby(["column", "leader"]).size()
-        often = pairs.sort_values(ascending=False, kind="stable").reset_index().drop_duplicates("column")
-        leader = pd.Index(rows).get_indexer(often.sort_values("column")["leader"]).astype(np.int64)
+        pairs = pd.DataFrame({"column": column, "leader": tracks.leader[samples]}).groupby(["column", "leader"]).size()
+        most_frequent = pairs.sort_values(ascending=False, kind="stable").reset_index().drop_duplicates("column")
+        leader = pd.Index(rows).get_indexer(most_frequent.sort_values("column")["leader"]).astype(np.int64)
     ids, alive = tuple(tracks.ids[i] for i in rows), np.ones(len(rows), bool)
     window = Window(position.astype(np.float32), velocity.astype(np.float32), seen, alive, step=step)
     return TrackWindow(window, ids, rows, first * step, (first + length) * step, step, origin, leader, left_out)

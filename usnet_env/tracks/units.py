@@ -10,8 +10,8 @@ import pandas as pd
 from usnet_env.arrays import Floats
 from usnet_env.tracks import columns
 
-_RECORDED = (315_532_800, 4_102_444_800)  # seconds from 1970 to 1980 and to 2100
-_SHORT = 0.05  # seconds between samples, or 72 minutes in days
+_RECORDING_ERA = (315_532_800, 4_102_444_800)  # seconds from 1970 to 1980 and to 2100
+_MAX_INTERVAL = 0.05  # seconds between samples, or 72 minutes in days
 
 
 def guess_time_unit(time: Floats, names: Mapping[str, str]) -> tuple[float, str]:
@@ -20,10 +20,10 @@ def guess_time_unit(time: Floats, names: Mapping[str, str]) -> tuple[float, str]
         return columns.TIME_UNITS.get(named, 1.0), ""
     first = float(np.min(time))
     for unit, words in ((1e-3, "milliseconds"), (1e-6, "microseconds"), (1e-9, "nanoseconds")):
-        if _RECORDED[0] <= first * unit <= _RECORDED[1]:
+        if _RECORDING_ERA[0] <= first * unit <= _RECORDING_ERA[1]:
             return unit, f"{words} since 1970"
     steps = np.diff(np.unique(time))
-    if 25_569 <= first <= 73_050 and len(steps) and np.median(steps) < _SHORT and (time != np.floor(time)).any():
+    if 25_569 <= first <= 73_050 and len(steps) and np.median(steps) < _MAX_INTERVAL and (time != np.floor(time)).any():
         return 86_400.0, "days of a spreadsheet"
     return 1.0, ""
 
