@@ -32,8 +32,8 @@ class DetectorAgent:
 
     def answer(self, observation: Any) -> tuple[Detection, float]:
         """Return what is scored of the detector's answer; only the call of ``detect`` is timed."""
-        found, seconds = ask(self.detector, Window.from_observation(observation))
-        return Detection(found.candidates, found.scores, found.clusters), seconds
+        detection, seconds = ask(self.detector, Window.from_observation(observation))
+        return Detection(detection.candidates, detection.scores, detection.clusters), seconds
 
     def warm_up(self, observation: Any) -> None:
         """Answer once with a copy of the detector."""
@@ -54,17 +54,19 @@ def label_detectors(detector: Any, trivial: bool, isolated: bool) -> dict[str, A
     """
     if isinstance(detector, Mapping):
         named = named_values("detector", detector)
-        labels, several = list(named), list(named.values())
+        labels, detectors = list(named), list(named.values())
     else:
-        several = list(detector) if isinstance(detector, list | tuple) else [detector]
-        known = [isinstance(given, str) or hasattr(type(given), "detect") for given in several]
-        labels = [detector_label(given) if is_one else "" for given, is_one in zip(several, known, strict=True)]
-    found = dict(zip(labels, several, strict=True)) | {name: name for name in TRIVIAL if trivial and name not in labels}
-    for given in found.values():
+        detectors = list(detector) if isinstance(detector, list | tuple) else [detector]
+        labels = [
+            detector_label(each) if isinstance(each, str) or hasattr(type(each), "detect") else "" for each in detectors
+        ]
+    labelled = dict(zip(labels, detectors, strict=True))
+    labelled |= {name: name for name in TRIVIAL if trivial and name not in labels}
+    for candidate in labelled.values():
         try:
-            if not isolated or not isinstance(given, str):
-                find_detector(given)
-            elif ":" not in (name := parse_label(given, {})[0]):
+            if not isolated or not isinstance(candidate, str):
+                find_detector(candidate)
+            elif ":" not in (name := parse_label(candidate, {})[0]):
                 DETECTORS.find(name)
         except (ArgumentError, ImportError):
             raise
@@ -72,4 +74,4 @@ def label_detectors(detector: Any, trivial: bool, isolated: bool) -> dict[str, A
             continue
     if not labels or len({*labels}) < len(labels) or not all(label and label.isprintable() for label in labels):
         raise ArgumentError(f"detector must have different labels of printable characters, got {quote(labels)}.")
-    return found
+    return labelled

@@ -32,13 +32,13 @@ class ChildDetector:
     """
 
     def __init__(self, detector: Any, seconds: float | None = None, megabytes: float | None = None) -> None:
-        self._connection, theirs = Pipe()
+        self._connection, child_end = Pipe()
         command = "import sys; sys.path[:] = sys.argv[2:]; from usnet_env.evaluation import child; child.serve()"
-        with theirs:
+        with child_end:
             self._process = subprocess.Popen(
-                [sys.executable, "-c", command, str(theirs.fileno()), *sys.path],
+                [sys.executable, "-c", command, str(child_end.fileno()), *sys.path],
                 stdin=subprocess.DEVNULL,
-                pass_fds=[theirs.fileno()],
+                pass_fds=[child_end.fileno()],
                 env={"OMP_NUM_THREADS": "1", **os.environ},
             )
         self.running = True
@@ -57,8 +57,8 @@ class ChildDetector:
     def answer(self, observation: Any) -> tuple[Detection, float]:
         """Return the answer to one observation, and its seconds."""
         begin = time.perf_counter()
-        found, _ = self._exchange("answer", observation)
-        return found, time.perf_counter() - begin
+        detection, _ = self._exchange("answer", observation)
+        return detection, time.perf_counter() - begin
 
     def warm_up(self, observation: Any) -> None:
         """Answer once without being timed."""
@@ -83,8 +83,8 @@ class ChildDetector:
         except (EOFError, ConnectionError):
             status = self._process.wait()
             self.close()
-            how = f"was ended by {signal.Signals(-status).name}" if status < 0 else f"ended itself with status {status}"
-            raise EvaluationError(f"its process {how}") from None
+            end = f"was ended by {signal.Signals(-status).name}" if status < 0 else f"ended itself with status {status}"
+            raise EvaluationError(f"its process {end}") from None
         if error:
             raise EvaluationError(error)
         return answer
@@ -121,9 +121,9 @@ def limit_memory(megabytes: float | None) -> Iterator[None]:
 
     soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
     with open("/proc/self/statm", "rb") as file:
-        held = int(file.read().split()[5]) * resource.getpagesize()
-    most = held + int(megabytes * _MEGABYTE)
-    resource.setrlimit(resource.RLIMIT_DATA, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
+        allocated = int(file.read().split()[5]) * resource.getpagesize()
+    limit = allocated + int(megabytes * _MEGABYTE)
+    resource.setrlimit(resource.RLIMIT_DATA, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
     try:
         yield
     except MemoryError:

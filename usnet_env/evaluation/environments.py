@@ -50,12 +50,12 @@ def describe_environments() -> dict[str, str]:
     from usnet_env.multiagent import GAMES  # not at the top: it registers the games with PettingZoo
 
     specs = {name: gym.registry[name] for name in usnet_ids()}
-    base = {spec.entry_point: name for name, spec in specs.items() if not spec.kwargs}
+    plain_id = {spec.entry_point: name for name, spec in specs.items() if not spec.kwargs}
     texts = {}
     for name, spec in specs.items():
         creator = load_env_creator(spec.entry_point) if isinstance(spec.entry_point, str) else spec.entry_point
         line = (inspect.getdoc(creator) or "").partition("\n")[0]
         presets = ", ".join(f"{key}={value}" for key, value in spec.kwargs.items())
-        other = base.get(spec.entry_point)
-        texts[name] = f"{other} with {presets}" if presets and other else f"{line} ({presets})" if presets else line
+        base = plain_id.get(spec.entry_point)
+        texts[name] = f"{base} with {presets}" if presets and base else f"{line} ({presets})" if presets else line
     return texts | {f"usnet_env.multiagent.{name}": text for name, text in GAMES.items()}

@@ -47,17 +47,17 @@ class RunFolder:
         _lock(self._file, folder)
         self.rows = pd.DataFrame(columns=list(columns))
         build, builds = {"commit": _find_commit(), "versions": versions(), "machine": machine()}, list[Any]()
-        whole = _read_whole_lines(self.path)
-        if whole or (folder / RUN).exists():
-            known, self.rows = read_run(folder)
-            config = _join(folder, known["arguments"], config)
-            builds = known.get("builds") or [{name: known.get(name) for name in build}]
-        about = {"builds": builds + [build] * (build not in builds), "arguments": config}
-        write_text(folder / RUN, json.dumps(about, indent=2) + "\n")
-        self._file.truncate(len(whole))  # without a last line that was not written to its end
-        names = self.rows.columns if whole else columns
+        lines = _read_whole_lines(self.path)
+        if lines or (folder / RUN).exists():
+            run, self.rows = read_run(folder)
+            config = _join_arguments(folder, run["arguments"], config)
+            builds = run.get("builds") or [{name: run.get(name) for name in build}]
+        content = {"builds": builds + [build] * (build not in builds), "arguments": config}
+        write_text(folder / RUN, json.dumps(content, indent=2) + "\n")
+        self._file.truncate(len(lines))  # without a last line that was not written to its end
+        names = self.rows.columns if lines else columns
         self._rows = csv.DictWriter(self._file, list(names), extrasaction="ignore", lineterminator="\n")
-        if not whole:
+        if not lines:
             self._rows.writeheader()
             self._file.flush()
 
@@ -101,39 +101,39 @@ def _read_whole_lines(path: Path) -> bytes:
 def read_run(folder: Path) -> tuple[dict[str, Any], pd.DataFrame]:
     """Read what ``run.json`` holds, and the rows; what is no folder of a run is refused."""
     try:
-        about = json.loads((folder / RUN).read_text(encoding="utf-8"))
-        whole = _read_whole_lines(folder / ROWS) or ",".join(COLUMNS).encode()
-        names = whole.partition(b"\n")[0].decode().split(",")
+        run = json.loads((folder / RUN).read_text(encoding="utf-8"))
+        lines = _read_whole_lines(folder / ROWS) or ",".join(COLUMNS).encode()
+        names = lines.partition(b"\n")[0].decode().split(",")
         rows = read_csv(
-            io.BytesIO(whole),
+            io.BytesIO(lines),
             dtype=column_types(names),
             keep_default_na=False,
             na_values={name: [""] for name in names if name not in TEXTS},
         )
-        if not {"cells", "detectors", "episodes"} <= about["arguments"].keys():
+        if not {"cells", "detectors", "episodes"} <= run["arguments"].keys():
             raise KeyError("arguments")
         rows = rows[[*COLUMNS[:-1], *(name for name in names if name not in COLUMNS), "error"]]
     except (OSError, ValueError, KeyError, TypeError) as error:
         reason = " ".join(str(getattr(error, "strerror", None) or error).split())
         raise ArgumentError(f"folder must be that of a run, got {quote(str(folder))}: {reason}.") from None
-    return about, rows.drop_duplicates(["cell", "detector", "episode"], keep="last")  # a failed one was played again
+    return run, rows.drop_duplicates(["cell", "detector", "episode"], keep="last")  # a failed one was played again
 
 
-def _join(folder: Path, known: dict[str, Any], asked: dict[str, Any]) -> dict[str, Any]:
+def _join_arguments(folder: Path, old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
     """The arguments of a run and of a call that continues it, or extends it by cells, detectors or episodes."""
     joined = {
-        "cells": known["cells"] | asked["cells"],
-        "detectors": list(dict.fromkeys([*known["detectors"], *asked["detectors"]])),
-        "episodes": max(known["episodes"], asked["episodes"]),
+        "cells": old["cells"] | new["cells"],
+        "detectors": list(dict.fromkeys([*old["detectors"], *new["detectors"]])),
+        "episodes": max(old["episodes"], new["episodes"]),
     }
-    for before, now in ((known | joined, asked | joined), (known["cells"], asked["cells"])):
-        for name in before:
-            if before[name] != now.get(name, before[name]):
+    for old_values, new_values in ((old | joined, new | joined), (old["cells"], new["cells"])):
+        for name in old_values:
+            if old_values[name] != new_values.get(name, old_values[name]):
                 raise ArgumentError(
                     f"out must be a new folder, or that of a run with the same arguments, got {quote(str(folder))}, "
-                    f"in which {name} is {quote(before[name])} instead of {quote(now[name])}."
+                    f"in which {name} is {quote(old_values[name])} instead of {quote(new_values[name])}."
                 )
-    return known | joined
+    return old | joined
 
 
 def _find_commit() -> str | None:

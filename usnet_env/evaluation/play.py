@@ -54,12 +54,12 @@ def episode_seeds(seed: int, episode: int) -> tuple[int, int]:
 
 
 @contextmanager
-def detector_step(label: str, where: str) -> Iterator[None]:
+def detector_step(label: str, step: str) -> Iterator[None]:
     """Run a step of a detector; whatever it raises becomes an :class:`EvaluationError`."""
     try:
         yield
     except (Exception, SystemExit) as error:  # a detector must not end the program, least of all with status 0
-        reason = f"{where}: {describe_failure(error)}"
+        reason = f"{step}: {describe_failure(error)}"
         raise EvaluationError(f"detector {label!r} failed in {reason}.", reason) from error
 
 
@@ -70,15 +70,15 @@ def play_episode(
 
     The seeds are those of :func:`episode_seeds`. An exception of the agent is raised as an :class:`EvaluationError`.
     """
-    number = count(1)
+    round_numbers = count(1)
 
-    def answer(observation: Any) -> tuple[Detection, float]:
-        with detector_step(label, f"round {next(number)}"):
+    def answer_round(observation: Any) -> tuple[Detection, float]:
+        with detector_step(label, f"round {next(round_numbers)}"):
             return agent.answer(observation)
 
     with detector_step(label, "its reset"):
         agent.reset(seeds[1])
-    rounds = list(play_rounds(env, answer, seeds[0]))
+    rounds = list(play_rounds(env, answer_round, seeds[0]))
     game: Any = env.unwrapped
     return {
         **row_keys(cell, label, episode, seeds, rounds[0].truth.head),
@@ -102,10 +102,10 @@ def _episode_metrics(problem: str, rounds: Sequence[PlayedRound]) -> dict[str, f
         objective = float(objectives.single_cluster_objective(head, first))
     else:
         objective = objectives.multi_cluster_objective(head, fired)
-    purity = together = None
+    purity = head_in_cluster = None
     if answer.clusters is not None:
         purity = objectives.purity(np.where(truth.decoy, -1, truth.root), answer.clusters)
-        together = objectives.head_in_cluster(head, truth.root, answer.clusters)
+        head_in_cluster = objectives.head_in_cluster(head, truth.root, answer.clusters)
     return {
         "J": objective,
         "rounds": len(fired),
@@ -118,7 +118,7 @@ def _episode_metrics(problem: str, rounds: Sequence[PlayedRound]) -> dict[str, f
         "ap_first": objectives.average_precision(head, answer.scores),
         "seconds_per_round": float(np.mean([played.seconds for played in rounds])),
         "purity_first": purity,
-        "head_in_cluster_first": together,
+        "head_in_cluster_first": head_in_cluster,
     }
 
 

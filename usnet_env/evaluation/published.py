@@ -38,9 +38,9 @@ def results(suite: str) -> EvaluationResult:
     if not path.is_file():
         raise ArgumentError(f"suite must be one whose rows are published, got {quote(suite)}.")
     rows = read_csv(path, compression="gzip", dtype={"error": object}).fillna({"error": ""})
-    about = {"suite": chosen.label, "unit": chosen.unit, "cells": json.loads(chosen.model_dump_json())["cells"]}
-    about |= {"detectors": list(rows.groupby("detector").exact.mean().sort_values(ascending=False).index)}
-    return EvaluationResult(rows, about | {"episodes": int(rows.episode.max()) + 1, "seed": published_seed(chosen)})
+    config = {"suite": chosen.label, "unit": chosen.unit, "cells": json.loads(chosen.model_dump_json())["cells"]}
+    config |= {"detectors": list(rows.groupby("detector").exact.mean().sort_values(ascending=False).index)}
+    return EvaluationResult(rows, config | {"episodes": int(rows.episode.max()) + 1, "seed": published_seed(chosen)})
 
 
 def _find_folder() -> Any:

@@ -48,11 +48,11 @@ class Comparison:
     comparisons: int = 1
 
     def __str__(self) -> str:
-        among = "" if self.comparisons == 1 else f", corrected for {self.comparisons} comparisons"
+        correction = "" if self.comparisons == 1 else f", corrected for {self.comparisons} comparisons"
         p = "p < 0.001" if self.p < 0.001 else f"p = {self.p:.2g}"
         interval = "" if self.low == self.high else f"95 % interval {self.low:+.4g} to {self.high:+.4g}, "
         return (
-            f"{self.metric} of {self.a} minus {self.b}: {self.difference:+.4g} ({interval}{p}{among}) "
+            f"{self.metric} of {self.a} minus {self.b}: {self.difference:+.4g} ({interval}{p}{correction}) "
             f"over {format_count(self.episodes, 'episode')}"
         )
 
@@ -75,15 +75,15 @@ class EvaluationResult:
         self.cells = list(dict.fromkeys([*self.config.get("cells", {}), *rows["cell"].unique()]))
         self.detectors = list(dict.fromkeys([*self.config.get("detectors", []), *rows["detector"].unique()]))
         orders = {"detector": self.detectors, "cell": self.cells}
-        places = [pd.Index(order).get_indexer(rows[name]) for name, order in orders.items()]
-        order = np.lexsort([rows["episode"].to_numpy(np.int64), *places])
+        ranks = [pd.Index(order).get_indexer(rows[name]) for name, order in orders.items()]
+        order = np.lexsort([rows["episode"].to_numpy(np.int64), *ranks])
         self.rows = rows.astype(column_types(rows.columns)).iloc[order].reset_index(drop=True)
 
     @classmethod
     def load(cls, folder: str | PathLike[str]) -> EvaluationResult:
         """Read the folder of a run, finished or not; what is no such folder is an :class:`ArgumentError`."""
-        about, rows = read_run(as_path("folder", folder))
-        return cls(rows, about["arguments"])
+        run, rows = read_run(as_path("folder", folder))
+        return cls(rows, run["arguments"])
 
     @cached_property
     def summary(self) -> list[dict[str, Any]]:
@@ -104,8 +104,8 @@ class EvaluationResult:
         """The summary; the other metrics have their mean in place of the ends of the interval."""
         entries = []
         for label, rows in self._by_detector():
-            found = {name: _interval(rows, name, self._unit, name in with_interval) for name in self.metrics}
-            metrics = {name: interval._asdict() for name, interval in found.items() if interval is not None}
+            intervals = {name: _interval(rows, name, self._unit, name in with_interval) for name in self.metrics}
+            metrics = {name: interval._asdict() for name, interval in intervals.items() if interval is not None}
             failed = int((rows["error"] != "").sum())
             entries.append({"detector": label, "episodes": len(rows) - failed, "failed": failed, "metrics": metrics})
         return entries
@@ -128,14 +128,14 @@ class EvaluationResult:
     @cached_property
     def failures(self) -> dict[str, str]:
         """For each detector that failed in an episode, one sentence that says how often, and why first."""
-        found = {}
+        sentences = {}
         for label, rows in self._by_detector():
             failed = rows[rows["error"] != ""]
             for cell, episode, error in failed[["cell", "episode", "error"]].head(1).itertuples(index=False):
                 text = f"detector {label!r} failed in {len(failed)} of {len(rows)} episodes, first in {cell}, "
                 text = printable(f"{text}episode {episode}, {error}")
-                found[label] = f"{text if len(text) < LONGEST_REASON else text[:LONGEST_REASON] + '…'}."
-        return found
+                sentences[label] = f"{text if len(text) < LONGEST_REASON else text[:LONGEST_REASON] + '…'}."
+        return sentences
 
     def __repr__(self) -> str:
         return f"<EvaluationResult of {self._title}>"
@@ -148,11 +148,11 @@ class EvaluationResult:
         """What was played, such as ``paper (version 1), 4 cells, 5 to 20 of 40 episodes of each detector``."""
         suite = self.config.get("suite")
         name = f"{suite}, {format_count(len(self.cells), 'cell')}" if suite else ", ".join(self.cells)
-        played = sorted(set((self.rows["error"] == "").groupby(self.rows["detector"]).sum())) or [0]
-        asked = max(self.config.get("episodes", 0) * len(self.cells), played[-1])
-        numbers = " to ".join(str(number) for number in dict.fromkeys((played[0], played[-1])))
-        of = f" of {asked}" if asked > played[-1] else ""
-        return f"{name}, {numbers}{of} episode{'s' * (asked != 1)} of each detector"
+        counts = sorted(set((self.rows["error"] == "").groupby(self.rows["detector"]).sum())) or [0]
+        planned = max(self.config.get("episodes", 0) * len(self.cells), counts[-1])
+        numbers = " to ".join(str(number) for number in dict.fromkeys((counts[0], counts[-1])))
+        total = f" of {planned}" if planned > counts[-1] else ""
+        return f"{name}, {numbers}{total} episode{'s' * (planned != 1)} of each detector"
 
     def __getitem__(self, detector: str) -> dict[str, Any]:
         """Return the metrics of the detector with this label; empty if it failed in all episodes."""
@@ -192,14 +192,14 @@ class EvaluationResult:
         for name in [metrics] if isinstance(metrics, str) else metrics or ():
             self._check_metric(name, "metrics")
         if not isinstance(metrics, str):
-            known = [name for name in self.metrics if any(name in entry["metrics"] for entry in self.summary)]
-            chosen = known if metrics is None else [name for name in metrics if name in known]
+            available = [name for name in self.metrics if any(name in entry["metrics"] for entry in self.summary)]
+            chosen = available if metrics is None else [name for name in metrics if name in available]
             return tables.list_lines(self.summary, chosen, pattern)
         parts = [(cell, self.rows[self.rows["cell"] == cell], "swarm_seed") for cell in self.cells]
         lines = []
         for cell, rows, unit in [*parts, ("all cells", self.rows, self._unit)]:
-            found = [_interval(rows[rows["detector"] == label], metrics, unit) for label in self]
-            lines.append([cell, *(tables.format_interval(each and each._asdict()) for each in found)])
+            intervals = [_interval(rows[rows["detector"] == label], metrics, unit) for label in self]
+            lines.append([cell, *(tables.format_interval(interval and interval._asdict()) for interval in intervals)])
         return [tables.heading(self._ranked, metrics), *map(printable, self)], lines
 
     def compare(self, a: str, b: str | Sequence[str] | None = None, metric: str = "J") -> Any:
@@ -224,21 +224,21 @@ class EvaluationResult:
         14.0
         """
         self._check_metric(metric)
-        others = [label for label in self if label != a] if b is None else [b] if isinstance(b, str) else b
-        for label in (a, *others):
+        opponents = [label for label in self if label != a] if b is None else [b] if isinstance(b, str) else b
+        for label in (a, *opponents):
             self._check_label(label)
-        wide = self.rows.pivot(index=["cell", "swarm_seed"], columns="detector", values=metric)
-        pairs = {other: (wide[a] - wide[other]).dropna() for other in others}
-        for other, pair in pairs.items():
+        values = self.rows.pivot(index=["cell", "swarm_seed"], columns="detector", values=metric)
+        pairs = {opponent: (values[a] - values[opponent]).dropna() for opponent in opponents}
+        for opponent, pair in pairs.items():
             if pair.empty:
-                raise ArgumentError(f"b must have episodes with {metric} in common with {a!r}, got {quote(other)}.")
+                raise ArgumentError(f"b must have episodes with {metric} in common with {a!r}, got {quote(opponent)}.")
         adjusted = stats.holm([stats.paired_test(pair.groupby(self._unit).sum()) for pair in pairs.values()])
-        level = 1 - (1 - CONFIDENCE) / max(1, len(others))
-        found = []
-        for (other, pair), p in zip(pairs.items(), adjusted, strict=True):
+        level = 1 - (1 - CONFIDENCE) / max(1, len(opponents))
+        comparisons = []
+        for (opponent, pair), p in zip(pairs.items(), adjusted, strict=True):
             interval = mean_interval(pair, confidence=level, groups=pair.index.get_level_values(self._unit))
-            found.append(Comparison(a, other, metric, len(pair), *interval, p, len(others)))
-        return found[0] if isinstance(b, str) else found
+            comparisons.append(Comparison(a, opponent, metric, len(pair), *interval, p, len(opponents)))
+        return comparisons[0] if isinstance(b, str) else comparisons
 
     def merge(self, other: EvaluationResult) -> EvaluationResult:
         """Join the result of other detectors, with the same suite, cells, seed and swarms, by the columns of both."""
@@ -266,7 +266,7 @@ class EvaluationResult:
             raise unknown_name("detector", label, self)
 
 
-def _interval(rows: pd.DataFrame, metric: str, unit: str, resampled: bool = True) -> Interval | None:
+def _interval(rows: pd.DataFrame, metric: str, unit: str, with_interval: bool = True) -> Interval | None:
     """The mean of a metric with its interval, or the mean three times; ``None`` if no row has a value.
 
     Rows with the same value of the column ``unit`` are one group.
@@ -274,7 +274,7 @@ def _interval(rows: pd.DataFrame, metric: str, unit: str, resampled: bool = True
     values = rows[[unit, metric]].dropna()
     if values.empty:
         return None
-    if not resampled:
+    if not with_interval:
         return Interval(*[float(values[metric].to_numpy().mean())] * 3)
     interval = stats.rate_interval if metric in RATES else mean_interval
     return interval(values[metric].to_numpy(), groups=values[unit].to_numpy())

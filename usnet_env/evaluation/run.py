@@ -60,43 +60,43 @@ class Task(NamedTuple):
 class DetectorPlayer:
     """Plays tasks in one process, with the agent of one detector in one cell at a time, which is warmed up first."""
 
-    def __init__(self, cells: Mapping[str, Cell], detectors: Mapping[str, Any], how: RunArguments) -> None:
-        self.cells, self.detectors, self.how = cells, detectors, how
+    def __init__(self, cells: Mapping[str, Cell], detectors: Mapping[str, Any], options: RunArguments) -> None:
+        self.cells, self.detectors, self.options = cells, detectors, options
         self._env: Any = None
         self._agent: Agent = None
-        self._place = ("", "")  # the cell and the label of the agent
-        self._broken: EvaluationError | None = None  # its constructor or its warm-up has failed
+        self._agent_key = ("", "")  # the cell and the label of the agent
+        self._failure: EvaluationError | None = None  # its constructor or its warm-up has failed
 
     def __call__(self, task: Task) -> Row:
         """Play one episode; that of a detector that fails is a row with its reason in ``error``."""
         try:
-            if self._place != task[:2]:
+            if self._agent_key != task[:2]:
                 self._prepare(task)
-            if self._broken is not None:
-                raise self._broken
+            if self._failure is not None:
+                raise self._failure
             return play_episode(self._env, self._agent, *task)
         except EvaluationError as error:
-            if isinstance(self._agent, ChildDetector) and not self._agent.running and self._broken is None:
-                self._place = (task.cell, "")  # a new one is made, and warmed up as the first one was
+            if isinstance(self._agent, ChildDetector) and not self._agent.running and self._failure is None:
+                self._agent_key = (task.cell, "")  # a new one is made, and warmed up as the first one was
             self._env.reset(seed=task.seeds[0])
             return {**row_keys(*task, self._env.unwrapped.swarm.head), "error": error.reason}
 
     def _prepare(self, task: Task) -> None:
         """Make the agent, and the environment if the cell is another one than before."""
         self.close()
-        if self._place[0] != task.cell:
+        if self._agent_key[0] != task.cell:
             cell = self.cells[task.cell]
             self._env = make_environment(cell.env, cell.arguments)
-        self._place, self._broken = task[:2], None
+        self._agent_key, self._failure = task[:2], None
         try:
             with detector_step(task.label, "its constructor"):
-                detector, limits = self.detectors[task.label], (self.how.time_limit, self.how.memory_limit)
-                self._agent = ChildDetector(detector, *limits) if self.how.isolated else DetectorAgent(detector)
+                detector, limits = self.detectors[task.label], (self.options.time_limit, self.options.memory_limit)
+                self._agent = ChildDetector(detector, *limits) if self.options.isolated else DetectorAgent(detector)
             observation, _ = self._env.reset(seed=task.seeds[0])
             with detector_step(task.label, "its warm-up"):
                 self._agent.warm_up(observation)
         except EvaluationError as error:
-            self._broken = error
+            self._failure = error
 
     def close(self) -> None:
         """End the child process, if there is one."""
@@ -159,7 +159,7 @@ def evaluate(
     >>> len(result.rows), list(result)
     (6, ['random', 'lagged-correlation'])
     """
-    how = RunArguments(
+    options = RunArguments(
         episodes=episodes, seed=seed, workers=workers, progress=progress, backend=backend, trivial=trivial,
         isolate=isolate, time_limit=time_limit, memory_limit=memory_limit,
     )  # fmt: skip
@@ -167,9 +167,9 @@ def evaluate(
     if isinstance(env, gym.Env):
         if env.spec is None:
             raise ArgumentError(f"env must be an id or made by gym.make, got {quote(env)}.")
-        made = {name: value for name, value in env.spec.kwargs.items() if name != "render_mode"}
-        env, arguments = env.spec.id, made | arguments
-    return _evaluate_cells({env: Cell(env=env, arguments=arguments)}, detector, how, out)
+        env_arguments = {name: value for name, value in env.spec.kwargs.items() if name != "render_mode"}
+        env, arguments = env.spec.id, env_arguments | arguments
+    return _evaluate_cells({env: Cell(env=env, arguments=arguments)}, detector, options, out)
 
 
 def evaluate_suite(
@@ -180,7 +180,7 @@ def evaluate_suite(
     episodes: int | None = None,
     seed: int | None = None,
     out: str | PathLike[str] | None = None,
-    **how: Any,
+    **options: Any,
 ) -> EvaluationResult:
     """Evaluate detectors in every cell of a suite; all cells have the same seeds, unless they were drawn at random.
 
@@ -191,59 +191,60 @@ def evaluate_suite(
         episodes: number of episodes of each cell; ``None`` for that of the suite.
         seed: seed of the episodes; ``None`` for that of the suite.
         out: folder of the run; as of :func:`usnet_env.evaluate`. A call with other cells extends the run.
-        how: further arguments of :func:`usnet_env.evaluate`, which says what is returned and raised.
+        options: further arguments of :func:`usnet_env.evaluate`, which says what is returned and raised.
     """
     chosen = suite if isinstance(suite, Suite) else load_suite(suite)
     for name in cells or ():
         if name not in chosen.cells:
             raise unknown_name("cells", name, chosen.cells)
-    arguments = RunArguments(
-        episodes=chosen.episodes if episodes is None else episodes, seed=chosen.seed if seed is None else seed, **how
-    )
-    wanted = {name: chosen.cells[name] for name in cells} if cells else chosen.cells
-    return _evaluate_cells(wanted, detector, arguments, out, suite=chosen)
+    episodes = chosen.episodes if episodes is None else episodes
+    seed = chosen.seed if seed is None else seed
+    arguments = RunArguments(episodes=episodes, seed=seed, **options)
+    chosen_cells = {name: chosen.cells[name] for name in cells} if cells else chosen.cells
+    return _evaluate_cells(chosen_cells, detector, arguments, out, suite=chosen)
 
 
 def _evaluate_cells(
     cells: Mapping[str, Cell],
     detector: Any,
-    how: RunArguments,
+    options: RunArguments,
     out: str | PathLike[str] | None,
     suite: Suite | None = None,
 ) -> EvaluationResult:
     """Check everything that can be refused, then play the missing episodes of a run."""
     import pandas as pd  # not at the top: worker processes do without it
 
-    detectors, metrics = label_detectors(detector, how.trivial, how.isolated), set[str]()
+    detectors, metrics = label_detectors(detector, options.trivial, options.isolated), set[str]()
     for name, cell in (cells if suite is None else suite.cells).items():
         try:
-            with closing(make_environment(cell.env, cell.arguments)) as made:
-                metrics |= set(TRACK_METRICS if hasattr(made.unwrapped, "score_answer") else ())
+            with closing(make_environment(cell.env, cell.arguments)) as env:
+                metrics |= set(TRACK_METRICS if hasattr(env.unwrapped, "score_answer") else ())
         except ArgumentError as error:
-            place = "" if suite is None else f", in the cell {name!r} of the suite {suite.name}"
-            raise ArgumentError(f"{str(error).removesuffix('.')}{place}.") from None
+            location = "" if suite is None else f", in the cell {name!r} of the suite {suite.name}"
+            raise ArgumentError(f"{str(error).removesuffix('.')}{location}.") from None
     config = {
         "suite": None if suite is None else suite.label,
         "unit": "swarm" if suite is None else suite.unit,
         "cells": {name: cell.model_dump() for name, cell in cells.items()},
         "detectors": list(detectors),
-        "episodes": how.episodes,
-        "seed": how.seed,
+        "episodes": options.episodes,
+        "seed": options.seed,
     }
-    plain = json.dumps(config, default=lambda value: value.tolist() if hasattr(value, "tolist") else quote(value))
-    config, columns, rows = json.loads(plain), [*COLUMNS[:-1], *metrics, "error"], list[Row]()
-    with closing(DetectorPlayer(cells, detectors, how)) as play, ExitStack() as stack:
-        kept = None if out is None else stack.enter_context(closing(RunFolder(as_path("out", out), config, columns)))
-        known = pd.DataFrame(columns=columns) if kept is None else kept.rows
-        done = set(known.loc[known["error"] == "", ["cell", "detector", "episode"]].itertuples(index=False, name=None))
-        everything = list(product(config["cells"], config["detectors"], range(how.episodes)))
-        drawn = list(suite.cells) if suite is not None and suite.unit == "cell" else []  # each has swarms of its own
-        first = {cell: number * MOST_EPISODES for number, cell in enumerate(drawn)}
-        left = [place for place in everything if place not in done]
-        tasks = [Task(*place, episode_seeds(how.seed, first.get(place[0], 0) + place[2])) for place in left]
-        show = stack.enter_context(progress_bar("episodes", how.progress))
-        played = stack.enter_context(closing(map_tasks(play, tasks, workers=how.workers, backend=how.backend)))
-        for number, row in enumerate(played, len(everything) - len(tasks) + 1):
-            (rows if kept is None else kept).append(row)
-            show(number, len(everything))
+    text = json.dumps(config, default=lambda value: value.tolist() if hasattr(value, "tolist") else quote(value))
+    config, columns, rows = json.loads(text), [*COLUMNS[:-1], *metrics, "error"], list[Row]()
+    with closing(DetectorPlayer(cells, detectors, options)) as play, ExitStack() as stack:
+        folder = None if out is None else stack.enter_context(closing(RunFolder(as_path("out", out), config, columns)))
+        old_rows = pd.DataFrame(columns=columns) if folder is None else folder.rows
+        scored = old_rows.loc[old_rows["error"] == "", ["cell", "detector", "episode"]]
+        scored_keys = set(scored.itertuples(index=False, name=None))
+        keys = list(product(config["cells"], config["detectors"], range(options.episodes)))
+        drawn_cells = suite.cells if suite is not None and suite.unit == "cell" else ()  # each has swarms of its own
+        first_episode = {cell: number * MOST_EPISODES for number, cell in enumerate(drawn_cells)}
+        missing = [key for key in keys if key not in scored_keys]
+        tasks = [Task(*key, episode_seeds(options.seed, first_episode.get(key[0], 0) + key[2])) for key in missing]
+        show_progress = stack.enter_context(progress_bar("episodes", options.progress))
+        played = stack.enter_context(closing(map_tasks(play, tasks, workers=options.workers, backend=options.backend)))
+        for number, row in enumerate(played, len(keys) - len(tasks) + 1):
+            (rows if folder is None else folder).append(row)
+            show_progress(number, len(keys))
     return EvaluationResult(pd.DataFrame(rows, columns=columns), config) if out is None else EvaluationResult.load(out)

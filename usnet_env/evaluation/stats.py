@@ -14,8 +14,8 @@ from usnet_env.arrays import Floats
 
 CONFIDENCE = 0.95
 _RESAMPLES = 9_999
-_MOST_RESAMPLED = 5_000  # values; of more, the normal limit is used
-_DRAWS_AT_ONCE = 2_000_000  # limits the memory of a resampling to 16 MB an array
+_MAX_RESAMPLED = 5_000  # values; of more, the normal limit is used
+_MAX_DRAWS = 2_000_000  # limits the memory of a resampling to 16 MB an array
 
 Sample: TypeAlias = "Sequence[Any] | NDArray[Any]"
 
@@ -68,30 +68,30 @@ def mean_interval(values: Sample, confidence: float = CONFIDENCE, groups: Sample
     Statistician 69, 2015). Of more than 5,000 values it is the interval of the normal limit. If all values are equal,
     it is [mean, mean]. Values of one of the ``groups`` ``(n,)`` depend on each other, and are resampled as a whole.
     """
-    given = np.asarray(values, np.float64)
-    sample = _mean_by_group(given, groups)
+    ungrouped = np.asarray(values, np.float64)
+    sample = _mean_by_group(ungrouped, groups)
     mean = float(sample.mean())
-    for equal in (given, sample):  # the first one, too: groups of several sizes differ by rounding
-        if np.ptp(equal) <= 1e-12 * abs(equal[0]):
-            return Interval(*[float(equal[0])] * 3)
-    if len(sample) > _MOST_RESAMPLED:
+    for constant in (ungrouped, sample):  # the first one, too: groups of several sizes differ by rounding
+        if np.ptp(constant) <= 1e-12 * abs(constant[0]):
+            return Interval(*[float(constant[0])] * 3)
+    if len(sample) > _MAX_RESAMPLED:
         half = NormalDist().inv_cdf((1 + confidence) / 2) * float(sample.std()) / math.sqrt(len(sample))
         return Interval(mean, mean - half, mean + half)
     return _bootstrap(sample, confidence)
 
 
-def _expand(confidence: float, values: int) -> float:
+def _expand_level(confidence: float, values: int) -> float:
     """The level at which a bootstrap interval of few values covers as often as asked (Hesterberg, 2015)."""
     from scipy.special import stdtrit  # scipy is imported when it is needed: it takes most of a second
 
-    free = max(values - 1, 1)
-    quantile = math.sqrt(values / free) * stdtrit(free, (1 + confidence) / 2)
+    degrees = max(values - 1, 1)
+    quantile = math.sqrt(values / degrees) * stdtrit(degrees, (1 + confidence) / 2)
     return 1 - max(2 * NormalDist().cdf(-quantile), 2e-12)  # a level of 1 has no quantile
 
 
-def _how_to_resample(values: int) -> dict[str, Any]:
+def _resampling_options(values: int) -> dict[str, Any]:
     """Arguments of scipy's resampling: as many values at once as memory should hold, and the same draws each time."""
-    batch = max(1, _DRAWS_AT_ONCE // values)
+    batch = max(1, _MAX_DRAWS // values)
     return {"n_resamples": _RESAMPLES, "batch": batch, "vectorized": True, "random_state": np.random.default_rng(0)}
 
 
@@ -104,10 +104,11 @@ def _bootstrap(sample: Floats, confidence: float) -> Interval:
     def rounded_mean(values: Floats, axis: int = -1) -> Any:  # resampled means that differ by rounding are made equal
         return np.round(values.mean(axis=axis), 9)
 
-    level = _expand(confidence, len(sample))
+    level = _expand_level(confidence, len(sample))
     scaled = [(sample - mean) / scale]
-    found = bootstrap(scaled, rounded_mean, confidence_level=level, method="BCa", **_how_to_resample(len(sample)))
-    low, high = found.confidence_interval
+    options = {"confidence_level": level, "method": "BCa"} | _resampling_options(len(sample))
+    result = bootstrap(scaled, rounded_mean, **options)
+    low, high = result.confidence_interval
     return Interval(mean, mean + scale * float(low), mean + scale * float(high))
 
 
@@ -120,12 +121,12 @@ def paired_test(differences: Sample) -> float:
     sample = np.asarray(differences, np.float64)
     if len(sample) == 1 or not sample.any():
         return 1.0
-    if len(sample) > _MOST_RESAMPLED:
+    if len(sample) > _MAX_RESAMPLED:
         return math.erfc(abs(float(sample.sum())) / math.sqrt(2 * float((sample**2).sum())))
     from scipy.stats import permutation_test
 
-    found = permutation_test([sample], np.mean, permutation_type="samples", **_how_to_resample(len(sample)))
-    return float(found.pvalue)
+    result = permutation_test([sample], np.mean, permutation_type="samples", **_resampling_options(len(sample)))
+    return float(result.pvalue)
 
 
 def holm(values: Sequence[float]) -> list[float]:

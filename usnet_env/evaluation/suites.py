@@ -66,11 +66,11 @@ def load_suite(suite: str | PathLike[str]) -> Suite:
     """
     path = as_path("suite", suite)
     try:
-        content = _read(path)
+        content = _read_content(path)
         shared, env = content.pop("arguments", None) or {}, content.pop("env", "USNET/MultiCluster-v0")
-        cells = {str(name): {"env": env} | shared | (given or {}) for name, given in content.pop("cells").items()}
-        made = {name: Cell(env=arguments.pop("env"), arguments=arguments) for name, arguments in cells.items()}
-        return Suite(name=path.stem, cells=made, **content)
+        cells = {str(name): {"env": env} | shared | (values or {}) for name, values in content.pop("cells").items()}
+        checked = {name: Cell(env=arguments.pop("env"), arguments=arguments) for name, arguments in cells.items()}
+        return Suite(name=path.stem, cells=checked, **content)
     except ArgumentError:
         raise
     except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
@@ -79,7 +79,7 @@ def load_suite(suite: str | PathLike[str]) -> Suite:
         raise ArgumentError(sentence) from None
 
 
-def _read(path: Path) -> dict[str, Any]:
+def _read_content(path: Path) -> dict[str, Any]:
     """Read a file of a suite, together with those that it extends; ``path`` may also be a name."""
     source: Any = path if path.suffix in (".yaml", ".yml") else _FOLDER / f"{path}.yaml"
     if source is not path and not source.is_file():
@@ -87,6 +87,6 @@ def _read(path: Path) -> dict[str, Any]:
     content: dict[str, Any] = dict(yaml.safe_load(source.read_bytes()))
     if "extends" not in content:
         return content
-    base = _read(Path(content.pop("extends")))
+    base = _read_content(Path(content.pop("extends")))
     joined = {name: (base.get(name) or {}) | (content.get(name) or {}) for name in ("arguments", "cells")}
     return base | content | joined

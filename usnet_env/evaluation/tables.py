@@ -29,21 +29,21 @@ def first_metric(summary: Summary) -> tuple[str, str, int]:
 
     In recorded tracks it is F1, since J of their one round does not count the heads that are missed.
     """
-    of_tracks = any(name in entry["metrics"] for entry in summary for name in TRACK_METRICS)
-    return ("f1_first", "F1", -1) if of_tracks else objective(summary)
+    is_tracks = any(name in entry["metrics"] for entry in summary for name in TRACK_METRICS)
+    return ("f1_first", "F1", -1) if is_tracks else objective(summary)
 
 
 def rank(summary: Summary) -> list[Mapping[str, Any]]:
     """The entries of the summary: those without a failure first, then by the first metric, then by F1."""
     column, _, sign = first_metric(summary)
 
-    def place(entry: Mapping[str, Any]) -> tuple[float, ...]:
+    def sort_key(entry: Mapping[str, Any]) -> tuple[float, ...]:
         if not entry["metrics"]:
             return (2.0,)
         means = {name: interval["mean"] for name, interval in entry["metrics"].items()}
         return float(entry["failed"] > 0), sign * means[column], -means["f1_first"]
 
-    return sorted(summary, key=place)
+    return sorted(summary, key=sort_key)
 
 
 def format_interval(interval: Mapping[str, float] | None, pattern: str = "{} ({}–{})") -> str:

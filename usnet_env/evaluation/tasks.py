@@ -33,7 +33,7 @@ TaskT = TypeVar("TaskT")
 ResultT = TypeVar("ResultT")
 
 LONGEST_REASON = 300  # characters of a reason in a row, and of a sentence that is printed
-_AT_ONCE = 16  # tasks of a Ray worker between two times when rows are kept
+_GROUP_SIZE = 16  # tasks of a Ray worker between two times when rows are kept
 _FOREIGN = (str(Path(__file__).parents[1]), "<", "site-packages", "dist-packages", get_paths()["stdlib"])
 
 _received: dict[str, Callable[[Any], Any]] = {}  # the function that this worker process runs, by the token of its call
@@ -55,9 +55,9 @@ def describe_failure(error: BaseException) -> str:
     cause = text if isinstance(error, ArgumentError) else f"{type(error).__name__}: {text}".rstrip(": ")
     frames = traceback.extract_tb(error.__traceback__)
     lines = [frame for frame in frames if not any(part in frame.filename for part in _FOREIGN)]
-    place = f" ({Path(lines[-1].filename).name}, line {lines[-1].lineno}, in {lines[-1].name})" if lines else ""
-    room = LONGEST_REASON - len(place) - 40  # which leaves room for the round
-    return f"{cause if len(cause) <= room else cause[:room] + '…'}{place}"
+    location = f" ({Path(lines[-1].filename).name}, line {lines[-1].lineno}, in {lines[-1].name})" if lines else ""
+    length = LONGEST_REASON - len(location) - 40  # which leaves room for the round
+    return f"{cause if len(cause) <= length else cause[:length] + '…'}{location}"
 
 
 def map_tasks(
@@ -118,7 +118,7 @@ def _run_on_ray(calls: Iterator[Any], workers: int) -> Iterator[Any]:
         raise MissingExtraError(f"backend 'ray' needs Ray; {how_to_install('ray')}.") from None
     try:
         with joblib.parallel_config("ray"), joblib.Parallel(n_jobs=workers) as parallel:
-            while group := list(islice(calls, workers * _AT_ONCE)):
+            while group := list(islice(calls, workers * _GROUP_SIZE)):
                 yield from parallel(group)
     except import_module("ray.exceptions").RayActorError:
         raise BrokenProcessPool from None
