@@ -38,10 +38,10 @@ def list_scenes(record: EpisodeRecord, frames: int) -> Iterator[Scene]:
     """The frames of an episode in their order; ``frames`` are those in which the tracks of one window grow."""
     samples = record.position.shape[1]
     for number in range(1, record.rounds + 1):
-        for grown in np.unique(np.linspace(1, samples, frames).round().astype(int)).tolist():
-            yield Scene(number, WATCH, grown, f"the detector watches {samples - 1} steps")
-        named = format_count(int(record.candidates[number - 1].sum()), "candidate" if record.labelled else "leader")
-        yield Scene(number, NAME, samples, f"it names {named}")
+        for shown_samples in np.unique(np.linspace(1, samples, frames).round().astype(int)).tolist():
+            yield Scene(number, WATCH, shown_samples, f"the detector watches {samples - 1} steps")
+        count = format_count(int(record.candidates[number - 1].sum()), "candidate" if record.labelled else "leader")
+        yield Scene(number, NAME, samples, f"it names {count}")
         if record.labelled:
             yield Scene(number, VERDICT, samples, describe_round(record, number))
         if number < record.rounds and (orphans := int(record.orphans[number - 1].sum())):
@@ -55,28 +55,28 @@ class Painter:
     def __init__(self, record: EpisodeRecord, dpi: float = 100) -> None:
         self.record = record
         self.figure = drawing.new_figure(_WIDTH, _HEIGHT, dpi)
-        bottom = self.figure.add_axes((0, 0, 1, 0.1))
-        bottom.axis("off")
+        legend_axes = self.figure.add_axes((0, 0, 1, 0.1))
+        legend_axes.axis("off")
         boxes = [(left, 0.11, 0.45, 0.45 * _WIDTH / _HEIGHT) for left in (0.04, 0.04 + BESIDE)]
         self.observed, self.truth = map(self.figure.add_axes, boxes)
-        known = record.position[record.seen & record.alive[:, None]]
-        self.limits = drawing.limits_around(known, 0.08, find_least_side(record))
+        visible = record.position[record.seen & record.alive[:, None]]
+        self.limits = drawing.limits_around(visible, 0.08, find_least_side(record))
         self.header = self.figure.text(0.02, 0.985, "", fontsize=13, va="top", wrap=True)
         marks = [drawing.HEAD_MARK, drawing.FOLLOWER_MARK, drawing.CANDIDATE_MARK, drawing.HIT_MARK]
         marks += [drawing.REDUNDANT_MARK, drawing.MISSED_MARK, *[drawing.DECOY_MARK] * bool(record.decoys.any())]
         marks += [drawing.DESTROYED_MARK] * (not record.recorded)
         names = {mark: mark for mark in marks} if record.labelled else drawing.TRACK_WORDS
         layout = {"loc": "center", "bbox_to_anchor": (0.5, 0.35), "ncols": 4, "labelspacing": 0.5, "markerscale": 0.6}
-        drawing.draw_legend(bottom, names, **layout)
-        self._draw_once(bottom)
+        drawing.draw_legend(legend_axes, names, **layout)
+        self._draw_background(legend_axes)
 
-    def _draw_once(self, bottom: Any) -> None:
+    def _draw_background(self, legend_axes: Any) -> None:
         """Replace the ticks, grids and the legend by a picture of them: to draw them anew takes longest in a frame."""
         for axes in (self.observed, self.truth):
             drawing.set_up_axes(axes, self.limits, "")
             axes.set(xlabel="", ylabel="")
         pixels = drawing.pixels_of(self.figure)
-        bottom.remove()
+        legend_axes.remove()
         for axes in (self.observed, self.truth):
             axes.axis("off")
         self.figure.figimage(pixels, zorder=-1)
@@ -99,20 +99,20 @@ class Painter:
         """Draw a scene in place of the one before."""
         record, r = self.record, scene.round - 1
         window = self._describe(scene)
-        named = record.candidates[r] if scene.phase in (NAME, VERDICT) else None
-        right = dict(window)
+        candidates = record.candidates[r] if scene.phase in (NAME, VERDICT) else None
+        truth = dict(window)
         if not record.labelled and scene.phase == WATCH:
-            right |= {"head": np.zeros_like(record.head), "root": np.full(record.uavs, -1)}
-        right["candidates"] = named if record.labelled and scene.phase == VERDICT else None
-        look: dict[str, Any] = {"legend": False, "limits": self.limits}
-        left = window | {"candidates": named, "truth": False, "title": "What the detector sees"}
-        right["title"] = "The truth" if record.labelled else "What it found"
-        for axes, picture in ((self.observed, left), (self.truth, right)):
+            truth |= {"head": np.zeros_like(record.head), "root": np.full(record.uavs, -1)}
+        truth["candidates"] = candidates if record.labelled and scene.phase == VERDICT else None
+        style: dict[str, Any] = {"legend": False, "limits": self.limits}
+        observed = window | {"candidates": candidates, "truth": False, "title": "What the detector sees"}
+        truth["title"] = "The truth" if record.labelled else "What it found"
+        for axes, picture in ((self.observed, observed), (self.truth, truth)):
             for artist in (*axes.collections, *axes.lines):
                 artist.remove()
-            drawing.draw_round(**picture, axes=axes, **look)
-        words = f"{name_round(record)} {scene.round} of {record.rounds}: {scene.text}"
-        self.header.set_text(drawing.escape_math(words))
+            drawing.draw_round(**picture, axes=axes, **style)
+        header = f"{name_round(record)} {scene.round} of {record.rounds}: {scene.text}"
+        self.header.set_text(drawing.escape_math(header))
 
 
 def write_frames(
@@ -148,14 +148,14 @@ def animate(record: EpisodeRecord, path: str | os.PathLike[str], *, frames: int 
     from matplotlib import rc_context
     from matplotlib.animation import FFMpegWriter, PillowWriter
 
-    kind, program = PillowWriter if file.suffix.lower() == ".gif" else FFMpegWriter, "ffmpeg"
+    writer_type, program = PillowWriter if file.suffix.lower() == ".gif" else FFMpegWriter, "ffmpeg"
     with suppress(ImportError, RuntimeError):
         from imageio_ffmpeg import get_ffmpeg_exe  # moviepy brings it
 
         program = get_ffmpeg_exe()
     with rc_context({"animation.ffmpeg_path": program}):
-        if not kind.isAvailable():
+        if not writer_type.isAvailable():
             raise ArgumentError(f"path must end in .gif where ffmpeg is not installed, got {quote(str(file))}.")
-        with atomic_write(file) as aside:
-            write_frames(record, scenes, kind(fps=_RATE), aside, 100, _RATE)
+        with atomic_write(file) as temporary:
+            write_frames(record, scenes, writer_type(fps=_RATE), temporary, 100, _RATE)
     return file

@@ -49,15 +49,15 @@ def run_demo(
     for number, seconds in enumerate(record.seconds, start=1):
         print(f"round {number}: {describe_round(record, number)}; {seconds:.2f} s")
     print(f"\n{describe_outcome(record)}\n")
-    written = {"episode": record.save(folder / "episode.npz")}
-    print(f"episode  {written['episode']}  (the whole record; read it with usnet_env.replay.EpisodeRecord.load)")
-    makers = (("replay", write_recording), ("picture", write_picture), ("page", write_page))
-    for (name, make), file in zip(makers, ("replay.rrd", "episode.png", "report.html"), strict=True):
+    paths = {"episode": record.save(folder / "episode.npz")}
+    print(f"episode  {paths['episode']}  (the whole record; read it with usnet_env.replay.EpisodeRecord.load)")
+    writers = (("replay", write_recording), ("picture", write_picture), ("page", write_page))
+    for (name, write), file in zip(writers, ("replay.rrd", "episode.png", "report.html"), strict=True):
         try:
-            written[name] = make(record, folder / file)
-        except MissingExtraError as missing:
-            print(f"{name:<7}  left out. {missing}")
+            paths[name] = write(record, folder / file)
+        except MissingExtraError as error:
+            print(f"{name:<7}  left out. {error}")
         else:
-            hint = f"  (open: {find_viewer()} {written[name]})" if name == "replay" else ""
-            print(f"{name:<7}  {written[name]}{hint}")
-    return written
+            hint = f"  (open: {find_viewer()} {paths[name]})" if name == "replay" else ""
+            print(f"{name:<7}  {paths[name]}{hint}")
+    return paths

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 FORMAT_VERSION = 1
 _FORMAT = "usnet-episode"
 _LINKS = "communication_links"  # derived from ``root`` when a file is written, for readers without this class
-_KINDS = {"Singles": np.float32, "Floats": np.float64, "Indices": np.int64, "Mask": np.bool_}
+_DTYPES = {"Singles": np.float32, "Floats": np.float64, "Indices": np.int64, "Mask": np.bool_}
 #: The axes of the arrays that are not (R, N): I instants, T steps, O observers, K intruders.
 _SHAPES = {"position": "RIN3", "velocity": "RTN3", "seen": "RIN", "attention": "RNN", "observers": "O4"}
 _SHAPES |= {"intruders": "RIK3", "objective": "R", "over_budget": "R", "seconds": "R", "head": "N", "decoy": "N"}
@@ -36,10 +36,10 @@ _SHAPES |= {"intruders": "RIK3", "objective": "R", "over_budget": "R", "seconds"
 def _check_shape(name: str, array: NDArray[Any], sizes: dict[str, int]) -> None:
     """Refuse an array whose axes are not those of ``_SHAPES``, with the known ``sizes``; add the sizes of new axes."""
     axes = _SHAPES.get(name, "RN")
-    takes = ", ".join(str(sizes.get(axis, axis)) for axis in axes)
+    expected = ", ".join(str(sizes.get(axis, axis)) for axis in axes)
     sizes |= dict(zip(axes, array.shape, strict=False)) | sizes
     if array.shape != tuple(sizes[axis] for axis in axes if axis in sizes):
-        raise ArgumentError(f"{name} must have shape ({takes}), got {array.shape}.")
+        raise ArgumentError(f"{name} must have shape ({expected}), got {array.shape}.")
 
 
 def _list_links(root: Indices, followers: Mask, heads: Mask) -> Indices:
@@ -51,17 +51,15 @@ def _list_links(root: Indices, followers: Mask, heads: Mask) -> Indices:
 def _stack(values: Sequence[ArrayLike | None], absent: int = 0) -> Any:
     """Stack an optional part of the answers; it is full of ``absent`` where a round lacks it, ``None`` if all do."""
     first = next((value for value in values if value is not None), None)
-    return (
-        None
-        if first is None
-        else np.stack([np.full_like(first, absent) if value is None else value for value in values])
-    )
+    if first is None:
+        return None
+    return np.stack([np.full_like(first, absent) if value is None else value for value in values])
 
 
 def _list_reasons(answer: Detection) -> dict[str, str]:
     """The sentences of ``extras["reasons"]`` by the UAVs of ``extras["heads"]``."""
     heads, reasons = answer.extras.get("heads", ()), answer.extras.get("reasons", ())
-    return {str(int(i)): str(why) for i, why in zip(heads, reasons, strict=False)}
+    return {str(int(i)): str(reason) for i, reason in zip(heads, reasons, strict=False)}
 
 
 def _find_roots(answer: Detection) -> Indices:
@@ -154,7 +152,7 @@ class EpisodeRecord:
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {"3": 3, "4": 4}
         for item in fields(self):
-            value, kind = getattr(self, item.name), _KINDS.get(str(item.type).partition(" ")[0])
+            value, kind = getattr(self, item.name), _DTYPES.get(str(item.type).partition(" ")[0])
             try:
                 if kind is not None and (value is not None or item.default is MISSING):
                     value = np.array(value, kind)
@@ -173,7 +171,7 @@ class EpisodeRecord:
         windows: Sequence[Window],
         answers: Sequence[Detection],
         truths: Sequence[SwarmState] | None = None,
-        **others: Any,
+        **arguments: Any,
     ) -> EpisodeRecord:
         """Make the record of R rounds.
 
@@ -182,7 +180,7 @@ class EpisodeRecord:
             answers: the detector's answer to each window.
             truths: the swarm in each round; ``None``: the truth is unknown, so that ``head`` and ``root`` are those of
                 the answers, no UAV is destroyed, and J is 0.
-            others: other arguments of the class by name, such as ``objective`` and ``env_id``.
+            arguments: other arguments of the class by name, such as ``objective`` and ``env_id``.
 
         Raises:
             ArgumentError: an argument has another shape or can't be kept.
@@ -209,7 +207,7 @@ class EpisodeRecord:
         else:
             arrays |= {name: [getattr(truth, name) for truth in truths] for name in ("alive", "root")}
             arrays |= {"head": truths[0].head, "decoy": truths[0].decoy}
-        return cls(**arrays | others)
+        return cls(**arrays | arguments)
 
     @property
     def rounds(self) -> int:
@@ -244,8 +242,8 @@ class EpisodeRecord:
     @property
     def orphans(self) -> Mask:
         """``(R, N)`` bool: living followers whose head is destroyed in the round."""
-        behind = np.take_along_axis(self.destroyed, np.maximum(self.root, 0), axis=1)
-        return self.alive & ~self.destroyed & (self.root >= 0) & behind
+        is_head_destroyed = np.take_along_axis(self.destroyed, np.maximum(self.root, 0), axis=1)
+        return self.alive & ~self.destroyed & (self.root >= 0) & is_head_destroyed
 
     @property
     def hits(self) -> Indices:
@@ -288,10 +286,10 @@ class EpisodeRecord:
             ArgumentError: the place can't be written to.
         """
         arrays: dict[str, Any] = {name: value for name, value in vars(self).items() if isinstance(value, np.ndarray)}
-        words = {name: value for name, value in vars(self).items() if name not in arrays and value is not None}
+        metadata = {name: value for name, value in vars(self).items() if name not in arrays and value is not None}
         links = [np.insert(self.communication_links(n), 0, n, axis=1) for n in range(1, self.rounds + 1)]
-        text = json.dumps({**words, "format": _FORMAT, "version": FORMAT_VERSION})
-        with atomic_write(path) as aside, aside.open("wb") as file:
+        text = json.dumps({**metadata, "format": _FORMAT, "version": FORMAT_VERSION})
+        with atomic_write(path) as temporary, temporary.open("wb") as file:
             np.savez_compressed(file, **arrays | {_LINKS: np.concatenate(links), "metadata": np.array(text)})
         return Path(path)
 
@@ -306,10 +304,10 @@ class EpisodeRecord:
         try:
             with file_path.open("rb") as source, np.load(source, allow_pickle=False) as file:
                 arrays: dict[str, Any] = {name: file[name] for name in file.files if name != _LINKS}
-            words = json.loads(str(arrays.pop("metadata")))
-            version = words.pop("version") if words.pop("format") == _FORMAT else None
+            metadata = json.loads(str(arrays.pop("metadata")))
+            version = metadata.pop("version") if metadata.pop("format") == _FORMAT else None
             if version != FORMAT_VERSION:
                 raise ValueError(f"version {quote(version)} is not known, only {FORMAT_VERSION}")
-            return cls(**words, **arrays)
+            return cls(**metadata, **arrays)
         except Exception as error:  # a damaged file makes NumPy raise whatever Python's own tokenizer raises
             raise ArgumentError(describe_fault(file_path, "episode file", error)) from None

@@ -15,9 +15,9 @@ from usnet_env.replay.story import describe_outcome, describe_round, name_game, 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_MOST_PANELS, _MOST_COLUMNS = 6, 3
-_ABOUT = "Seen from above. The detector sees the paths, but not the stars, colours and links."
-_ABOUT_UNKNOWN = "Recorded tracks, seen from above, and what was found in each window."
+_MAX_PANELS, _MAX_COLUMNS = 6, 3
+_CAPTION = "Seen from above. The detector sees the paths, but not the stars, colours and links."
+_UNLABELLED_CAPTION = "Recorded tracks, seen from above, and what was found in each window."
 
 
 def describe_scene(record: EpisodeRecord, number: int) -> dict[str, Any]:
@@ -55,19 +55,19 @@ def draw_episode(record: EpisodeRecord) -> Figure:
         MissingExtraError: matplotlib is not installed.
     """
     instance_of("record", record, EpisodeRecord)
-    numbers = [*range(1, min(record.rounds, _MOST_PANELS)), record.rounds]
-    columns = min(len(numbers), _MOST_COLUMNS)
+    numbers = [*range(1, min(record.rounds, _MAX_PANELS)), record.rounds]
+    columns = min(len(numbers), _MAX_COLUMNS)
     rows = -(-len(numbers) // columns)
     figure = drawing.new_figure(max(5.4 * columns + 2.8, 9.0), 5.8 * rows + 1.2)
     figure.set_layout_engine("constrained")
-    about = f"{describe_outcome(record)} {_ABOUT if record.labelled else _ABOUT_UNKNOWN}"
+    caption = f"{describe_outcome(record)} {_CAPTION if record.labelled else _UNLABELLED_CAPTION}"
     if len(numbers) < record.rounds:
-        about += f" The picture shows {len(numbers)} of {record.rounds} {name_round(record).lower()}s."
-    drawing.caption_figure(figure, drawing.escape_math(name_game(record)), drawing.escape_math(about))
+        caption += f" The picture shows {len(numbers)} of {record.rounds} {name_round(record).lower()}s."
+    drawing.caption_figure(figure, drawing.escape_math(name_game(record)), drawing.escape_math(caption))
     grid = figure.subplots(rows, columns, squeeze=False).ravel()
     scenes = [describe_scene(record, number) for number in numbers]
-    shown = [scene["position"][scene["seen"] & scene["alive"]] for scene in scenes]
-    squares = [drawing.limits_around(position, least=find_least_side(record)) for position in shown]
+    positions = [scene["position"][scene["seen"] & scene["alive"]] for scene in scenes]
+    squares = [drawing.limits_around(position, least=find_least_side(record)) for position in positions]
     marks: dict[str, Any] = {}
     for axes, number, scene, (x, y, _) in zip(grid, numbers, scenes, squares, strict=False):
         title = drawing.escape_math(f"{name_round(record)} {number}: {describe_round(record, number)}")
@@ -76,7 +76,7 @@ def draw_episode(record: EpisodeRecord) -> Figure:
         drawing.draw_round(**scene, axes=axes, title=title, legend=False, limits=limits)
         position = drawing.last_seen_position(scene.pop("position"), scene.pop("seen"))
         marks |= {drawing.INTRUDER_MARK: drawing.INTRUDER_MARK} if scene.pop("intruders") is not None else {}
-        marks |= {mark: mark for mark, who in drawing.round_marks(position, **scene).items() if who.any()}
+        marks |= {mark: mark for mark, uavs in drawing.round_marks(position, **scene).items() if uavs.any()}
     for axes in grid[len(numbers) :]:
         axes.remove()
     words = {} if record.labelled else drawing.TRACK_WORDS

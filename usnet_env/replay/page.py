@@ -17,7 +17,7 @@ from usnet_env.replay.episode import EpisodeRecord
 from usnet_env.replay.story import annotated_uavs, describe_outcome, describe_round, name_game, name_round, name_uav
 
 _FRAMES, _DPI = 3, 75  # frames of a growing window, pixels per inch
-_MOST_ROUNDS = 12  # of the animation; the text has all of them
+_MAX_ROUNDS = 12  # of the animation; the text has all of them
 #: Characters in place of the icons of matplotlib's page, whose font would be fetched from the network.
 _ICONS = {
     "minus": "−", "plus": "+", "fast-backward": "|◀", "fast-forward": "▶|", "step-backward": "◁", "step-forward": "▷",
@@ -48,7 +48,7 @@ def _animate(record: EpisodeRecord) -> tuple[str, dict[int, str]]:
 
     drawing.new_figure(1, 1)  # refuses without matplotlib
 
-    scenes = [scene for scene in list_scenes(record, _FRAMES) if scene.round <= _MOST_ROUNDS]
+    scenes = [scene for scene in list_scenes(record, _FRAMES) if scene.round <= _MAX_ROUNDS]
     writer = HTMLWriter(fps=1, embed_frames=True, default_mode="once", embed_limit=200)
     with TemporaryDirectory() as folder:
         path = Path(folder, "animation.html")
@@ -58,12 +58,12 @@ def _animate(record: EpisodeRecord) -> tuple[str, dict[int, str]]:
     text = re.sub(r'<i class="fa fa-([^"]*)"></i>', lambda icon: _ICONS[icon[1]], text)
     player = re.findall(r"(anim\w+) = new Animation", text)[0]
     numbers = [scene.round for scene in scenes]
-    show = ' <button onclick="{0}.pause_animation(); {0}.set_frame({1}); return false">show</button>'
+    button = ' <button onclick="{0}.pause_animation(); {0}.set_frame({1}); return false">show</button>'
     names = json.dumps([name_uav(record, i) for i in range(record.uavs)]).replace("<", r"\u003c")
     positions = [painter.locate(scene).round(3).tolist() for scene in scenes]
     values = {"NAMES": names, "FRAMES": json.dumps(positions), "PLAYER": player, "BESIDE": str(BESIDE)}
-    text += re.sub("|".join(values), lambda word: values[word[0]], _POINTER)
-    return text, {number: show.format(player, numbers.index(number)) for number in numbers}
+    text += re.sub("|".join(values), lambda key: values[key[0]], _POINTER)
+    return text, {number: button.format(player, numbers.index(number)) for number in numbers}
 
 
 def write_page(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path:
@@ -74,14 +74,14 @@ def write_page(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path:
         MissingExtraError: matplotlib is not installed.
     """
     instance_of("record", record, EpisodeRecord)
-    more = f" The animation shows the first {format_count(_MOST_ROUNDS, name_round(record).lower())}."
-    animation, shows = _animate(record)
+    note = f" The animation shows the first {format_count(_MAX_ROUNDS, name_round(record).lower())}."
+    animation, buttons = _animate(record)
     rounds = []
     for number in range(1, record.rounds + 1):
-        marked = [(name_uav(record, i), word, why) for i, word, why in annotated_uavs(record, number)]
-        lines = "".join(f"<li><b>{escape(uav)}</b> {word}, {escape(why)}</li>" for uav, word, why in marked)
-        title = escape(f"{name_round(record)} {number}: {describe_round(record, number)}") + shows.get(number, "")
+        rows = [(name_uav(record, i), mark, reason) for i, mark, reason in annotated_uavs(record, number)]
+        lines = "".join(f"<li><b>{escape(uav)}</b> {mark}, {escape(reason)}</li>" for uav, mark, reason in rows)
+        title = escape(f"{name_round(record)} {number}: {describe_round(record, number)}") + buttons.get(number, "")
         rounds.append(f"<details{' open' * (number == 1)}><summary>{title}</summary><ul>{lines}</ul></details>")
-    outcome = f"<p>{escape(describe_outcome(record))}{more * (record.rounds > _MOST_ROUNDS)}</p>"
+    outcome = f"<p>{escape(describe_outcome(record))}{note * (record.rounds > _MAX_ROUNDS)}</p>"
     write_html(path, name_game(record), f"{outcome}\n{animation}{''.join(rounds)}\n")
     return Path(path)

@@ -84,15 +84,15 @@ def _make_record(
         times = {name: [played.info[name] for played in rounds] for name in ("start", "end")}
         config |= {"ids": list(tracks.ids), "step": tracks.step, "frame": tracks.frame, **times}
     labelled, intruders = getattr(game, "labelled", True), [played.observation.get("intruders") for played in rounds]
-    known: dict[str, Any] = {}
+    truth_arrays: dict[str, Any] = {}
     if labelled:
-        known["truths"] = [played.truth for played in rounds]
-        known["objective"] = [float(played.info["J"]) for played in rounds]
-        known["over_budget"] = [bool(played.info["over_budget"]) for played in rounds]
+        truth_arrays["truths"] = [played.truth for played in rounds]
+        truth_arrays["objective"] = [float(played.info["J"]) for played in rounds]
+        truth_arrays["over_budget"] = [bool(played.info["over_budget"]) for played in rounds]
     return EpisodeRecord.from_rounds(
         [Window.from_observation(played.observation) for played in rounds],
         [played.answer for played in rounds],
-        **known,
+        **truth_arrays,
         seconds=[played.seconds for played in rounds],
         intruders=None if intruders[0] is None else np.stack(intruders),
         problem=game.problem,

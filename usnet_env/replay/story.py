@@ -15,7 +15,7 @@ from usnet_env.replay.episode import EpisodeRecord
 #: and a candidate where the truth is not known.
 HIT, REDUNDANT, MISSED, OTHER, LEADER = "hit", "redundant", "missed", "other", "leader"
 
-_MOST_LISTED = 30  # rows of the table of a round's candidates
+_MAX_LISTED = 30  # rows of the table of a round's candidates
 
 
 def name_uav(record: EpisodeRecord, uav: int) -> str:
@@ -45,22 +45,22 @@ def name_game(record: EpisodeRecord) -> str:
 def describe_round(record: EpisodeRecord, number: int) -> str:
     """Describe a round (from 1) in a few words."""
     r = number - 1
-    named = int(record.candidates[r].sum())
+    count = int(record.candidates[r].sum())
     start, end = (record.config.get(name, [None] * record.rounds)[r] for name in ("start", "end"))
-    when = "" if start is None else f"{start} to {end}: "
+    times = "" if start is None else f"{start} to {end}: "
     if not record.labelled:
-        return f"{when}{format_count(named, 'leader')} found"
-    candidates = f"{when}{format_count(named, 'candidate')}"
-    left = f"{format_count(int(record.heads_left[r]), 'head')} {'not named' if record.recorded else 'left'}"
+        return f"{times}{format_count(count, 'leader')} found"
+    candidates = f"{times}{format_count(count, 'candidate')}"
+    remaining = f"{format_count(int(record.heads_left[r]), 'head')} {'not named' if record.recorded else 'left'}"
     if record.over_budget[r]:
-        return f"{candidates}, over the shot budget: no UAV destroyed, {left}"
+        return f"{candidates}, over the shot budget: no UAV destroyed, {remaining}"
     hits, redundant = int(record.hits[r]), int(record.redundant[r])
-    return f"{candidates} ({format_count(hits, 'head')} hit, {redundant} redundant), {left}"
+    return f"{candidates} ({format_count(hits, 'head')} hit, {redundant} redundant), {remaining}"
 
 
 def describe_outcome(record: EpisodeRecord) -> str:
     """Describe in one sentence how the episode ended, with its J; in recorded tracks with F1 and group leaders."""
-    heads, left = int(record.head.sum()), int(record.heads_left[-1])
+    heads, remaining = int(record.head.sum()), int(record.heads_left[-1])
     rounds = format_count(record.rounds, name_round(record).lower())
     if not record.labelled:
         return f"In {rounds}, {heads} of {record.uavs} ids lead at least once; the truth is unknown."
@@ -69,20 +69,20 @@ def describe_outcome(record: EpisodeRecord) -> str:
         groups = group_leader_accuracy(record.root[0], record.scores[0])
         score = f"F1 = {name_score(record)[1]:.3f} (1 is best), group leaders {groups:.2f}"
     redundant = format_count(int(record.redundant.sum()), "redundant candidate")
-    named = f"{heads - left} of {format_count(heads, 'head')} found" if heads else "No head to find"
-    return f"{named} in {rounds} with {redundant}: {score}."
+    found = f"{heads - remaining} of {format_count(heads, 'head')} found" if heads else "No head to find"
+    return f"{found} in {rounds} with {redundant}: {score}."
 
 
 def mark_words(record: EpisodeRecord, number: int) -> NDArray[np.object_]:
     """``(N,)``: what each UAV is in a round (from 1), such as :data:`HIT`."""
     r = number - 1
-    named, target = record.candidates[r], record.head & record.alive[r]
-    words = np.full(record.uavs, OTHER, object)
+    is_candidate, is_head = record.candidates[r], record.head & record.alive[r]
+    marks = np.full(record.uavs, OTHER, object)
     if record.labelled:
-        words[target], words[named], words[named & target] = MISSED, REDUNDANT, HIT
+        marks[is_head], marks[is_candidate], marks[is_candidate & is_head] = MISSED, REDUNDANT, HIT
     else:
-        words[named] = LEADER
-    return words
+        marks[is_candidate] = LEADER
+    return marks
 
 
 def _find_reason(record: EpisodeRecord, r: int, uav: int) -> str:
@@ -91,19 +91,19 @@ def _find_reason(record: EpisodeRecord, r: int, uav: int) -> str:
         return record.reasons[r][str(uav)]
     if record.clusters is None or record.candidates[r, uav] or record.clusters[r, uav] < 0:
         return ""
-    named = np.flatnonzero(record.candidates[r] & (record.clusters[r] == record.clusters[r, uav])).tolist()
-    return f"found in the group of {', '.join(name_uav(record, i) for i in named)}" if named else ""
+    candidates = np.flatnonzero(record.candidates[r] & (record.clusters[r] == record.clusters[r, uav])).tolist()
+    return f"found in the group of {', '.join(name_uav(record, i) for i in candidates)}" if candidates else ""
 
 
 def annotated_uavs(record: EpisodeRecord, number: int) -> list[tuple[int, str, str]]:
     """The candidates and missed heads of a round (from 1), highest score first: index, mark, and the reason."""
-    r, words = number - 1, mark_words(record, number)
-    marked = []
-    for i in [i for i in np.argsort(-record.scores[r], kind="stable").tolist() if words[i] != OTHER][:_MOST_LISTED]:
-        sure = "" if record.probability is None else f"p {record.probability[r, i]:.2f}, "
+    r, marks = number - 1, mark_words(record, number)
+    annotated = []
+    for i in [i for i in np.argsort(-record.scores[r], kind="stable").tolist() if marks[i] != OTHER][:_MAX_LISTED]:
+        probability = "" if record.probability is None else f"p {record.probability[r, i]:.2f}, "
         reason = _find_reason(record, r, i)
-        marked.append((i, words[i], f"{sure}score {record.scores[r, i]:.3g}{': ' * bool(reason)}{reason}"))
-    return marked
+        annotated.append((i, marks[i], f"{probability}score {record.scores[r, i]:.3g}{': ' * bool(reason)}{reason}"))
+    return annotated
 
 
 def tell_round(record: EpisodeRecord, number: int, names: Sequence[str]) -> tuple[str, str]:
