@@ -104,15 +104,15 @@ class SwarmGames:
             name: what errors call the mask.
         """
         chosen = np.ones(self.num_envs, bool) if mask is None else np.asarray(mask)
-        enough = chosen.any() if self.metrics else chosen.all()
-        if chosen.shape != (self.num_envs,) or chosen.dtype != bool or not enough:
+        is_enough = chosen.any() if self.metrics else chosen.all()
+        if chosen.shape != (self.num_envs,) or chosen.dtype != bool or not is_enough:
             raise ArgumentError(f"{name} must be {self.num_envs} booleans, some true, at first all, got {quote(mask)}.")
         if np.ndim(seed) == 0:
-            first = optional_seed("seed", seed)
-            seed = [None if first is None else first + b for b in range(self.num_envs)]
+            first_seed = optional_seed("seed", seed)
+            seed = [None if first_seed is None else first_seed + b for b in range(self.num_envs)]
         if len(seed) != self.num_envs:
             raise ArgumentError(f"seed must hold one seed for each of {self.num_envs} envs, got {len(seed)}.")
-        seeds, games = [optional_seed("seed", each) for each in seed], np.flatnonzero(chosen)
+        seeds, games = [optional_seed("seed", value) for value in seed], np.flatnonzero(chosen)
         for b in games.tolist():
             if seeds[b] is not None or self.rngs[b] is None:
                 self.rngs[b], self.seeds[b] = seeding.np_random(seeds[b])
@@ -130,13 +130,13 @@ class SwarmGames:
         if len(groups) > 1:
             swarm = swarm.rows(np.argsort(np.concatenate([rows for _, rows in groups])))
         (rounds, redundant), (terminated, truncated) = np.zeros((2, len(chosen)), int), np.zeros((2, len(chosen)), bool)
-        begun = GameState(swarm, rounds, redundant, terminated, truncated)
-        self._game = begun if len(chosen) == self.num_envs else self.game.with_rows(games, begun)
-        self.metrics = self.metrics or game.play_round(self.rules, begun, np.zeros_like(swarm.alive))[2]
-        others = np.ones(self.num_envs, bool)
-        others[games] = False
-        self.metrics = {name: np.where(others, array, np.zeros_like(array)) for name, array in self.metrics.items()}
-        self.candidates, self.answered = self.candidates & others[:, None], self.answered & others
+        started = GameState(swarm, rounds, redundant, terminated, truncated)
+        self._game = started if len(chosen) == self.num_envs else self.game.with_rows(games, started)
+        self.metrics = self.metrics or game.play_round(self.rules, started, np.zeros_like(swarm.alive))[2]
+        is_other = np.ones(self.num_envs, bool)
+        is_other[games] = False
+        self.metrics = {name: np.where(is_other, array, np.zeros_like(array)) for name, array in self.metrics.items()}
+        self.candidates, self.answered = self.candidates & is_other[:, None], self.answered & is_other
         for b in chosen if self.pictures else ():
             self._frames[b] = EpisodeFrames()
 
@@ -151,11 +151,11 @@ class SwarmGames:
     def play_round(self, candidates: Mask, playing: Mask) -> Floats:
         """Destroy the candidates ``(B, N)`` in the games that are ``playing``, ``(B,)``; the rewards, ``(B,)``."""
         self.before = None
-        self.before, before = copy.copy(self), self.game
+        self.before, old_state = copy.copy(self), self.game
         self.candidates, self.answered = candidates & playing[:, None], playing
-        state, rewards, metrics = game.play_round(self.rules, before, self.candidates)
+        state, rewards, metrics = game.play_round(self.rules, old_state, self.candidates)
         if not playing.all():
-            counters = {name: np.where(playing, getattr(state, name), getattr(before, name)) for name in game.COUNTERS}
+            counters = {key: np.where(playing, getattr(state, key), getattr(old_state, key)) for key in game.COUNTERS}
             state, rewards = replace(state, **counters), np.where(playing, rewards, 0.0)
             metrics = {name: np.where(playing, array, np.zeros_like(array)) for name, array in metrics.items()}
         self._game, self.metrics = state, metrics
@@ -166,8 +166,8 @@ class SwarmGames:
         state = self.game
         running = games[~state.terminated[games]]
         if len(running) == self.num_envs:
-            after, self.window = self._fly_rows(state.swarm, running)
-            self._game = replace(state, swarm=after)
+            swarm, self.window = self._fly_rows(state.swarm, running)
+            self._game = replace(state, swarm=swarm)
         else:
             if len(games) == self.num_envs:  # `before` keeps its windows
                 self.window = {name: np.zeros_like(array) for name, array in self.window.items()}
@@ -177,8 +177,8 @@ class SwarmGames:
                 for array in self.window.values():
                     array[games] = 0
             if len(running):
-                after, window = self._fly_rows(state.swarm.rows(running), running)
-                self._game = replace(state, swarm=state.swarm.with_rows(running, after))
+                swarm, window = self._fly_rows(state.swarm.rows(running), running)
+                self._game = replace(state, swarm=state.swarm.with_rows(running, swarm))
                 for name, array in window.items():
                     self.window[name][running] = array
         self.watch(games)
@@ -186,8 +186,8 @@ class SwarmGames:
     def _fly_rows(self, swarm: SwarmState, games: Indices) -> tuple[SwarmState, Observation]:
         """Fly the next windows of some games from their swarms."""
         chosen = games.tolist()
-        after, seen = advance_each([self.configs[b] for b in chosen], swarm, [self.rngs[b] for b in chosen])
-        return after, {name: getattr(seen, name) for name in WINDOW}
+        flown, observations = advance_each([self.configs[b] for b in chosen], swarm, [self.rngs[b] for b in chosen])
+        return flown, {name: getattr(observations, name) for name in WINDOW}
 
     def load_game(self, b: int, config: SwarmConfig, state: GameState, window: Observation) -> None:
         """Go on with game b from a state, a batch of one, and its window, as if it began there."""
@@ -201,8 +201,8 @@ class SwarmGames:
         """Parts of the present observation of some games, or of one without the leading axis, as copies."""
         state, parts = self.game, {name: array[games] for name, array in self.window.items()}
         parts |= {"alive": state.swarm.alive[games], "round": (state.rounds[games, None] + 1).astype(np.float32)}
-        view = not isinstance(games, np.ndarray)  # indices have copied
-        return {name: parts[name].astype(game.TYPES[name], copy=view) for name in names}
+        is_view = not isinstance(games, np.ndarray)  # indices have copied
+        return {name: parts[name].astype(game.TYPES[name], copy=is_view) for name in names}
 
     def merge_windows(self, b: int = 0) -> ObservationBatch:
         """What was seen in the present window of a game, for pictures and records."""
@@ -227,10 +227,10 @@ class SwarmGames:
 
     def draw(self, b: int = 0, **scene: Any) -> NDArray[np.uint8]:
         """Draw the last round of a game, or before the first one the present window, ``(H, W, 3)``."""
-        shown, candidates, title = self, None, game.UNANSWERED
+        games, candidates, title = self, None, game.UNANSWERED
         if self.answered[b]:
-            shown, candidates = self.before, self.candidates[b]
+            games, candidates = self.before, self.candidates[b]
             title = game.title_round({name: array[b].item() for name, array in self.metrics.items()})
-        sighting, truth = shown.merge_windows(b), shown.reveal().episode(b)
+        sighting, truth = games.merge_windows(b), games.reveal().episode(b)
         scene |= {"position": sighting.position, "seen": sighting.seen, **truth.roles()}
         return self._frames[b].render(candidates=candidates, title=title, **scene)

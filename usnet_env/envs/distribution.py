@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.swarm import KINEMATICS, SwarmConfig
 
-_MOST_KEPT = 4096  # configurations that are kept, so that equal games of a batch start together
+_MAX_CACHED = 4096  # configurations that are kept, so that equal games of a batch start together
 
 Names = Sequence[str] | Mapping[str, Annotated[float, Field(gt=0)]] | None
 Whole = tuple[int, int] | None
@@ -33,7 +33,7 @@ class Spread(Config):
 
 
 Numbers = tuple[float, float] | Spread | None
-_SPREAD = ("position_noise", "miss_rate", "noise_memory", "miss_burst", "partial_tracks", "swap_rate", "course_noise")
+_SPREADS = ("position_noise", "miss_rate", "noise_memory", "miss_burst", "partial_tracks", "swap_rate", "course_noise")
 
 
 class Distribution(Config):
@@ -76,17 +76,17 @@ class Distribution(Config):
     @model_validator(mode="before")
     @classmethod
     def _make_spreads(cls, values: Any) -> Any:
-        made = dict(values)
+        rules = dict(values)
         for name, rule in values.items():
-            if isinstance(rule, Mapping) and name in _SPREAD:
+            if isinstance(rule, Mapping) and name in _SPREADS:
                 try:
-                    made[name] = Spread(**{str(key): value for key, value in rule.items()})
+                    rules[name] = Spread(**{str(key): value for key, value in rule.items()})
                 except ArgumentError as error:
                     raise ArgumentError(f"{name} is no range: {error}") from None
-        return made
+        return rules
 
     @model_validator(mode="after")
-    def _ordered(self) -> Self:
+    def _check_order(self) -> Self:
         for name, rule in self.rules.items():
             if not isinstance(rule, Spread) and not len(rule):
                 raise ArgumentError(f"{name} must hold at least one name, got {quote(rule)}.")
@@ -107,7 +107,7 @@ class Distribution(Config):
     @cached_property
     def functions(self) -> dict[str, Callable[[np.random.Generator], Any]]:
         """What draws each value, by name."""
-        return {name: _prepare(rule) for name, rule in self.rules.items()}
+        return {name: _make_draw(rule) for name, rule in self.rules.items()}
 
 
 def _is_range(rule: Any) -> bool:
@@ -121,7 +121,7 @@ def list_extremes(rule: Any) -> list[Any]:
     return list(rule)
 
 
-def _prepare(rule: Any) -> Callable[[np.random.Generator], Any]:
+def _make_draw(rule: Any) -> Callable[[np.random.Generator], Any]:
     """A function that draws a value by a rule."""
     if not _is_range(rule):
         weights = np.array(list(rule.values()) if isinstance(rule, Mapping) else np.ones(len(rule)))
@@ -156,10 +156,10 @@ _FAULTS = {
     "swap_rate": {"low": 0.0002, "high": 0.001, "zero": 0.5},
 }
 _LEADERLESS = dict.fromkeys(("shepherd", "reference"), 0.5)  # swarms that no UAV leads
-_LED = ["unequal_delays", "mixed", "switching", "chain", "pigeons", "cucker_smale", "vicsek"]
-_LED += ["couzin", "frontness", "part_time", "partial_turns", "predator", "informed"]
+_LED_STRATEGIES = ["unequal_delays", "mixed", "switching", "chain", "pigeons", "cucker_smale", "vicsek"]
+_LED_STRATEGIES += ["couzin", "frontness", "part_time", "partial_turns", "predator", "informed"]
 _FIELD: dict[str, Any] = {
-    "follow": dict.fromkeys(_LED, 1.0) | _LEADERLESS,
+    "follow": dict.fromkeys(_LED_STRATEGIES, 1.0) | _LEADERLESS,
     "mobility": {"gauss_markov": 3.0, "smooth_turn": 2.0, "waypoint": 2.0, "local_waypoint": 2.0, "iid": 1.0},
     "kinematics": ["unit", "varied_speed", "lagged", "limited", "layered"],
     "clusters": [2, 6],
@@ -191,15 +191,15 @@ class DistributionArguments(Config):
 
     @model_validator(mode="before")
     @classmethod
-    def _gather(cls, values: Any) -> Any:
+    def _gather_rules(cls, values: Any) -> Any:
         base = values.get("distribution")
         rules = DISTRIBUTIONS.get(base, base) if isinstance(base, str) else base
         rules = rules.rules if isinstance(rules, Distribution) else {} if rules is None else rules
-        known = [name for name in Distribution.model_fields if name in cls.model_fields]
-        if not isinstance(rules, Mapping) or not {*rules} <= {*known, "version"}:
-            names = f"one of {', '.join(DISTRIBUTIONS)}, or a mapping of some of {', '.join(known)}"
-            raise ArgumentError(f"distribution must be {names}, got {quote(base)}.")
-        drawn = {name: values[name] for name in known if isinstance(values.get(name), list | tuple | Mapping)}
+        names = [name for name in Distribution.model_fields if name in cls.model_fields]
+        if not isinstance(rules, Mapping) or not {*rules} <= {*names, "version"}:
+            choices = f"one of {', '.join(DISTRIBUTIONS)}, or a mapping of some of {', '.join(names)}"
+            raise ArgumentError(f"distribution must be {choices}, got {quote(base)}.")
+        drawn = {name: values[name] for name in names if isinstance(values.get(name), list | tuple | Mapping)}
         rules = {**rules, **drawn}
         fixed = {name: value for name, value in values.items() if name not in drawn}
         fixed = {name: value for name, value in fixed.items() if value is not None or name not in rules}
@@ -222,11 +222,11 @@ class EpisodeSampler:
     def __init__(
         self, arguments: DistributionArguments, make: Callable[[dict[str, Any], int | None], SwarmConfig]
     ) -> None:
-        self._make, self._kept = make, dict[Any, SwarmConfig]()
+        self._make, self._cache = make, dict[Any, SwarmConfig]()
         self.distribution = arguments.distribution or Distribution()
         extremes = {name: list_extremes(rule) for name, rule in self.distribution.rules.items()}
         self.names = tuple(name for name in extremes if name not in arguments.model_fields_set)
-        widest = {name: max(extremes[name], key=_find_width(name)) for name in self.names}
+        widest = {name: max(extremes[name], key=_make_width_key(name)) for name in self.names}
         self.widest = make(widest, None)
         for name in self.names:
             for value in extremes[name]:
@@ -239,11 +239,11 @@ class EpisodeSampler:
         drawn = self.distribution.draw(rng)
         drawn = {name: drawn[name] for name in self.names}
         key = tuple(drawn.values())
-        if key not in self._kept:
-            if len(self._kept) == _MOST_KEPT:
-                self._kept.clear()
-            self._kept[key] = self._make(drawn, self.widest.uavs)
-        return self._kept[key]
+        if key not in self._cache:
+            if len(self._cache) == _MAX_CACHED:
+                self._cache.clear()
+            self._cache[key] = self._make(drawn, self.widest.uavs)
+        return self._cache[key]
 
     def drawn_values(self, config: SwarmConfig) -> dict[str, Any]:
         """What was drawn for a swarm, by name."""
@@ -251,7 +251,7 @@ class EpisodeSampler:
         return drawn | ({"uavs": config.uavs - config.absent} if "uavs" in drawn else {})
 
 
-def _find_width(name: str) -> Callable[[Any], Any]:
+def _make_width_key(name: str) -> Callable[[Any], Any]:
     """How wide the bounds of a value are."""
     if name == "kinematics":
         return lambda value: KINEMATICS.find(value).top_speed

@@ -77,16 +77,16 @@ class GameState:
     def with_rows(self, games: Indices, other: GameState) -> Self:
         """A copy of this batch in which ``other`` replaces some games."""
         counters = {name: getattr(self, name).copy() for name in COUNTERS}
-        for name, part in counters.items():
-            part[games] = getattr(other, name)
+        for name, values in counters.items():
+            values[games] = getattr(other, name)
         return replace(self, swarm=self.swarm.with_rows(games, other.swarm), **counters)
 
 
-def window_spaces(steps: int, uavs: int, rounds: int, far: float, fast: float) -> dict[str, spaces.Space[Any]]:
+def window_spaces(steps: int, uavs: int, rounds: int, reach: float, speed: float) -> dict[str, spaces.Space[Any]]:
     """The spaces of a window's arrays, with bounds of the coordinates in metres and in metres per step."""
     return {
-        "position": spaces.Box(-far, far, (steps + 1, uavs, 3), np.float32),
-        "velocity": spaces.Box(-fast, fast, (steps, uavs, 3), np.float32),
+        "position": spaces.Box(-reach, reach, (steps + 1, uavs, 3), np.float32),
+        "velocity": spaces.Box(-speed, speed, (steps, uavs, 3), np.float32),
         "seen": spaces.MultiBinary((steps + 1, uavs)),
         "alive": spaces.MultiBinary(uavs),
         "round": spaces.Box(1, rounds, (1,), np.float32),
@@ -96,8 +96,8 @@ def window_spaces(steps: int, uavs: int, rounds: int, far: float, fast: float) -
 def observation_space(config: SwarmConfig, rules: Rules, observe: Sequence[str] = PARTS) -> spaces.Dict:
     """The space of the observed parts of one environment's windows: bounded boxes and masks."""
     rounds = rules.max_rounds + 1  # after the last round of a truncated episode another window is observed
-    far, fast = config.position_bound(rounds), config.velocity_bound()
-    parts = window_spaces(config.observation_steps, config.uavs, rounds, far, fast)
+    reach, speed = config.position_bound(rounds), config.velocity_bound()
+    parts = window_spaces(config.observation_steps, config.uavs, rounds, reach, speed)
     return spaces.Dict({name: parts[name] for name in observe})
 
 
@@ -141,33 +141,33 @@ def play_round(rules: Rules, state: GameState, candidates: Mask) -> tuple[GameSt
     over_budget = count > budget
     fired = candidates & ~over_budget[:, None]
     hits, redundant = hits_and_redundant(swarm.head, swarm.alive, fired)
-    after = destroy(swarm, fired)
-    left = after.heads_left
-    rounds, total = state.rounds + 1, state.redundant + redundant
+    next_swarm = destroy(swarm, fired)
+    heads_left = next_swarm.heads_left
+    rounds, total_redundant = state.rounds + 1, state.redundant + redundant
     price = rules.redundancy_price
     if rules.problem == "P1":
         # J_s is the sum of the cost of an answer without a head and the cost of every other redundant candidate.
         objective = single_cluster_objective(swarm.head, fired)
-        missed = np.where((hits > 0) | (objective == 0), 0.0, -1.0)
-        terms = {"reward_hit": missed, "reward_redundancy": price * (objective - missed)}
-        terminated, truncated = np.ones(len(left), bool), np.zeros(len(left), bool)
+        hit_reward = np.where((hits > 0) | (objective == 0), 0.0, -1.0)
+        terms = {"reward_hit": hit_reward, "reward_redundancy": price * (objective - hit_reward)}
+        terminated, truncated = np.ones(len(heads_left), bool), np.zeros(len(heads_left), bool)
     else:
-        terms = {"reward_round": np.full(len(left), -1.0), "reward_redundancy": -price * redundant / uavs}
-        objective = rounds + total / uavs
-        terminated = left == 0
+        terms = {"reward_round": np.full(len(heads_left), -1.0), "reward_redundancy": -price * redundant / uavs}
+        objective = rounds + total_redundant / uavs
+        terminated = heads_left == 0
         truncated = ~terminated & (rounds >= rules.max_rounds)
-    reward = sum(terms.values(), np.zeros(len(left)))
+    reward = sum(terms.values(), np.zeros(len(heads_left)))
     metrics = {
         "hits": hits,
         "redundant": redundant,
         "round": rounds,
-        "success": (left == 0).astype(np.int64),
-        "is_success": left == 0,
+        "success": (heads_left == 0).astype(np.int64),
+        "is_success": heads_left == 0,
         "J": objective,
         "over_budget": over_budget.astype(np.int64),
         **terms,
     }
-    return GameState(after, rounds, total, terminated, truncated), reward, metrics
+    return GameState(next_swarm, rounds, total_redundant, terminated, truncated), reward, metrics
 
 
 def title_round(metrics: Mapping[str, Any]) -> str:

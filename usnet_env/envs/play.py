@@ -33,14 +33,14 @@ def play_rounds(
     """
     game: Any = env.unwrapped
     observation, _ = env.reset(seed=seed)
-    over = False
-    while not over:
+    is_over = False
+    while not is_over:
         truth = game.swarm
-        answered, seconds = answer(observation)
-        following, _, terminated, truncated, info = env.step(answered.candidates.astype(np.int8))
-        over = bool(terminated or truncated)
-        yield PlayedRound(observation, truth, answered, seconds, info)
-        observation = following
+        detection, seconds = answer(observation)
+        next_observation, _, terminated, truncated, info = env.step(detection.candidates.astype(np.int8))
+        is_over = bool(terminated or truncated)
+        yield PlayedRound(observation, truth, detection, seconds, info)
+        observation = next_observation
 
 
 def play_probe(env: gym.Env[Any, Any], prober: Any, seed: int) -> tuple[PlayedRound, float]:
@@ -48,10 +48,10 @@ def play_probe(env: gym.Env[Any, Any], prober: Any, seed: int) -> tuple[PlayedRo
     game: Any = env.unwrapped
     observation, _ = env.reset(seed=seed)
     prober.reset(game.arguments, seed + 1)
-    total, over = 0.0, False
-    while not over:
-        truth, action, seen = game.swarm, prober.act(observation), observation
-        observation, reward, over, _, info = env.step(action)
+    total, is_over = 0.0, False
+    while not is_over:
+        truth, action, last_observation = game.swarm, prober.act(observation), observation
+        observation, reward, is_over, _, info = env.step(action)
         total += float(reward)
     answer = Detection(np.arange(len(prober.belief)) == action["name"], prober.belief)
-    return PlayedRound(seen, truth, answer, 0.0, info), total
+    return PlayedRound(last_observation, truth, answer, 0.0, info), total

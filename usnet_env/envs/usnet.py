@@ -85,22 +85,22 @@ class MultiClusterArguments(DistributionArguments, OutputArguments, game.RoundAr
     }
 
 
-def _make_cluster(arguments: SingleClusterArguments, drawn: dict[str, Any], most: int | None) -> SwarmConfig:
-    """The swarm of P1, in arrays for ``most`` UAVs."""
+def _make_cluster(arguments: SingleClusterArguments, drawn: dict[str, Any], size: int | None) -> SwarmConfig:
+    """The swarm of P1, in arrays for ``size`` UAVs."""
     values = dict(arguments) | drawn
     uavs = 1 + sum(values[name] for name in ("followers", "decoys", "bystanders", "traffic", "clutter"))
-    most, changes = most or uavs, {name: value for name, value in drawn.items() if name != "followers"}
-    return arguments.part(SwarmConfig, **changes, clusters=1, uavs=most, absent=most - uavs)
+    size, changes = size or uavs, {name: value for name, value in drawn.items() if name != "followers"}
+    return arguments.part(SwarmConfig, **changes, clusters=1, uavs=size, absent=size - uavs)
 
 
-def _make_clusters(arguments: MultiClusterArguments, drawn: dict[str, Any], most: int | None) -> SwarmConfig:
-    """The swarm of P2, in arrays for ``most`` UAVs."""
+def _make_clusters(arguments: MultiClusterArguments, drawn: dict[str, Any], size: int | None) -> SwarmConfig:
+    """The swarm of P2, in arrays for ``size`` UAVs."""
     uavs = drawn.get("uavs", arguments.uavs)
-    most = most or uavs
-    return arguments.part(SwarmConfig, **drawn | {"uavs": most, "absent": arguments.absent + most - uavs})
+    size = size or uavs
+    return arguments.part(SwarmConfig, **drawn | {"uavs": size, "absent": arguments.absent + size - uavs})
 
 
-def _of_game(name: str) -> Any:
+def _make_game_property(name: str) -> Any:
     """A property of an environment that its batch holds for each game."""
     return property(
         lambda env: getattr(env._games, name)[env._number],
@@ -119,15 +119,15 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 1}  # type: ignore[misc]  # Gymnasium's is no ClassVar
 
-    config = _of_game("configs")
-    _np_random, _np_random_seed = _of_game("rngs"), _of_game("seeds")
+    config = _make_game_property("configs")
+    _np_random, _np_random_seed = _make_game_property("rngs"), _make_game_property("seeds")
 
     def __init__(self, sampler: EpisodeSampler, rules: game.Rules, output: OutputArguments) -> None:
         self._sampler, self.rules, self.widest_config = sampler, rules, sampler.widest
         self.reveal_truth = output.reveal_truth
         self.render_mode = output.render_mode
-        seen = game.observation_space(sampler.widest, rules, output.observe or game.PARTS)
-        self.observation_space, self.observe = seen, tuple(seen)  # type: ignore[assignment]  # Dict is invariant
+        space = game.observation_space(sampler.widest, rules, output.observe or game.PARTS)
+        self.observation_space, self.observe = space, tuple(space)  # type: ignore[assignment]  # Dict is invariant
         self.action_space = spaces.MultiBinary(sampler.widest.uavs)
         self._games, self._number = self._make_games(1), 0
 
@@ -184,8 +184,8 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         games.require_running(number)
         reward = float(games.act(games.parse_action(action), games.all_games == number)[number])
         self._fly()
-        over = bool(games.game.terminated[number]), bool(games.game.truncated[number])
-        return self._observe(self.observe), reward, *over, self._info()
+        ends = bool(games.game.terminated[number]), bool(games.game.truncated[number])
+        return self._observe(self.observe), reward, *ends, self._info()
 
     def _fly(self) -> None:
         """Fly and observe the next window."""
@@ -208,8 +208,8 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
 
     def _settings(self) -> dict[str, Any]:
         """What all states of an environment share: its arguments."""
-        shared = {"widest_config": self.widest_config, "distribution": self._sampler.distribution, "rules": self.rules}
-        return {name: config.model_dump() for name, config in shared.items()}
+        configs = {"widest_config": self.widest_config, "distribution": self._sampler.distribution, "rules": self.rules}
+        return {name: config.model_dump() for name, config in configs.items()}
 
     def get_state(self) -> dict[str, Any]:
         """A copy of the complete state of the episode as plain arrays and numbers."""
@@ -229,8 +229,8 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         Raises:
             ArgumentError: the state is of an environment with other arguments.
         """
-        here = self._settings()
-        if {name: state.get(name) for name in here} != here:
+        settings = self._settings()
+        if {name: state.get(name) for name in settings} != settings:
             raise ArgumentError(f"state must come from get_state with the same arguments, got {quote(state)}.")
         saved = copy.deepcopy(state)
         restored = game.GameState(swarm=SwarmState(**saved["swarm"]), **saved["game"])

@@ -62,9 +62,9 @@ class UsnetVectorEnv(SyncVectorEnv):
         Raises:
             ArgumentError: another number of seeds than B, a seed that is not a whole number from 0, or other options.
         """
-        others = dict(options or {})
-        mask = others.pop("reset_mask", None)
-        game.check_options(others)
+        remaining_options = dict(options or {})
+        mask = remaining_options.pop("reset_mask", None)
+        game.check_options(remaining_options)
         chosen = self._games.begin(seed, mask, "reset_mask")
         self._games.fly(chosen)
         return self._games.observe(self.observe), self._infos(chosen)
@@ -76,17 +76,17 @@ class UsnetVectorEnv(SyncVectorEnv):
             ArgumentError: actions of another shape or with other values, no call of :meth:`reset` before, or a game
                 that is over while ``autoreset_mode`` is ``Disabled``.
         """
-        games, before, mode = self._games, self._games.game, self.autoreset_mode
+        games, old_state, mode = self._games, self._games.game, self.autoreset_mode
         parsed = games.parse_action(actions, (self.num_envs,))
         if mode is AutoresetMode.DISABLED:
             games.require_running()
-        over = before.terminated | before.truncated
-        reward = np.zeros(self.num_envs) if over.all() else games.act(parsed, ~over)
+        is_over = old_state.terminated | old_state.truncated
+        reward = np.zeros(self.num_envs) if is_over.all() else games.act(parsed, ~is_over)
         final: dict[str, Any] = {}
-        terminated, truncated = games.game.terminated & ~over, games.game.truncated & ~over
+        terminated, truncated = games.game.terminated & ~is_over, games.game.truncated & ~is_over
         if mode is AutoresetMode.SAME_STEP:
-            over = terminated | truncated
-        if len(ended := np.flatnonzero(over)):
+            is_over = terminated | truncated
+        if len(ended := np.flatnonzero(is_over)):
             if mode is AutoresetMode.SAME_STEP:
                 final = self._finish(ended)
             games.start(ended)
@@ -110,14 +110,14 @@ class UsnetVectorEnv(SyncVectorEnv):
             values |= game.truth_info(self._games.game.swarm)
             drawn = [self._sampler.drawn_values(config) for config in self._games.configs]
             for name in self._sampler.names:
-                kind = object if isinstance(drawn[0][name], str) else None
-                values[name] = np.array([each[name] for each in drawn], kind)
-        others = np.ones(self.num_envs, bool)
-        others[games] = False
-        infos = {name: part.copy() for name, part in values.items()}
-        for part in infos.values() if others.any() else ():
-            part[others] = None if part.dtype == object else 0
-        return infos | {f"_{name}": ~others for name in values}
+                dtype = object if isinstance(drawn[0][name], str) else None
+                values[name] = np.array([game_values[name] for game_values in drawn], dtype)
+        is_other = np.ones(self.num_envs, bool)
+        is_other[games] = False
+        infos = {name: array.copy() for name, array in values.items()}
+        for array in infos.values() if is_other.any() else ():
+            array[is_other] = None if array.dtype == object else 0
+        return infos | {f"_{name}": ~is_other for name in values}
 
     def set_attr(self, name: str, values: Any, games: Iterable[int] | None = None) -> None:
         """Set an attribute of each game, or of some, from a list or tuple of B values or from one value.
