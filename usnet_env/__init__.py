@@ -41,15 +41,15 @@ __all__ += [
 register_environments()
 
 
-_LATER = {"plot_detection": "drawing", **dict.fromkeys(("evaluate", "results"), "evaluation")}
-_LATER |= dict.fromkeys(("make_detector", "register_detector"), "plugins")
-_LATER |= dict.fromkeys(("Tracks", "find_leaders", "read_tracks"), "tracks")
-_LATER |= dict.fromkeys(("register_follow_strategy", "register_mobility"), "swarm")
+_LAZY_MODULES = {"plot_detection": "drawing", **dict.fromkeys(("evaluate", "results"), "evaluation")}
+_LAZY_MODULES |= dict.fromkeys(("make_detector", "register_detector"), "plugins")
+_LAZY_MODULES |= dict.fromkeys(("Tracks", "find_leaders", "read_tracks"), "tracks")
+_LAZY_MODULES |= dict.fromkeys(("register_follow_strategy", "register_mobility"), "swarm")
 
 
 def __getattr__(name: str) -> Any:  # these import Numba, SciPy or tables, which not every user needs
-    if name in _LATER:
-        return getattr(import_module(f"usnet_env.{_LATER[name]}"), name)
+    if name in _LAZY_MODULES:
+        return getattr(import_module(f"usnet_env.{_LAZY_MODULES[name]}"), name)
     if name in ("envs", "swarm"):
         return import_module(f"usnet_env.{name}")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

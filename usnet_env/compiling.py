@@ -18,19 +18,19 @@ try:
 except ImportError:  # Windows has no such locks
     fcntl = None  # type: ignore[assignment]  # a missing module
 
-_held: set[str] = set()  # the lock files that this process holds
-_LONG = 1.0  # seconds: loading machine code from the disk is faster
-_tell: list[Callable[[str], None]] = []  # what tells a person, once, that it takes long
+_held_locks: set[str] = set()  # the lock files that this process holds
+_ANNOUNCE_AFTER = 1.0  # seconds: loading machine code from the disk is faster
+_announcers: list[Callable[[str], None]] = []  # what tells a person, once, that it takes long
 
 
-def tell_if_long(tell: Callable[[str], None]) -> None:
-    """Call ``tell`` with a sentence when a function takes long to compile; later ones are compiled silently."""
-    _tell[:] = [tell]
+def tell_if_long(announce: Callable[[str], None]) -> None:
+    """Call ``announce`` with a sentence when a function takes long to compile; later ones are compiled silently."""
+    _announcers[:] = [announce]
 
 
-def _say_that_it_compiles() -> None:
-    while _tell:
-        _tell.pop()("compiling loops for this machine; it keeps them, so the next start is faster …")
+def _announce_compilation() -> None:
+    while _announcers:
+        _announcers.pop()("compiling loops for this machine; it keeps them, so the next start is faster …")
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -64,12 +64,12 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         compile_signature = loop.compile
 
         def compile_alone(signature: Any) -> Any:
-            timer = threading.Timer(_LONG, _say_that_it_compiles) if _tell else None
+            timer = threading.Timer(_ANNOUNCE_AFTER, _announce_compilation) if _announcers else None
             if timer is not None:
                 timer.daemon = True
                 timer.start()
             try:
-                with _one_process_at_a_time(lock), _no_garbage_collection():
+                with _hold_lock(lock), _pause_collection():
                     return compile_signature(signature)
             finally:
                 if timer is not None:
@@ -119,35 +119,35 @@ def _warn_once(sentence: str) -> None:
     warnings.warn(sentence, stacklevel=1)
 
 
-def _find_stamps(kept: Any, found: dict[str, Any]) -> dict[str, Any]:
+def _find_stamps(cache: Any, stamps: dict[str, Any]) -> dict[str, Any]:
     """Collect the stamps of a function's file and of those of all that it calls, and the constants that they use."""
-    function = kept._py_func
-    found[f"{function.__module__}.{function.__qualname__}"] = kept.stamp
+    function = cache._py_func
+    stamps[f"{function.__module__}.{function.__qualname__}"] = cache.stamp
     for name in function.__code__.co_names:
         value = function.__globals__.get(name)
-        called = getattr(value, "_cache", None)
-        if hasattr(called, "stamp"):
-            if f"{value.__module__}.{value.__qualname__}" not in found:
-                _find_stamps(called, found)
+        callee_cache = getattr(value, "_cache", None)
+        if hasattr(callee_cache, "stamp"):
+            if f"{value.__module__}.{value.__qualname__}" not in stamps:
+                _find_stamps(callee_cache, stamps)
         elif isinstance(value, int | float | tuple | np.generic | np.ndarray):
-            found[f"{function.__module__}:{name}"] = repr(value)
-    return found
+            stamps[f"{function.__module__}:{name}"] = repr(value)
+    return stamps
 
 
 @contextmanager
-def _no_garbage_collection() -> Iterator[None]:
+def _pause_collection() -> Iterator[None]:
     """A compilation makes many objects that stay: looking for garbage among them takes a seventh of its time."""
-    enabled = gc.isenabled()
+    was_enabled = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
-        if enabled:
+        if was_enabled:
             gc.enable()
 
 
 @contextmanager
-def _one_process_at_a_time(lock: str) -> Iterator[None]:
+def _hold_lock(lock: str) -> Iterator[None]:
     """Hold a lock file; without locks, where it cannot be written, or if this process holds it, do nothing.
 
     Numba's own lock, which lets one thread of a process compile at a time, is taken first: a compilation begins others,
@@ -156,7 +156,7 @@ def _one_process_at_a_time(lock: str) -> Iterator[None]:
     from numba.core.compiler_lock import global_compiler_lock
 
     with global_compiler_lock:
-        if fcntl is None or lock in _held:
+        if fcntl is None or lock in _held_locks:
             yield
             return
         file = None
@@ -164,11 +164,11 @@ def _one_process_at_a_time(lock: str) -> Iterator[None]:
             os.makedirs(os.path.dirname(lock), exist_ok=True)
             file = os.open(lock, os.O_RDWR | os.O_CREAT, 0o644)
             fcntl.flock(file, fcntl.LOCK_EX)
-        _held.add(lock)
+        _held_locks.add(lock)
         try:
             yield
         finally:
-            _held.discard(lock)
+            _held_locks.discard(lock)
             if file is not None:
                 fcntl.flock(file, fcntl.LOCK_UN)  # a process that was forked meanwhile would keep it
                 os.close(file)

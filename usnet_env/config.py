@@ -24,7 +24,7 @@ ClassT = TypeVar("ClassT", bound=type)
 Count = Annotated[int, Field(ge=1, le=100_000)]  # a number of UAVs, clusters or steps
 Positive = Annotated[float, Field(gt=0)]
 
-_LONGEST_VALUE = 80
+_MAX_LENGTH = 80
 _SHORT_REPR = reprlib.Repr()  # looks at the first items of a long value only, and a few levels deep
 _SHORT_REPR.maxstring = _SHORT_REPR.maxother = 200
 _SHORT_REPR.maxlist = _SHORT_REPR.maxtuple = 30
@@ -80,26 +80,26 @@ def format_number(value: float, digits: int = 6) -> str:
 
 def quote(value: object) -> str:
     """Format ``value`` for an error message: its ``repr`` on one line of at most 80 characters."""
-    shown = _SHORT_REPR.repr(value[: 2 * _LONGEST_VALUE] if isinstance(value, str | bytes) else value)
-    line = " ".join(shown.split())
-    return line if len(line) <= _LONGEST_VALUE else line[: _LONGEST_VALUE - 1] + "…"
+    text = _SHORT_REPR.repr(value[: 2 * _MAX_LENGTH] if isinstance(value, str | bytes) else value)
+    line = " ".join(text.split())
+    return line if len(line) <= _MAX_LENGTH else line[: _MAX_LENGTH - 1] + "…"
 
 
 def whole_number(name: str, value: Any, least: int, most: float = math.inf) -> int:
     """Return the argument ``name``, an integer of Python or NumPy within its limits, as an ``int``."""
-    plain = _to_python(value)
-    if isinstance(plain, bool) or not isinstance(plain, int) or not least <= plain <= most:
+    number = _to_python(value)
+    if isinstance(number, bool) or not isinstance(number, int) or not least <= number <= most:
         limits = f"from {least}" if most == math.inf else f"from {least} to {most}"
         raise ArgumentError(f"{name} must be a whole number {limits}, got {quote(value)}.")
-    return int(plain)
+    return int(number)
 
 
 def real_number(name: str, value: Any, least: float, most: float) -> float:
     """Return the argument ``name``, a number within its limits, as a ``float``."""
-    plain = _to_python(value)
-    if isinstance(plain, bool) or not isinstance(plain, int | float) or not least <= plain <= most:
+    number = _to_python(value)
+    if isinstance(number, bool) or not isinstance(number, int | float) or not least <= number <= most:
         raise ArgumentError(f"{name} must be a number from {least:g} to {most:g}, got {quote(value)}.")
-    return float(plain)
+    return float(number)
 
 
 def instance_of(name: str, value: Any, kind: type) -> None:
@@ -120,24 +120,24 @@ def named_values(name: str, value: Any) -> dict[str, Any]:
     return dict(value or {})
 
 
-def _hint(got: object, known: Iterable[str]) -> str:
+def _suggest_name(got: object, known: Iterable[str]) -> str:
     """Ask for the most similar known name, in any case, as the end of a sentence; an empty text if none is similar."""
     by_case = {name.casefold(): name for name in known}
-    near = get_close_matches(got.casefold(), by_case, n=1) if isinstance(got, str) else []
-    return f" (did you mean {by_case[near[0]]!r}?)" if near else ""
+    matches = get_close_matches(got.casefold(), by_case, n=1) if isinstance(got, str) else []
+    return f" (did you mean {by_case[matches[0]]!r}?)" if matches else ""
 
 
 def unknown_name(argument: str, got: object, known: Iterable[str]) -> ArgumentError:
     """The error for a name that is not registered; it suggests the most similar known name."""
     names = sorted(known)
-    return ArgumentError(f"{argument} must be one of {', '.join(names)}, got {quote(got)}{_hint(got, names)}.")
+    return ArgumentError(f"{argument} must be one of {', '.join(names)}, got {quote(got)}{_suggest_name(got, names)}.")
 
 
 def unknown_argument(
     name: str, owner: str, known: Iterable[str], instead: Mapping[str, str] | None = None
 ) -> ArgumentError:
     """The error for an argument that ``owner`` does not have; it suggests a similar one, or what ``instead`` says."""
-    hint = f" ({instead[name]})" if instead and name in instead else _hint(name, known)
+    hint = f" ({instead[name]})" if instead and name in instead else _suggest_name(name, known)
     return ArgumentError(f"{name} is not an argument of {owner}{hint}; it takes {', '.join(known) or 'none'}.")
 
 
@@ -152,21 +152,21 @@ def _to_python(value: Any) -> Any:
 
 def _to_sentence(error: ValidationError, config: type[Config]) -> str:
     """The first error that pydantic found, an unknown argument before others, as one sentence."""
-    first = min(error.errors(), key=lambda one: one["type"] != "extra_forbidden")
-    name = str(first["loc"][0]) if first["loc"] else "configuration"
-    match first["type"]:
+    fault = min(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
+    name = str(fault["loc"][0]) if fault["loc"] else "configuration"
+    match fault["type"]:
         case "extra_forbidden":
             owner = config.__name__.replace("Arguments", "Env")
             return str(unknown_argument(name, owner, config.model_fields, config.instead))
         case "value_error":  # raised by a validator of this project: its text is the sentence
-            return str(first["ctx"]["error"])
+            return str(fault["ctx"]["error"])
         case "literal_error":
-            return str(unknown_name(name, first["input"], re.findall(r"'([^']*)'", first["ctx"]["expected"])))
-        case "missing" if len(first["loc"]) == 1:
+            return str(unknown_name(name, fault["input"], re.findall(r"'([^']*)'", fault["ctx"]["expected"])))
+        case "missing" if len(fault["loc"]) == 1:
             return f"{name} must be given."
-    takes = _EXPECTED.get(first["type"], first["msg"].removeprefix("Input should be ").rstrip("."))
-    takes = "a list, such as [7, 5]" if takes == "a list" or "Sequence" in takes else takes
-    return f"{name} must be {takes}, got {quote(first['input'])}."
+    expected = _EXPECTED.get(fault["type"], fault["msg"].removeprefix("Input should be ").rstrip("."))
+    expected = "a list, such as [7, 5]" if expected == "a list" or "Sequence" in expected else expected
+    return f"{name} must be {expected}, got {quote(fault['input'])}."
 
 
 class Config(BaseModel):
@@ -193,14 +193,14 @@ class Config(BaseModel):
         if not isinstance(values, dict):  # a config in another one
             return values
         fields = cls.model_fields
-        kept = {  # of arguments that are declared as a list or an array
+        declared = {  # of arguments that are declared as a list or an array
             name: value
             for name, value in values.items()
             if isinstance(value, list | np.ndarray)
             and name in fields
             and type(value).__name__ in str(fields[name].annotation)
         }
-        return {name: _to_python(value) for name, value in values.items()} | kept
+        return {name: _to_python(value) for name, value in values.items()} | declared
 
     def part(self, kind: type[ConfigT], **changes: Any) -> ConfigT:
         """The values of those fields that another config has too, with changes, as this config."""
@@ -220,13 +220,13 @@ def takes_arguments(
     """Decorate a constructor that takes a :class:`Config`, so that it takes the fields of the config as keywords."""
 
     def decorate(init: Callable[[OwnerT, ConfigT], None]) -> Callable[Concatenate[OwnerT, P], None]:
-        def checked(self: OwnerT, /, *none: P.args, **values: P.kwargs) -> None:
-            init(self, config(*none, **values))
+        def checked(self: OwnerT, /, *positional: P.args, **values: P.kwargs) -> None:
+            init(self, config(*positional, **values))
 
         keywords = signature(config).parameters.values()
-        described: Any = update_wrapper(checked, init)
-        described.__signature__ = Signature([Parameter("self", Parameter.POSITIONAL_OR_KEYWORD), *keywords])
-        described.config = config
+        wrapper: Any = update_wrapper(checked, init)
+        wrapper.__signature__ = Signature([Parameter("self", Parameter.POSITIONAL_OR_KEYWORD), *keywords])
+        wrapper.config = config
         return checked
 
     return decorate
@@ -235,15 +235,15 @@ def takes_arguments(
 def list_arguments(**parts: str) -> Callable[[ClassT], ClassT]:
     """Decorate a class, to replace ``{arguments}`` in its docstring by a table of them, and names of texts by these."""
 
-    def complete(described: ClassT) -> ClassT:
+    def complete(cls: ClassT) -> ClassT:
         rows = [
             f"    | `{name}` | {_format_default(field)} | {field.description.replace('``', '`')} |"
-            for name, field in vars(described)["__init__"].config.model_fields.items()
+            for name, field in vars(cls)["__init__"].config.model_fields.items()
         ]
         table = "\n".join(["| name | default | meaning |", "    | --- | --- | --- |", *rows])
         for name, part in {**parts, "arguments": table}.items():
-            described.__doc__ = (described.__doc__ or "").replace(f"{{{name}}}", part)
-        return described
+            cls.__doc__ = (cls.__doc__ or "").replace(f"{{{name}}}", part)
+        return cls
 
     return complete
 

@@ -72,18 +72,18 @@ class Detection:
     extras: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        put = object.__setattr__
-        put(self, "candidates", frozen_array("candidates", self.candidates, bool, (None,)))
+        set_field = object.__setattr__
+        set_field(self, "candidates", frozen_array("candidates", self.candidates, bool, (None,)))
         uavs = len(self.candidates)
-        put(self, "scores", frozen_array("scores", self.scores, np.float64, (uavs,)))
+        set_field(self, "scores", frozen_array("scores", self.scores, np.float64, (uavs,)))
         for name, kind, axes in (("clusters", np.int64, 1), ("leader", np.int64, 1), ("attention", np.float64, 2)):
             if (value := getattr(self, name)) is not None:
-                put(self, name, frozen_array(name, value, kind, (uavs,) * axes))
+                set_field(self, name, frozen_array(name, value, kind, (uavs,) * axes))
         if self.leader is not None and not ((self.leader >= -1) & (self.leader < uavs)).all():
             raise ArgumentError(f"leader must hold indices from -1 to {uavs - 1}, got {quote(self.leader)}.")
-        put(self, "extras", named_values("extras", self.extras))
-        if (given := self.extras.get("probability")) is not None:
-            probability = frozen_array("probability", given, np.float64, (uavs,))
+        set_field(self, "extras", named_values("extras", self.extras))
+        if (value := self.extras.get("probability")) is not None:
+            probability = frozen_array("probability", value, np.float64, (uavs,))
             if not ((probability >= -_ROUNDING) & (probability <= 1 + _ROUNDING)).all():
                 raise ArgumentError(f"probability must hold numbers from 0 to 1, got {quote(probability)}.")
 
@@ -102,36 +102,36 @@ class Detection:
         Raises:
             ArgumentError: ``removed`` has another shape, or values other than 0 and 1.
         """
-        everyone = np.arange(len(self.candidates))
-        left = ~frozen_array("removed", removed, bool, (len(everyone),)) & window.alive
-        heads = np.flatnonzero(self.candidates & left)
+        indices = np.arange(len(self.candidates))
+        is_left = ~frozen_array("removed", removed, bool, (len(indices),)) & window.alive
+        heads = np.flatnonzero(self.candidates & is_left)
         if not len(heads):
-            return np.full(len(everyone), -1)
+            return np.full(len(indices), -1)
         last = len(window.seen) - 1 - window.seen[::-1].argmax(axis=0)
-        place = window.position[last, everyone].astype(np.float64)
-        nearest = heads[np.linalg.norm(place[:, None] - place[heads], axis=2).argmin(axis=1)]
-        above = self._list_leaders()
-        for _ in range(len(everyone).bit_length()):  # past removed relays; each pass doubles the length of the chains
-            above = np.where(left[above] | self.candidates[above], above, above[above])
-        above = np.where(left[above] & (above != everyone), above, nearest)
-        above[heads] = heads
-        for _ in range(len(everyone).bit_length()):
-            above = above[above]
-        return np.where(left, np.where(self.candidates[above] & left[above], above, nearest), -1)
+        position = window.position[last, indices].astype(np.float64)
+        nearest = heads[np.linalg.norm(position[:, None] - position[heads], axis=2).argmin(axis=1)]
+        leader = self._list_leaders()
+        for _ in range(len(indices).bit_length()):  # past removed relays; each pass doubles the length of the chains
+            leader = np.where(is_left[leader] | self.candidates[leader], leader, leader[leader])
+        leader = np.where(is_left[leader] & (leader != indices), leader, nearest)
+        leader[heads] = heads
+        for _ in range(len(indices).bit_length()):
+            leader = leader[leader]
+        return np.where(is_left, np.where(self.candidates[leader] & is_left[leader], leader, nearest), -1)
 
     def _list_leaders(self) -> Indices:
         """``(N,)`` the one that each UAV follows; itself if it is a candidate or follows none."""
-        everyone, leader = np.arange(len(self.candidates)), self.leader
+        indices, leader = np.arange(len(self.candidates)), self.leader
         if leader is None and self.clusters is not None:
-            leader = np.full(len(everyone), -1)
+            leader = np.full(len(indices), -1)
             for head in np.flatnonzero(self.candidates & (self.clusters >= 0)):
                 leader[self.clusters == self.clusters[head]] = head
-        return everyone if leader is None else np.where(self.candidates | (leader < 0), everyone, leader)
+        return indices if leader is None else np.where(self.candidates | (leader < 0), indices, leader)
 
     def __repr__(self) -> str:
-        named = np.flatnonzero(self.candidates)
-        which = ", ".join(map(str, named[:6])) + ", …" * (len(named) > 6)
-        return f"<Detection for {len(self.candidates)} UAVs, {len(named)} named: {which or 'none'}>"
+        candidates = np.flatnonzero(self.candidates)
+        listed = ", ".join(map(str, candidates[:6])) + ", …" * (len(candidates) > 6)
+        return f"<Detection for {len(self.candidates)} UAVs, {len(candidates)} named: {listed or 'none'}>"
 
 
 def read_tags(detector: Any) -> Tags:

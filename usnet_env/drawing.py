@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usnet_env.arrays import Floats, Indices, Mask, Singles
-from usnet_env.config import MissingExtraError as MissingExtraError  # others import it from here
-from usnet_env.config import how_to_install, instance_of
+from usnet_env.config import MissingExtraError, how_to_install, instance_of
 from usnet_env.detection import Detection
 from usnet_env.files import atomic_write
 from usnet_env.objectives import find_roots
@@ -71,12 +70,12 @@ MOST_LINKED = 300  # UAVs: of more, links are a ball of wool
 _INK = (0.68, 0.68, 0.68, 1.0)  # of a colour in lines, which have no dark edge: a contrast of 3 to 1 on white
 _TRACK_PARTS = 6  # number of segments of a track, from faint to strong
 _TRACK_SAMPLES = 49  # maximum number of points of a track; more would not be visible
-_MARGIN_OF_FRAMES = 0.4  # room for the swarm to drift and spread before the axes have to grow
+_FRAME_MARGIN = 0.4  # room for the swarm to drift and spread before the axes have to grow
 _METADATA: dict[str, Any] = {  # without the date and the versions, so that equal figures have equal bytes
     "png": {"Software": None},
     "pdf": {"Creator": None, "Producer": None, "CreationDate": None},
 }
-_BESIDE = [(side, row) for row in (1, -1, 0, 2, -2, 3, -3, 4, -4) for side in (1, -1, 0) if side or row]  # of a point
+_OFFSETS = [(side, row) for row in (1, -1, 0, 2, -2, 3, -3, 4, -4) for side in (1, -1, 0) if side or row]  # of a name
 
 #: The square that a map shows, in metres: its centre (x, y) and half of its side.
 Limits = tuple[float, float, float]
@@ -97,11 +96,11 @@ def new_figure(width: float, height: float, dpi: float = 100) -> Figure:
         raise MissingExtraError(f"Drawing needs matplotlib; {how_to_install('render')}.") from None
     figure = Figure(figsize=(width, height), dpi=dpi, facecolor="white")
     FigureCanvasAgg(figure)
-    figure._repr_png_ = partial(_encode, figure)  # type: ignore[attr-defined]  # what Jupyter asks for
+    figure._repr_png_ = partial(_encode_png, figure)  # type: ignore[attr-defined]  # what Jupyter asks for
     return figure
 
 
-def _encode(figure: Figure) -> bytes:
+def _encode_png(figure: Figure) -> bytes:
     file = BytesIO()
     figure.savefig(file, format="png")
     return file.getvalue()
@@ -109,15 +108,15 @@ def _encode(figure: Figure) -> bytes:
 
 def last_seen_position(position: Singles, seen: Mask) -> Singles:
     """Where each UAV was last ``seen`` ``(T_ob + 1, N)`` in a window: ``(N, 3)`` metres, NaN for one never seen."""
-    when = len(seen) - 1 - np.argmax(seen[::-1], axis=0)
-    place = position[when, np.arange(position.shape[1])]
-    return np.asarray(np.where(np.any(seen, axis=0, keepdims=True).T, place, np.float32(np.nan)))
+    last = len(seen) - 1 - np.argmax(seen[::-1], axis=0)
+    last_position = position[last, np.arange(position.shape[1])]
+    return np.asarray(np.where(np.any(seen, axis=0, keepdims=True).T, last_position, np.float32(np.nan)))
 
 
-def limits_around(place: NDArray[np.floating[Any]], margin: float = 0.12, least: float = 1.0) -> Limits:
+def limits_around(position: NDArray[np.floating[Any]], margin: float = 0.12, least: float = 1.0) -> Limits:
     """The smallest square around positions ``(..., 3)`` (NaN: none), of at least ``least`` metres, and a margin."""
-    known = place[np.isfinite(place[..., 0])][:, :2]
-    low, high = (known.min(axis=0), known.max(axis=0)) if len(known) else (np.zeros(2), np.ones(2))
+    points = position[np.isfinite(position[..., 0])][:, :2]
+    low, high = (points.min(axis=0), points.max(axis=0)) if len(points) else (np.zeros(2), np.ones(2))
     x, y = ((low + high) / 2).tolist()
     return x, y, (1 + margin) / 2 * max(float((high - low).max()), least)
 
@@ -130,7 +129,7 @@ def cluster_colors(head: Mask, root: Indices, number: Indices | None = None) -> 
 
 
 def round_marks(
-    place: Singles,
+    position: Singles,
     alive: Mask,
     head: Mask,
     root: Indices,
@@ -138,35 +137,35 @@ def round_marks(
     candidates: Mask | None = None,
     destroyed_at: Singles | None = None,
 ) -> dict[str, Mask]:
-    """The UAVs ``(N,)`` of each mark, by the texts of the legend; ``place`` is NaN for UAVs that are not drawn."""
-    shown = np.isfinite(place[:, 0])
-    target = head & alive
-    none = np.zeros_like(alive)
-    named, missed = (none, none) if candidates is None else (candidates, target & ~candidates)
-    other = shown & ~head & ~decoy
-    follower = other & (root >= 0) & head[root]
+    """The UAVs ``(N,)`` of each mark, by the texts of the legend; ``position`` is NaN for UAVs that are not drawn."""
+    is_shown = np.isfinite(position[:, 0])
+    is_head = head & alive
+    no_uavs = np.zeros_like(alive)
+    is_candidate, is_missed = (no_uavs, no_uavs) if candidates is None else (candidates, is_head & ~candidates)
+    is_other = is_shown & ~head & ~decoy
+    is_follower = is_other & (root >= 0) & head[root]
     return {
-        HEAD_MARK: shown & head,
-        FOLLOWER_MARK: follower,
-        UNLED_MARK: other & ~follower,
-        LINK_MARK: follower & shown[root] & (len(place) <= MOST_LINKED),
-        DECOY_MARK: shown & decoy,
-        HIT_MARK: named & target,
-        REDUNDANT_MARK: named & ~target,
-        MISSED_MARK: missed,
-        DESTROYED_MARK: none if destroyed_at is None else ~alive & np.isfinite(destroyed_at[:, 0]),
+        HEAD_MARK: is_shown & head,
+        FOLLOWER_MARK: is_follower,
+        UNLED_MARK: is_other & ~is_follower,
+        LINK_MARK: is_follower & is_shown[root] & (len(position) <= MOST_LINKED),
+        DECOY_MARK: is_shown & decoy,
+        HIT_MARK: is_candidate & is_head,
+        REDUNDANT_MARK: is_candidate & ~is_head,
+        MISSED_MARK: is_missed,
+        DESTROYED_MARK: no_uavs if destroyed_at is None else ~alive & np.isfinite(destroyed_at[:, 0]),
     }
 
 
-def draw_legend(axes: Axes, labels: Mapping[str, str], **place: Any) -> None:
-    """Draw a legend of texts by mark at the right of ``axes``, or at the ``place`` that ``Axes.legend`` takes."""
+def draw_legend(axes: Axes, labels: Mapping[str, str], **options: Any) -> None:
+    """Draw a legend of texts by mark at the right of ``axes``; ``options`` are those of ``Axes.legend``."""
     from matplotlib.lines import Line2D
 
     link = Line2D([], [], color="#777777", alpha=0.6, linewidth=1)
     sizes = {mark: {"s": min(max(style["s"], 40), 180)} for mark, style in _STYLES.items()}
     keys = [link if mark == LINK_MARK else axes.scatter([], [], **_STYLES[mark] | sizes[mark]) for mark in labels]
-    look: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "fontsize": 9.5, "frameon": False}
-    axes.legend(keys, list(labels.values()), **look | {"labelspacing": 0.9, "scatterpoints": 1} | place)
+    style: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "fontsize": 9.5, "frameon": False}
+    axes.legend(keys, list(labels.values()), **style | {"labelspacing": 0.9, "scatterpoints": 1} | options)
 
 
 def _draw_tracks(axes: Axes, position: Singles, seen: Mask, colors: NDArray[np.str_]) -> None:
@@ -204,10 +203,10 @@ def plot_detection(detection: Detection, window: Window) -> Figure:
     instance_of("detection", detection, Detection)
     instance_of("window", window, Window)
     root = np.full(window.uavs, -1) if detection.leader is None else find_roots(detection.leader)
-    heads, none = np.flatnonzero(detection.candidates), np.zeros(window.uavs, bool)
+    heads, no_decoys = np.flatnonzero(detection.candidates), np.zeros(window.uavs, bool)
     root = np.where(np.isin(root, heads), root, -1)
     root[heads] = heads
-    return draw_round(window.position, window.seen, window.alive, detection.candidates, root, none)
+    return draw_round(window.position, window.seen, window.alive, detection.candidates, root, no_decoys)
 
 
 def draw_round(
@@ -255,34 +254,35 @@ def draw_round(
     from matplotlib.collections import LineCollection
     from matplotlib.colors import to_rgba_array
 
-    place = last_seen_position(position, seen & alive)
-    shown = np.isfinite(place[:, 0])
+    last_position = last_seen_position(position, seen & alive)
+    is_shown = np.isfinite(last_position[:, 0])
     if truth:
-        marks = round_marks(place, alive, head, root, decoy, candidates, destroyed_at)
+        marks = round_marks(last_position, alive, head, root, decoy, candidates, destroyed_at)
     else:
         head, root = np.zeros_like(head), np.full_like(root, -1)
-        marks = round_marks(place, alive, head, root, head, None, destroyed_at)
+        marks = round_marks(last_position, alive, head, root, head, None, destroyed_at)
         marks[CANDIDATE_MARK] = head if candidates is None else candidates
-    gone = marks[DESTROYED_MARK]
-    everywhere = place if destroyed_at is None else np.asarray(np.where(gone[:, None], destroyed_at, place))
+    map_position = last_position
+    if destroyed_at is not None:
+        map_position = np.asarray(np.where(marks[DESTROYED_MARK][:, None], destroyed_at, last_position))
     # The limits come first: otherwise they are computed anew for everything that is drawn.
-    set_up_axes(axes, limits_around(everywhere) if limits is None else limits, title)
+    set_up_axes(axes, limits_around(map_position) if limits is None else limits, title)
     colors = cluster_colors(head, root, number)
-    linked = marks[LINK_MARK]
-    links = list(np.stack([place[linked, :2], place[root[linked], :2]], axis=1))
-    shades = to_rgba_array(colors[linked].tolist(), 0.35) * _INK
+    is_linked = marks[LINK_MARK]
+    links = list(np.stack([last_position[is_linked, :2], last_position[root[is_linked], :2]], axis=1))
+    shades = to_rgba_array(colors[is_linked].tolist(), 0.35) * _INK
     axes.add_collection(LineCollection(links, colors=shades, linewidths=0.7, zorder=1))
-    _draw_tracks(axes, position[:, shown], (seen & alive)[:, shown], colors[shown])
+    _draw_tracks(axes, position[:, is_shown], (seen & alive)[:, is_shown], colors[is_shown])
 
-    for mark, who in marks.items():
-        if mark != LINK_MARK and who.any():
-            look = {"zorder": 6} | _STYLES[mark] | ({"c": colors[who]} if mark in (HEAD_MARK, FOLLOWER_MARK) else {})
-            axes.scatter(everywhere[who, 0], everywhere[who, 1], **look)
+    for mark, uavs in marks.items():
+        if mark != LINK_MARK and uavs.any():
+            style = {"zorder": 6} | _STYLES[mark] | ({"c": colors[uavs]} if mark in (HEAD_MARK, FOLLOWER_MARK) else {})
+            axes.scatter(map_position[uavs, 0], map_position[uavs, 1], **style)
     if intruders is not None:
         axes.plot(*np.moveaxis(intruders[..., :2], 2, 0), color=REDUNDANT, linewidth=1.4, zorder=6)
         axes.scatter(*intruders[-1, :, :2].T, **_STYLES[INTRUDER_MARK])
     if legend:
-        counts = {mark: int(who.sum()) for mark, who in marks.items()}
+        counts = {mark: int(uavs.sum()) for mark, uavs in marks.items()}
         counts[INTRUDER_MARK] = 0 if intruders is None else intruders.shape[1]
         draw_legend(axes, {mark: f"{mark} ({count})" for mark, count in counts.items() if count})
     figure: Any = axes.get_figure(root=True)
@@ -305,23 +305,24 @@ class EpisodeFrames:
 
     def watch(self, position: Singles, seen: Mask) -> None:
         """Take note of a window, once for each, in their order; the arrays are those of :func:`draw_round`."""
-        place = last_seen_position(position, seen)
-        self._last = place if self._last is None else np.where(np.isfinite(place), place, self._last)
+        last = last_seen_position(position, seen)
+        self._last = last if self._last is None else np.where(np.isfinite(last), last, self._last)
         x, y, half = self.limits or (0.0, 0.0, -1.0)
-        if (np.abs(place[:, :2] - (x, y)) > half).any():
-            self.limits = limits_around(self._last, _MARGIN_OF_FRAMES)
+        if (np.abs(last[:, :2] - (x, y)) > half).any():
+            self.limits = limits_around(self._last, _FRAME_MARGIN)
 
     def render(self, **scene: Any) -> NDArray[np.uint8]:
         """Render a window, ``(720, 960, 3)`` uint8; ``scene`` holds arguments of :func:`draw_round` by name."""
         return pixels_of(draw_round(**scene, destroyed_at=self._last, limits=self.limits))
 
 
-def abbreviate(names: Sequence[str], longest: int) -> list[str]:
-    """Shorten names in their middle to ``longest`` characters, at least 5; those that would become equal are kept."""
-    half = (longest - 1) // 2
-    short = {each: each if len(each) <= longest else f"{each[: longest - 1 - half]}…{each[-half:]}" for each in names}
+def abbreviate(names: Sequence[str], max_length: int) -> list[str]:
+    """Shorten names in their middle to ``max_length`` characters, at least 5, unless two would become equal."""
+    half = (max_length - 1) // 2
+    start = max_length - 1 - half
+    short = {name: name if len(name) <= max_length else f"{name[:start]}…{name[-half:]}" for name in names}
     counts = Counter(short.values())
-    return [short[each] if counts[short[each]] == 1 else each for each in names]
+    return [short[name] if counts[short[name]] == 1 else name for name in names]
 
 
 def escape_math(text: str) -> str:
@@ -329,26 +330,26 @@ def escape_math(text: str) -> str:
     return text.replace("$", r"\$")
 
 
-def annotate_points(axes: Axes, places: Floats, names: Sequence[str], **style: Any) -> None:
+def annotate_points(axes: Axes, points: Floats, names: Sequence[str], **style: Any) -> None:
     """Write names beside points ``(n, 2)`` of final ``axes`` where they cover the fewest other names and points."""
     figure: Any = axes.get_figure(root=True)
     pixels = figure.dpi / 72
     frame = axes.get_window_extent().padded(-4 * pixels)
-    points = axes.transData.transform(places)
-    taken = np.hstack([points - 6 * pixels, points + 6 * pixels])  # boxes: what names should leave free
-    for k, (name, point) in enumerate(zip(names, points, strict=True)):
+    pixel_points = axes.transData.transform(points)
+    boxes = np.hstack([pixel_points - 6 * pixels, pixel_points + 6 * pixels])  # what names should leave free
+    for k, (name, point) in enumerate(zip(names, pixel_points, strict=True)):
         text = axes.annotate(
-            escape_math(name), places[k].tolist(), (0, 0), textcoords="offset points", annotation_clip=False, **style
+            escape_math(name), points[k].tolist(), (0, 0), textcoords="offset points", annotation_clip=False, **style
         )
         with warnings.catch_warnings(action="ignore"):  # of missing characters, which the file shows as boxes
             size = np.array(text.get_window_extent().size)
-        centres = point + np.array(_BESIDE) * (size / (2, 1) + (7 * pixels, 0))
+        centres = point + np.array(_OFFSETS) * (size / (2, 1) + (7 * pixels, 0))
         low = np.clip(centres - size / 2, (frame.x0, frame.y0), (frame.x1, frame.y1) - size)
-        shared = np.minimum(low[:, None] + size, taken[:, 2:]) - np.maximum(low[:, None], taken[:, :2])
-        weight = np.where(np.arange(len(taken)) < len(points), 1, 10)  # a name on a name is worse than on a point
-        best = low[int(np.argmin(np.maximum(shared, 0).prod(axis=2) @ weight))]
+        overlap = np.minimum(low[:, None] + size, boxes[:, 2:]) - np.maximum(low[:, None], boxes[:, :2])
+        weight = np.where(np.arange(len(boxes)) < len(pixel_points), 1, 10)  # a name on a name is worse than on a point
+        best = low[int(np.argmin(np.maximum(overlap, 0).prod(axis=2) @ weight))]
         text.set_position(((best - point) / pixels).tolist())
-        taken = np.vstack([taken, [*best, *(best + size)]])
+        boxes = np.vstack([boxes, [*best, *(best + size)]])
 
 
 def caption_figure(figure: Figure, title: str, caption: str) -> None:
@@ -368,8 +369,8 @@ def write_figure(figure: Figure, path: Path) -> Path:
     from matplotlib import rc_context
 
     kind, fonts = path.suffix.lower()[1:], rc_context({"pdf.fonttype": 42})
-    with warnings.catch_warnings(record=True, action="always") as caught, fonts, atomic_write(path) as aside:
-        figure.savefig(aside, format=kind, dpi=200, metadata=_METADATA[kind])
-    if any("missing from font" in str(each.message) for each in caught):
+    with warnings.catch_warnings(record=True, action="always") as caught, fonts, atomic_write(path) as temporary:
+        figure.savefig(temporary, format=kind, dpi=200, metadata=_METADATA[kind])
+    if any("missing from font" in str(warning.message) for warning in caught):
         warnings.warn("The fonts of this machine lack some characters of the figure: it has boxes there.", stacklevel=2)
     return path

@@ -32,12 +32,12 @@ def as_path(name: str, value: Any) -> Path:
     return Path(value)
 
 
-def describe_fault(path: str | os.PathLike[str], what: str, error: Exception, hint: str = "") -> str:
+def describe_fault(path: str | os.PathLike[str], kind: str, error: Exception, hint: str = "") -> str:
     """A sentence about a file that can't be read: libraries raise many kinds of errors for damaged ones."""
     if isinstance(error, FileNotFoundError):
         return f"{printable(path)}: no such file."
     reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}".removesuffix(": ")
-    return f"{printable(path)}: not an intact {what} ({' '.join(reason.split()).rstrip('.')}{hint})."
+    return f"{printable(path)}: not an intact {kind} ({' '.join(reason.split()).rstrip('.')}{hint})."
 
 
 def read_csv(source: Any, **options: Any) -> pd.DataFrame:
@@ -54,18 +54,18 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
 
     Missing folders are created. Yields the path of the temporary file, in the same folder.
     """
-    final = as_path("path", path)
-    aside = final.with_name(f".{uuid4().hex}.{final.name}")
+    target = as_path("path", path)
+    temporary = target.with_name(f".{uuid4().hex}.{target.name}")
     try:
-        final.parent.mkdir(parents=True, exist_ok=True)
-        yield aside
-        os.replace(aside, final)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        yield temporary
+        os.replace(temporary, target)
     except OSError as error:
-        sentence = f"path must be a file that can be written, got {quote(str(final))}: {error.strerror}."
+        sentence = f"path must be a file that can be written, got {quote(str(target))}: {error.strerror}."
         raise ArgumentError(sentence) from None
     finally:
         with suppress(OSError):  # after success it no longer exists
-            aside.unlink()
+            temporary.unlink()
 
 
 @contextmanager
@@ -75,19 +75,19 @@ def replace_files(folder: Path, optional: Iterable[str] = ()) -> Iterator[Path]:
     Of the names ``optional``, the files that weren't written are deleted then. An error, or the end of this process,
     before leaves all files as they were.
     """
-    with TemporaryDirectory(dir=folder, prefix=".unfinished-") as aside:
-        yield Path(aside)
-        written = {file.name for file in Path(aside).iterdir()}
+    with TemporaryDirectory(dir=folder, prefix=".unfinished-") as temporary:
+        yield Path(temporary)
+        written = {file.name for file in Path(temporary).iterdir()}
         for name in written:
-            os.replace(Path(aside, name), folder / name)
+            os.replace(Path(temporary, name), folder / name)
         for name in {*optional} - written:
             (folder / name).unlink(missing_ok=True)
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Write a text file in UTF-8, as :func:`atomic_write` does."""
-    with atomic_write(path) as aside:
-        aside.write_text(text, encoding="utf-8", newline="")
+    with atomic_write(path) as temporary:
+        temporary.write_text(text, encoding="utf-8", newline="")
 
 
 def write_html(path: str | os.PathLike[str], title: str, body: str) -> None:

@@ -23,10 +23,10 @@ from usnet_env.detection import Detection
 
 def _count(*masks: ArrayLike) -> Indices:
     """Number of UAVs that are in all sets."""
-    both = np.asarray(masks[0], bool)
+    in_all = np.asarray(masks[0], bool)
     for mask in masks[1:]:
-        both = both & np.asarray(mask, bool)
-    return np.asarray(both.sum(axis=-1, dtype=np.int64))
+        in_all = in_all & np.asarray(mask, bool)
+    return np.asarray(in_all.sum(axis=-1, dtype=np.int64))
 
 
 def _ratio(part: Indices, whole: Indices) -> Floats:
@@ -53,8 +53,8 @@ def single_cluster_objective(head: ArrayLike, candidates: ArrayLike) -> Floats:
     >>> float(single_cluster_objective([True, False, False], [True, True, False]))  # the head and a redundant UAV
     -1.0
     """
-    named, hits = _count(candidates), _count(head, candidates)
-    return np.asarray(np.where(named > 0, hits - named, np.where(np.any(head, axis=-1), -1.0, 0.0)))
+    count, hits = _count(candidates), _count(head, candidates)
+    return np.asarray(np.where(count > 0, hits - count, np.where(np.any(head, axis=-1), -1.0, 0.0)))
 
 
 def precision(head: ArrayLike, candidates: ArrayLike) -> Floats:
@@ -81,8 +81,8 @@ def f1(head: ArrayLike, candidates: ArrayLike) -> Floats:
     >>> round(float(f1([True, False, True], [True, False, False])), 2)
     0.67
     """
-    both = _count(candidates) + _count(head)
-    return np.asarray(np.where(both > 0, _ratio(2 * _count(head, candidates), both), 1.0))
+    total = _count(candidates) + _count(head)
+    return np.asarray(np.where(total > 0, _ratio(2 * _count(head, candidates), total), 1.0))
 
 
 def exact(head: ArrayLike, candidates: ArrayLike) -> Mask:
@@ -147,12 +147,12 @@ def purity(root: ArrayLike, clusters: ArrayLike) -> float:
     0.75
     """
     roots, label = np.asarray(root), np.asarray(clusters)
-    counted = roots >= 0
-    if not counted.any():
+    is_counted = roots >= 0
+    if not is_counted.any():
         return 0.0
-    found = np.unique(label[counted & (label >= 0)])
-    most = sum(np.unique(roots[counted & (label == k)], return_counts=True)[1].max() for k in found)
-    return float(most / counted.sum())
+    labels = np.unique(label[is_counted & (label >= 0)])
+    correct = sum(np.unique(roots[is_counted & (label == k)], return_counts=True)[1].max() for k in labels)
+    return float(correct / is_counted.sum())
 
 
 def head_in_cluster(head: ArrayLike, root: ArrayLike, clusters: ArrayLike) -> float:
@@ -178,12 +178,12 @@ def find_roots(leader: ArrayLike) -> Indices:
     [0, 0, 0, 3]
     """
     direct = np.asarray(leader, np.int64)
-    itself = np.arange(len(direct))
-    root = np.where(direct >= 0, direct, itself)
+    indices = np.arange(len(direct))
+    root = np.where(direct >= 0, direct, indices)
     for _ in range(len(direct).bit_length()):  # each pass doubles the length of the chains that are followed
         root = root[root]
-    ends = (direct < 0) | (direct == itself)
-    return np.where(ends[root], root, -1)
+    is_end = (direct < 0) | (direct == indices)
+    return np.where(is_end[root], root, -1)
 
 
 def list_followers(detection: Detection, head: int) -> list[int]:
@@ -193,12 +193,12 @@ def list_followers(detection: Detection, head: int) -> list[int]:
     """
     if detection.leader is not None:
         leader = np.where(detection.candidates, np.arange(len(detection.leader)), detection.leader)
-        behind = find_roots(leader) == head
+        is_member = find_roots(leader) == head
     elif detection.clusters is not None and detection.clusters[head] >= 0:
-        behind = detection.clusters == detection.clusters[head]
+        is_member = detection.clusters == detection.clusters[head]
     else:
         return []
-    return [int(i) for i in np.flatnonzero(behind) if i != head]
+    return [int(i) for i in np.flatnonzero(is_member) if i != head]
 
 
 def group_leader_accuracy(leader: ArrayLike, scores: ArrayLike) -> float:

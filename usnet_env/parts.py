@@ -22,7 +22,7 @@ PartT = TypeVar("PartT")
 
 REGISTRIES: dict[str, Registry[Any]] = {}  # all registries of this process by the kind of their parts
 _NAME = re.compile(r"\w[\w.-]*")
-_LONGEST_ERROR = 300  # characters
+_MAX_ERROR_LENGTH = 300  # characters
 
 
 @cache
@@ -80,12 +80,13 @@ class Registry(Mapping[str, PartT], Generic[PartT]):
         if not isinstance(name, str) or not _NAME.fullmatch(name) or name in self._reserved:
             raise ArgumentError(f"name must consist of letters, digits, '_', '.' and '-', got {quote(name)}.")
         accepted = self._accept(part)
-        fixed = name in self._own or name in self.entry_points()
-        taken = self[name] if fixed or (name in self.registered and not replace) else accepted
-        if not are_equal(taken, accepted):
-            hint = f"the name of an installed {self.kind}" if fixed else "registered already (replace=True replaces it)"
+        is_fixed = name in self._own or name in self.entry_points()
+        present = self[name] if is_fixed or (name in self.registered and not replace) else accepted
+        if not are_equal(present, accepted):
+            other = f"the name of an installed {self.kind}"
+            hint = other if is_fixed else "registered already (replace=True replaces it)"
             raise ArgumentError(f"name must be a new one, got {name!r}, which is {hint}.")
-        if not fixed:
+        if not is_fixed:
             self.registered[name] = accepted
 
     def find(self, name: object) -> PartT:
@@ -98,17 +99,17 @@ class Registry(Mapping[str, PartT], Generic[PartT]):
         """Import a part; whatever goes wrong is one sentence, as for :meth:`find`."""
         subject = f"{self.kind} {name!r}"
         try:
-            found = load()
-            found = found() if isinstance(found, type) and not self._classes else found
+            part = load()
+            part = part() if isinstance(part, type) and not self._classes else part
         except (Exception, SystemExit) as error:  # importing a foreign module may raise anything
-            missing = missing_extra(subject, error)
-            raise missing or ArgumentError(f"{subject} can't be loaded: {describe_error(error)}.") from error
-        return self._accept(found, subject)
+            missing_error = missing_extra(subject, error)
+            raise missing_error or ArgumentError(f"{subject} can't be loaded: {describe_error(error)}.") from error
+        return self._accept(part, subject)
 
     def entry_points(self) -> dict[str, EntryPoint]:
         """The entry points of the group by name; none of them is imported. The names of this package stay its own."""
-        fixed = (*self._own, *self._reserved)
-        return {name: point for name, point in find_entry_points(self.group).items() if name not in fixed}
+        reserved = (*self._own, *self._reserved)
+        return {name: point for name, point in find_entry_points(self.group).items() if name not in reserved}
 
     def __getitem__(self, name: str) -> PartT:
         if name in self._own:
@@ -147,14 +148,15 @@ def check_factory(factory: Any, subject: str = "factory") -> Callable[..., Any]:
 def describe_error(error: BaseException) -> str:
     """Describe an exception on one line of some hundred characters."""
     text = " ".join(str(error).split()).rstrip(".")
-    text = text if len(text) <= _LONGEST_ERROR else f"{text[:_LONGEST_ERROR]}…"
+    text = text if len(text) <= _MAX_ERROR_LENGTH else f"{text[:_MAX_ERROR_LENGTH]}…"
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 def named_parameters(factory: Callable[..., Any]) -> dict[str, inspect.Parameter]:
     """The parameters that can be given by name."""
-    by_name = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
-    return {name: each for name, each in inspect.signature(factory).parameters.items() if each.kind in by_name}
+    kinds = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
+    parameters = inspect.signature(factory).parameters.items()
+    return {name: parameter for name, parameter in parameters if parameter.kind in kinds}
 
 
 def check_call(subject: str, factory: Callable[..., Any], arguments: Mapping[str, Any]) -> None:
@@ -170,8 +172,8 @@ def check_call(subject: str, factory: Callable[..., Any], arguments: Mapping[str
 
 def format_label(name: str, arguments: Mapping[str, Any]) -> str:
     """Format a name and arguments; without arguments, the name alone."""
-    listed = ", ".join(f"{key}={_format_value(arguments[key])}" for key in sorted(arguments))
-    return f"{name}({listed})" if listed else name
+    texts = ", ".join(f"{key}={_format_value(arguments[key])}" for key in sorted(arguments))
+    return f"{name}({texts})" if texts else name
 
 
 def _format_value(value: Any) -> str:
@@ -180,15 +182,15 @@ def _format_value(value: Any) -> str:
     return repr(value) if isinstance(value, str | bytes | list | tuple | set | dict) else " ".join(repr(value).split())
 
 
-def parse_label(text: Any, more: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
+def parse_label(text: Any, further_arguments: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
     """Parse ``name(key=literal, ...)`` into the name and its arguments, and add further arguments."""
     if not isinstance(text, str) or not text.strip():
         raise ArgumentError(f"detector must be a name, got {quote(text)}.")
     name, bracket, inner = text.strip().partition("(")
     arguments = _parse_arguments(text, inner) if bracket else {}
-    if twice := arguments.keys() & more.keys():
-        raise ArgumentError(f"{min(twice)} must be given once, got it in {quote(text)} and as a further argument.")
-    return name.strip(), {**arguments, **more}
+    if repeated := arguments.keys() & further_arguments.keys():
+        raise ArgumentError(f"{min(repeated)} must be given once, got it in {quote(text)} and as a further argument.")
+    return name.strip(), {**arguments, **further_arguments}
 
 
 def _parse_arguments(text: str, inner: str) -> dict[str, Any]:

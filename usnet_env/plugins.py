@@ -50,31 +50,31 @@ def make_detector(name: str, /, **arguments: Any) -> DetectorLike:
     >>> make_detector("lagged-regression(clusters=5)", lags=3).get_params()
     {'clusters': 5, 'lags': 3, 'ridge': 0.001, 'squares': True}
     """
-    plain, given = parse_label(name, arguments)
-    subject = f"detector {plain!r}"
-    module, colon, attribute = plain.partition(":")
+    base_name, all_arguments = parse_label(name, arguments)
+    subject = f"detector {base_name!r}"
+    module, colon, attribute = base_name.partition(":")
     if colon:
-        factory = DETECTORS.load(plain, lambda: attrgetter(attribute)(import_module(module)))
-    elif plain in DETECTORS:
-        factory = DETECTORS[plain]
+        factory = DETECTORS.load(base_name, lambda: attrgetter(attribute)(import_module(module)))
+    elif base_name in DETECTORS:
+        factory = DETECTORS[base_name]
     else:
-        raise unknown_name("detector", plain, [*DETECTORS, "module:Class"])
-    check_call(subject, factory, given)
-    detector = factory(**given)
+        raise unknown_name("detector", base_name, [*DETECTORS, "module:Class"])
+    check_call(subject, factory, all_arguments)
+    detector = factory(**all_arguments)
     if not isinstance(detector, DetectorLike):
         raise ArgumentError(f"{subject} must have the methods detect(window) and reset(seed), got {quote(detector)}.")
     return detector
 
 
-def find_detector(given: Any) -> DetectorLike:
+def find_detector(detector: Any) -> DetectorLike:
     """The detector of a name, or the object itself; one without the methods ``detect`` and ``reset`` is refused."""
-    found = make_detector(given) if isinstance(given, str) else given
-    if isinstance(found, type) or not isinstance(found, DetectorLike):
-        hint = " (detectors.policy_detector.PolicyDetector makes one of a policy)" * hasattr(found, "predict")
+    player = make_detector(detector) if isinstance(detector, str) else detector
+    if isinstance(player, type) or not isinstance(player, DetectorLike):
+        hint = " (detectors.policy_detector.PolicyDetector makes one of a policy)" * hasattr(player, "predict")
         raise ArgumentError(
-            f"detector must be a name, or an object with detect(window) and reset(seed), got {quote(given)}{hint}."
+            f"detector must be a name, or an object with detect(window) and reset(seed), got {quote(detector)}{hint}."
         )
-    return found
+    return player
 
 
 def detector_label(detector: Any) -> str:

@@ -12,13 +12,13 @@ from typing import Any
 _PACKAGES = ("usnet", "numpy", "scipy", "scikit-learn", "numba", "gymnasium")
 
 
-def versions(more: Iterable[str] = ()) -> dict[str, str]:
+def versions(packages: Iterable[str] = ()) -> dict[str, str]:
     """Versions of Python, the packages that results depend on and others; those not installed are omitted."""
-    found = {"python": platform.python_version()}
-    for package in (*_PACKAGES, *more):
+    installed = {"python": platform.python_version()}
+    for package in (*_PACKAGES, *packages):
         with suppress(PackageNotFoundError):
-            found[package] = version(package)
-    return found
+            installed[package] = version(package)
+    return installed
 
 
 def machine() -> dict[str, Any]:

@@ -76,8 +76,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     context: click.Context | None = None
     try:
         _prepare_process()
-        if asked := os.environ.get("_USNET_COMPLETE"):  # a shell asks for a script, or for the words that may follow
-            return shell_complete(_usnet, {}, "usnet", "_USNET_COMPLETE", asked)
+        if request := os.environ.get("_USNET_COMPLETE"):  # a shell asks for a script, or for words that may follow
+            return shell_complete(_usnet, {}, "usnet", "_USNET_COMPLETE", request)
         if sys.stderr is not None and sys.stderr.isatty():
             compiling.tell_if_long(print_message)
         with _usnet.make_context("usnet", list(sys.argv[1:] if argv is None else argv)) as context:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from usnet_env.tracks import DetectedWindow, FoundLeaders, Leader, TrackWindow
 
 _DETECTOR = "reader(policy='map')"
-_MOST_ROWS, _MOST_NAMES = 40, 6  # of a table that is printed; ids in a row
+_MAX_ROWS, _MAX_NAMES = 40, 6  # of a table that is printed; ids in a row
 _COLUMN = "Name of a column; without NAME, the role is left out. May be repeated."
 _HEADER = "Names of the columns, with commas, of a file without them in row 1."
 _LENGTH = "Unit of x, y and z; of z only if positions are degrees.  [default: m]"
@@ -136,27 +136,27 @@ def detect(
     if (record or open_page) and out is None:
         raise click.UsageError(f"--{'record' if record else 'open'} needs --out.")
     folder = None if out is None else as_path("out", out)
-    read = read_tracks(list(tracks), **reading)
-    warnings_of_file = read.report().warnings
+    file_tracks = read_tracks(list(tracks), **reading)
+    warnings_of_file = file_tracks.report().warnings
     player = make_detector(detector)
     if read_tags(player).false_leaders and not unconfirmed:
-        what = "names too many false leaders in tracks (in more than 5 % of the windows without a leader)"
-        raise ArgumentError(f"{printable(detector)} {what}; --unconfirmed uses it anyway.")
+        fault = "names too many false leaders in tracks (in more than 5 % of the windows without a leader)"
+        raise ArgumentError(f"{printable(detector)} {fault}; --unconfirmed uses it anyway.")
     for sentence in warnings_of_file:
         print_message(f"warning: {sentence}")
-    resampled = read.resample(step, max_gap=max_gap, keep_spikes=keep_spikes, length=window or 0)
+    resampled = file_tracks.resample(step, max_gap=max_gap, keep_spikes=keep_spikes, length=window or 0)
     window = resampled.choose_length() if window is None else window
     if folder is not None:
         reserve_folder(folder)
     has_followers: list[bool] = []
     with progress_bar("windows") as progress:
 
-        def count(_: TrackWindow, answer: Detection, __: DetectedWindow) -> None:
+        def count_window(_: TrackWindow, answer: Detection, __: DetectedWindow) -> None:
             has_followers.append(answer.leader is not None or answer.clusters is not None)
             progress(len(has_followers), resampled.count_windows(window, stride or window))
 
-        asked: Any = {"length": window, "stride": stride, "seed": seed, "confirm": not unconfirmed}
-        found = find_leaders(resampled, player, on_window=count, **asked)
+        settings: Any = {"length": window, "stride": stride, "seed": seed, "confirm": not unconfirmed}
+        found = find_leaders(resampled, player, on_window=count_window, **settings)
     if not unconfirmed and not any(has_followers):
         print_message("the detector names no followers, so no leader is confirmed; --unconfirmed lists its candidates.")
     if as_json:
@@ -187,49 +187,49 @@ def _follow(tracks: tuple[str, ...], reading: dict[str, Any], **options: Any) ->
 
 
 def _print_leaders(found: FoundLeaders, by_windows: bool) -> None:
-    over_file, by_window = _tables(found)
-    show(over_file)
+    summary, window_table = _make_tables(found)
+    show(summary)
     events = [printable(event) for event in (*found.confounds, *found.events)]
-    if len(events) > _MOST_ROWS:
-        events[_MOST_ROWS:] = [f"{len(events) - _MOST_ROWS} more changes; --out DIR writes all windows."]
+    if len(events) > _MAX_ROWS:
+        events[_MAX_ROWS:] = [f"{len(events) - _MAX_ROWS} more changes; --out DIR writes all windows."]
     click.echo("\n".join(["", *events]))
     if by_windows:
-        show(by_window)
+        show(window_table)
     click.echo("\n".join(map(printable, ["", *found.facts])))
 
 
-def _tables(found: FoundLeaders) -> list[Table]:
+def _make_tables(found: FoundLeaders) -> list[Table]:
     from usnet_env.tracks.found import CONFOUNDS
 
     rows: list[list[str]] = []
     for window in found.windows:
-        alike = f"{_names(window.alike)} {CONFOUNDS[window.confound]}." if window.confound else ""
-        cells = [_cells(leader) for leader in window.leaders] or [["none found", "", "", alike]]
+        confound = f"{_join_ids(window.alike)} {CONFOUNDS[window.confound]}." if window.confound else ""
+        cells = [_list_cells(leader) for leader in window.leaders] or [["none found", "", "", confound]]
         if window.not_confirmed:
-            cells.append(["", "", "", f"Not confirmed: {_names(window.not_confirmed)}."])
+            cells.append(["", "", "", f"Not confirmed: {_join_ids(window.not_confirmed)}."])
         rows += [[str(window.start), str(window.end), *row] for row in cells]
-    over_file = [[*_cells(leader), f"{leader.share or 0.0:.0%}"] for leader in found.leaders]
+    summary = [[*_list_cells(leader), f"{leader.share or 0.0:.0%}"] for leader in found.leaders]
     headings = ["leader", "p", "followers", "why"]
     return [
-        _make_table(f"Over the file, by {found.detector}", [*headings, "windows"], over_file or [["none found"]]),
+        _make_table(f"Over the file, by {found.detector}", [*headings, "windows"], summary or [["none found"]]),
         _make_table("Windows", ["from", "to", *headings], rows),
     ]
 
 
-def _names(ids: Sequence[str | int]) -> str:
-    more = f" and {len(ids) - _MOST_NAMES} more" if len(ids) > _MOST_NAMES else ""
-    return ", ".join(map(str, ids[:_MOST_NAMES])) + more
+def _join_ids(ids: Sequence[str | int]) -> str:
+    rest = f" and {len(ids) - _MAX_NAMES} more" if len(ids) > _MAX_NAMES else ""
+    return ", ".join(map(str, ids[:_MAX_NAMES])) + rest
 
 
-def _cells(leader: Leader) -> list[str]:
+def _list_cells(leader: Leader) -> list[str]:
     probability = "" if leader.probability is None else f"{leader.probability:.2f}"
-    return [str(leader.id), probability, _names(leader.followers), leader.reason]
+    return [str(leader.id), probability, _join_ids(leader.followers), leader.reason]
 
 
 def _make_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
     from usnet_env.evaluation.tables import make_table
 
-    table = make_table(title, headings, rows[:_MOST_ROWS], words=True)
-    if len(rows) > _MOST_ROWS:
-        table.caption = f"{len(rows) - _MOST_ROWS} more rows; --out DIR writes all of them."
+    table = make_table(title, headings, rows[:_MAX_ROWS], words=True)
+    if len(rows) > _MAX_ROWS:
+        table.caption = f"{len(rows) - _MAX_ROWS} more rows; --out DIR writes all of them."
     return table

@@ -19,8 +19,8 @@ from usnet_env.config import format_count
 if TYPE_CHECKING:
     from usnet_env.evaluation import EvaluationResult
 
-_MOST_RECORDED = 20  # of the worst episodes of a detector
-_GOOD = ("reader", "lagged-network", "lagged-regression")  # each good at something, and fast
+_MAX_RECORDED = 20  # of the worst episodes of a detector
+_DEFAULT_DETECTORS = ("reader", "lagged-network", "lagged-regression")  # each good at something, and fast
 _EVERY = re.compile(r"every=([1-9][0-9]{0,8})\Z")
 
 _EXAMPLES = """
@@ -40,8 +40,8 @@ Examples:
 @click.option("--suite", shell_complete=complete_names, metavar="NAME|FILE.yaml", help="Play the cells of a suite.")
 @click.option("--cell", "cells", multiple=True, metavar="NAME", help="Cell of the suite. May be repeated.")
 @click.option(
-    "--detector", "detectors", multiple=True, default=_GOOD, shell_complete=complete_names, metavar="NAME",
-    help=f"A name or module:Class; repeatable.  [default: {', '.join(_GOOD)}]",
+    "--detector", "detectors", multiple=True, default=_DEFAULT_DETECTORS, shell_complete=complete_names, metavar="NAME",
+    help=f"A name or module:Class; repeatable.  [default: {', '.join(_DEFAULT_DETECTORS)}]",
 )  # fmt: skip
 @click.option("--set", "settings", multiple=True, metavar="KEY=VALUE …", help="Arguments of the environment.")
 @click.option("--episodes", type=WholeNumber(1, 1_000_000), help="For each detector; 100, or the suite's.")
@@ -70,13 +70,13 @@ def evaluate(
     record: str | None,
     show_all: bool,
     as_json: bool,
-    **how: Any,
+    **options: Any,
 ) -> None:
     """Play every detector against the same swarms, and print a table of them, best first.
 
     The status is 2 if a detector failed in every episode; a failed episode is a row with its reason.
     """
-    env_kwargs, out = parse_pairs((*settings, *pairs)), how["out"]
+    env_kwargs, out = parse_pairs((*settings, *pairs)), options["out"]
     if suite is not None and (env_id is not None or env_kwargs or record is not None):
         raise click.UsageError("--suite gives the environments: it goes without --env, --set and --record.")
     if cells and suite is None:
@@ -87,14 +87,14 @@ def evaluate(
         ctx.find_root().obj = f"Finished episodes are kept in {out}; the same command resumes."
     from usnet_env import evaluation
 
-    options = {name: value for name, value in how.items() if value is not None}
-    options["progress"] = sys.stderr is not None and sys.stderr.isatty()
+    given = {name: value for name, value in options.items() if value is not None}
+    given["progress"] = sys.stderr is not None and sys.stderr.isatty()
     with redirect_stdout(sys.stderr) if as_json else nullcontext():  # what a detector prints is no JSON
         if suite is not None:
-            result = evaluation.evaluate_suite(suite, list(detectors), cells=cells or None, **options)
+            result = evaluation.evaluate_suite(suite, list(detectors), cells=cells or None, **given)
         else:
             env_id = env_id or "USNET/MultiCluster-v0"
-            result = evaluation.evaluate(env_id, list(detectors), env_kwargs=env_kwargs, **options)
+            result = evaluation.evaluate(env_id, list(detectors), env_kwargs=env_kwargs, **given)
     if as_json:
         click.echo(json.dumps(result.summary, indent=2, allow_nan=False))
     else:
@@ -142,11 +142,11 @@ def report(folder: Path, form: str | None, labels: tuple[str, ...], metric: str)
 
 
 def record_episodes(
-    result: EvaluationResult, wanted: str, detectors: Sequence[str], env_id: str, env_kwargs: dict[str, Any], out: str
+    result: EvaluationResult, choice: str, detectors: Sequence[str], env_id: str, env_kwargs: dict[str, Any], out: str
 ) -> int:
     """Play chosen episodes of a run again, from the seeds in their rows, and write their episode files.
 
-    What is wanted is ``"every=10"`` or ``"worst"``: the 20 worst episodes of each detector whose round 1 was not exact.
+    ``choice`` is ``"every=10"`` or ``"worst"``: the 20 worst episodes of each detector whose round 1 was not exact.
     Returns the number of files.
     """
     import gymnasium as gym
@@ -158,12 +158,12 @@ def record_episodes(
 
     names = {detector_label(name): name for name in (*TRIVIAL, *detectors)}
     rows = result.rows[(result.rows["error"] == "") & result.rows["detector"].isin(names)]  # no others of the folder
-    if every := _EVERY.match(wanted):
+    if every := _EVERY.match(choice):
         rows = rows[rows["episode"] % int(every[1]) == 0]
     else:
         metric, _, sign = first_metric(result.summary)
         rows = rows[rows["exact"] == 0].sort_values(metric, ascending=sign == -1, kind="stable")
-        rows = rows.groupby("detector", sort=False).head(_MOST_RECORDED)
+        rows = rows.groupby("detector", sort=False).head(_MAX_RECORDED)
     for row in rows.to_dict("records"):
         label, seeds = row["detector"], (row["swarm_seed"], row["detector_seed"])
         with closing(gym.make(env_id, **env_kwargs)) as env:

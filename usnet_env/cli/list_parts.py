@@ -12,7 +12,7 @@ from usnet_env.detection import Tags, read_tags
 from usnet_env.parts import REGISTRIES, find_entry_points
 
 _REGISTRIES = ("follow", "mobility", "kinematics", "formation", "clusterer", "format")
-_WORDS = {  # what a follow strategy is
+_STRATEGY_WORDS = {  # what a follow strategy is
     "f1": "copies the last velocity of its head",
     "f2": "copies the sum of the last two velocities of its head",
     "f3": "copies the sum of the last three velocities of its head",
@@ -41,7 +41,7 @@ _WORDS = {  # what a follow strategy is
     "weak": "followers copy their head weakly",
     "late": "followers copy their head after 10 steps or more",
 }
-_RECOMMENDED, _MANY = "reader", 10_000  # the limit of detectors that compare UAVs
+_RECOMMENDED, _MAX_COMPARED = "reader", 10_000  # the limit of detectors that compare UAVs
 _NAMES = ("envs", "detectors", *_REGISTRIES, "suites")
 
 
@@ -59,7 +59,7 @@ def list_(part: str | None) -> None:
         table.add_row(Text(name), Text(description))
     show(table)
     if part == "detectors":
-        show(f"Start with {_RECOMMENDED}. Detectors that compare UAVs take at most {_MANY:,}.")
+        show(f"Start with {_RECOMMENDED}. Detectors that compare UAVs take at most {_MAX_COMPARED:,}.")
 
 
 def _describe_parts(part: str) -> dict[str, str]:
@@ -86,13 +86,13 @@ def _describe_registry(argument: str) -> dict[str, str]:
     if argument in (modules := find_entry_points("usnet.registries")):
         modules[argument].load()
     (registry,) = [registry for registry in REGISTRIES.values() if registry.argument == argument]
-    rows, words = {}, _WORDS if argument == "follow" else {}
+    rows, words = {}, _STRATEGY_WORDS if argument == "follow" else {}
     for name in sorted(registry) if argument == "detector" else registry:
         try:
             part = registry[name]
-            known = words.get(name.removesuffix("-led")), getattr(part, "description", "")
-            described = getattr(part, "equation", "") if argument == "follow" else ""  # not its base class
-            text = next(filter(None, (*known, described)), inspect.getdoc(part) or "")
+            texts = words.get(name.removesuffix("-led")), getattr(part, "description", "")
+            equation = getattr(part, "equation", "") if argument == "follow" else ""  # not its base class
+            text = next(filter(None, (*texts, equation)), inspect.getdoc(part) or "")
             line = text.partition("\n")[0] + "; its heads follow unseen UAVs" * name.endswith("-led")
             mark = " (recommended)" * (argument == "detector" and name == _RECOMMENDED)
             rows[name] = f"{line}{mark} {_format_tags(read_tags(part))}".rstrip()
@@ -105,12 +105,12 @@ def _format_tags(tags: Tags) -> str:
     """The tags that differ from those of a detector that takes every window, in brackets."""
     texts = {
         f"needs {', '.join(tags.needs)}": bool(tags.needs),
-        f"at most {tags.most_uavs} UAVs": tags.most_uavs not in (None, _MANY),
+        f"at most {tags.most_uavs} UAVs": tags.most_uavs not in (None, _MAX_COMPARED),
         f"at least {tags.least_steps} steps": tags.least_steps > 1,
         "made for 1 m per step": tags.needs_unit_speed,
         "velocities only": not tags.uses_positions,
         "takes M": tags.takes_clusters,
         "in tracks only --unconfirmed": tags.false_leaders,
     }
-    shown = "; ".join(text for text, holds in texts.items() if holds)
-    return f"({shown})" if shown else ""
+    listed = "; ".join(text for text, applies in texts.items() if applies)
+    return f"({listed})" if listed else ""

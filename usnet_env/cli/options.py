@@ -17,7 +17,7 @@ WholeNumber = click.IntRange
 PositiveNumber = partial(click.FloatRange, min=0, min_open=True, max=1e12)
 
 
-def complete_names(context: click.Context, option: click.Parameter, begun: str) -> list[CompletionItem]:
+def complete_names(context: click.Context, option: click.Parameter, prefix: str) -> list[CompletionItem]:
     """The names that an option of this name takes and that begin so, for a shell's completion."""
     from usnet_env.envs import ENVIRONMENTS
     from usnet_env.evaluation.suites import list_suites
@@ -30,7 +30,7 @@ def complete_names(context: click.Context, option: click.Parameter, begun: str) 
         names = list(list_suites())
     else:
         names = list(FOLLOW_STRATEGIES) if option.name == "follow" else sorted(DETECTORS)
-    return [CompletionItem(name) for name in names if name.startswith(begun)]
+    return [CompletionItem(name) for name in names if name.startswith(prefix)]
 
 
 def parse_pairs(words: Sequence[str]) -> dict[str, Any]:

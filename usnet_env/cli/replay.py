@@ -82,16 +82,16 @@ def replay(path: Path, episode: int | None, rrd: Path | None, open_viewer: bool,
         return
     record = EpisodeRecord.load(episodes[0])
     rounds = [f"  {number}: {describe_round(record, number)}" for number in range(1, record.rounds + 1)]
-    _say([name_game(record), *rounds, describe_outcome(record)])
+    _print_lines([name_game(record), *rounds, describe_outcome(record)])
     if _write_files(record, **files) and rrd is None and not open_viewer:
         return
-    written = write_recording(record, rrd or episodes[0].with_suffix(".rrd"))
-    click.echo(f"replay     {written}" + ("" if open_viewer else f"  (open: {find_viewer()} {written})"))
+    replay_path = write_recording(record, rrd or episodes[0].with_suffix(".rrd"))
+    click.echo(f"replay     {replay_path}" + ("" if open_viewer else f"  (open: {find_viewer()} {replay_path})"))
     if open_viewer:
-        open_replay(written)
+        open_replay(replay_path)
 
 
-def _say(lines: Iterable[str]) -> None:
+def _print_lines(lines: Iterable[str]) -> None:
     """Print lines of a file without the control characters that they may hold, which a terminal would obey."""
     click.echo("\n".join(map(printable, lines)))
 
@@ -119,8 +119,8 @@ def _list_episodes(files: Sequence[Path]) -> None:
     records = [EpisodeRecord.load(file) for file in files]
     rows = []
     for record, file in zip(records, files, strict=True):
-        known = ("{} {:.3f}".format(*name_score(record)), record.heads_left[-1]) if record.labelled else ("–", "–")
-        rows.append((file, record.detector, "–" if record.seed is None else record.seed, record.rounds, *known))
+        cells = ("{} {:.3f}".format(*name_score(record)), record.heads_left[-1]) if record.labelled else ("–", "–")
+        rows.append((file, record.detector, "–" if record.seed is None else record.seed, record.rounds, *cells))
     header = ("file", "detector", "seed", "rounds", "score", "heads left")
     show(make_table(f"{len(files)} episodes", header, rows, words=True))
 
@@ -130,8 +130,8 @@ def _write_files(record: EpisodeRecord, animation: str | None, page: str | None,
     from usnet_env.replay import animate, write_picture
     from usnet_env.replay.page import write_page
 
-    makers = {"animation": (animate, animation), "page": (write_page, page), "figure": (write_picture, figure)}
-    for name, (make, path) in makers.items():
+    writers = {"animation": (animate, animation), "page": (write_page, page), "figure": (write_picture, figure)}
+    for name, (write, path) in writers.items():
         if path is not None:
-            click.echo(f"{name:<9}  {make(record, path)}")
+            click.echo(f"{name:<9}  {write(record, path)}")
     return (animation, page, figure) != (None, None, None)

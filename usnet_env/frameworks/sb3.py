@@ -49,10 +49,10 @@ class SwarmVecEnv(VecEnv):
         done, infos = terminated | truncated, [dict[str, Any]() for _ in range(self.num_envs)]
         elapsed, ended = time.time() - self._began, np.flatnonzero(done)
         for b in ended:
-            last = {name: values[b] for name, values in info["final_info"].items() if name[0] != "_"}
+            metrics = {name: values[b] for name, values in info["final_info"].items() if name[0] != "_"}
             episode = {"r": self._return[b], "l": self._length[b], "t": elapsed}
             ending = {"terminal_observation": info["final_obs"][b], "TimeLimit.truncated": bool(truncated[b])}
-            infos[b] = {**last, **ending, "episode": episode}
+            infos[b] = {**metrics, **ending, "episode": episode}
         self._return[ended] = self._length[ended] = 0
         return observation, reward.astype(np.float32), done, infos
 

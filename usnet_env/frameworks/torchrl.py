@@ -26,12 +26,12 @@ class _Batch(EnvBase):  # type: ignore[misc]  # TorchRL is an extra
         super().__init__(batch_size=torch.Size([num_envs]), device="cpu")
         flags = {name: Binary(1, shape=(num_envs, 1), dtype=torch.bool) for name in ("done", "terminated", "truncated")}
         self.done_spec = Composite(flags, shape=self.batch_size)
-        self._first: int | None = None  # the seed of the next reset
+        self._next_seed: int | None = None  # the seed of the next reset
 
     def _reset(self, tensordict: TensorDict | None = None, **_: Any) -> TensorDict:
         mask = None if tensordict is None else tensordict.get("_reset", None)
-        observation = self._begin(self._first, None if mask is None else mask.reshape(-1).numpy())
-        self._first = None
+        observation = self._begin(self._next_seed, None if mask is None else mask.reshape(-1).numpy())
+        self._next_seed = None
         return self._pack(observation, np.zeros(self.batch_size, bool), np.zeros(self.batch_size, bool))
 
     def _begin(self, seed: int | None, games: Mask | None) -> dict[str, Any]:
@@ -40,17 +40,17 @@ class _Batch(EnvBase):  # type: ignore[misc]  # TorchRL is an extra
 
     def _pack(self, parts: dict[str, Any], terminated: Mask, truncated: Mask) -> TensorDict:
         flags = {"terminated": terminated, "truncated": truncated, "done": terminated | truncated}
-        packed = TensorDict({name: torch.from_numpy(one)[:, None] for name, one in flags.items()}, self.batch_size)
+        packed = TensorDict({name: torch.from_numpy(array)[:, None] for name, array in flags.items()}, self.batch_size)
         for name, part in parts.items():
             if isinstance(part, dict):  # a group of agents
                 shape = self.observation_spec[name].shape
-                packed[name] = TensorDict({key: torch.from_numpy(one) for key, one in part.items()}, shape)
+                packed[name] = TensorDict({key: torch.from_numpy(array) for key, array in part.items()}, shape)
             else:
                 packed[name] = torch.from_numpy(part)
         return packed
 
     def _set_seed(self, seed: int | None) -> None:
-        self._first = seed
+        self._next_seed = seed
 
 
 class SwarmEnv(_Batch):
@@ -77,8 +77,8 @@ class SwarmEnv(_Batch):
         return self.envs.reset(seed=seed, options=None if games is None else {"reset_mask": games})[0]
 
     def _step(self, tensordict: TensorDict) -> TensorDict:
-        taken = {name: tensordict[name].numpy() for name in self.action_keys}
-        observation, reward, terminated, truncated, _ = self.envs.step(taken.get("action", taken))
+        actions = {name: tensordict[name].numpy() for name in self.action_keys}
+        observation, reward, terminated, truncated, _ = self.envs.step(actions.get("action", actions))
         return self._pack(observation | {"reward": reward.astype(np.float32)[:, None]}, terminated, truncated)
 
 
@@ -103,30 +103,30 @@ class GamesEnv(_Batch):
     def __init__(self, game: str, num_envs: int, observe: Sequence[str] | None = None, **arguments: Any) -> None:
         super().__init__(num_envs)
         make = importlib.import_module(f"usnet_env.multiagent.{game}").batch_env
-        self.games, one = make(num_envs, **arguments), make(1, **arguments)
-        one.reset(seed=0)
-        known = {name for space in self.games.observation_spaces.values() for name in space}
-        if unknown := set(observe or ()) - known:
-            raise unknown_name("observe", unknown.pop(), known)
-        seen = Composite(state=Unbounded((num_envs, one.state().shape[1])), shape=self.batch_size)
-        acts, rewards = Composite(shape=self.batch_size), Composite(shape=self.batch_size)
+        self.games, single = make(num_envs, **arguments), make(1, **arguments)
+        single.reset(seed=0)
+        names = {name for space in self.games.observation_spaces.values() for name in space}
+        if unknown := set(observe or ()) - names:
+            raise unknown_name("observe", unknown.pop(), names)
+        observation = Composite(state=Unbounded((num_envs, single.state().shape[1])), shape=self.batch_size)
+        action, reward = Composite(shape=self.batch_size), Composite(shape=self.batch_size)
         self._numbered: dict[str, tuple[NDArray[Any], Indices]] = {}
-        self._kept: dict[str, Indices] = {}  # the numbers of a flat observation that are observed
+        self._observed: dict[str, Indices] = {}  # the numbers of a flat observation that are observed
         for role, count in self.games.roles.items():
-            space, sees = self.games.action_spaces[role], self.games.observation_spaces[role]
-            self._numbered[role] = _number_actions(space, flatdim(sees["legal"]))
-            kept = [np.full(flatdim(part), observe is None or name in observe) for name, part in sees.items()]
-            self._kept[role] = np.flatnonzero(np.concatenate(kept))
+            space, seen = self.games.action_spaces[role], self.games.observation_spaces[role]
+            self._numbered[role] = _number_actions(space, flatdim(seen["legal"]))
+            is_observed = [np.full(flatdim(part), observe is None or name in observe) for name, part in seen.items()]
+            self._observed[role] = np.flatnonzero(np.concatenate(is_observed))
             number, shape = len(self._numbered[role][0]), (num_envs, count)
             parts = {
-                "observation": Unbounded((*shape, len(self._kept[role]))),
+                "observation": Unbounded((*shape, len(self._observed[role]))),
                 "action_mask": Binary(number, shape=(*shape, number), dtype=torch.bool),
                 "active": Binary(1, shape=(*shape, 1), dtype=torch.bool),
             }
-            seen[role] = Composite(parts, shape=shape)
-            acts[role] = Composite(action=Categorical(number, shape=shape), shape=shape)
-            rewards[role] = Composite(reward=Unbounded((*shape, 1)), shape=shape)
-        self.observation_spec, self.action_spec, self.reward_spec = seen, acts, rewards
+            observation[role] = Composite(parts, shape=shape)
+            action[role] = Composite(action=Categorical(number, shape=shape), shape=shape)
+            reward[role] = Composite(reward=Unbounded((*shape, 1)), shape=shape)
+        self.observation_spec, self.action_spec, self.reward_spec = observation, action, reward
 
     def _begin(self, seed: int | None, games: Mask | None) -> dict[str, Any]:
         return self._describe(self.games.reset(seed=seed, games=games)[0])
@@ -144,7 +144,7 @@ class GamesEnv(_Batch):
         for role, flat in self.games.flatten(seen).items():
             legal = np.pad(seen[role]["legal"].astype(bool), ((0, 0), (0, 0), (0, 1)), constant_values=True)
             mask, active = legal[..., self._numbered[role][1]].all(axis=-1), self.games.active[role]
-            flat, active = flat[..., self._kept[role]], active[..., None].copy()
+            flat, active = flat[..., self._observed[role]], active[..., None].copy()
             parts[role] = {"observation": flat, "action_mask": mask, "active": active}
         return parts
 
@@ -168,6 +168,6 @@ def _number_actions(space: Any, legal: int) -> tuple[NDArray[Any], Indices]:
     if isinstance(space, gym.spaces.MultiDiscrete):
         choices = np.indices(tuple(space.nvec)).reshape(len(space.nvec), -1).T
         return choices, choices + np.cumsum(space.nvec) - space.nvec
-    named = np.eye(legal + 1, *space.shape)
-    named[-1] = 0  # nobody; a message is 0
-    return named, np.arange(legal + 1)[:, None]
+    choices = np.eye(legal + 1, *space.shape)
+    choices[-1] = 0  # nobody; a message is 0
+    return choices, np.arange(legal + 1)[:, None]
