@@ -27,16 +27,8 @@ except PackageNotFoundError:  # a source tree on the path without an installatio
     __version__ = "0+unknown"
 
 __all__ = ["ArgumentError", "Detection", "Window", "__version__", "evaluate", "make_detector"]
-__all__ += [
-    "Tracks",
-    "find_leaders",
-    "plot_detection",
-    "read_tracks",
-    "register_detector",
-    "register_follow_strategy",
-    "register_mobility",
-    "results",
-]
+__all__ += ["Tracks", "find_leaders", "plot_detection", "read_tracks", "results"]
+__all__ += ["register_detector", "register_follow_strategy", "register_mobility"]
 
 register_environments()
 

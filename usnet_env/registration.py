@@ -64,15 +64,9 @@ ENVIRONMENTS: dict[str, tuple[str, dict[str, Any]]] = {
 
 def register_environments() -> None:
     """Register all ids with Gymnasium; a second call has no effect."""
-    for name, (problem, arguments) in ENVIRONMENTS.items():
+    points = {name: (f"usnet_env.envs:{problem}Env", kwargs) for name, (problem, kwargs) in ENVIRONMENTS.items()}
+    points |= {name: (point, {}) for name, point in OTHERS.items()}
+    for name, (point, kwargs) in points.items():
         if name not in gym.registry:
-            gym.register(
-                id=name,
-                entry_point=f"usnet_env.envs:{problem}Env",
-                vector_entry_point=f"usnet_env.envs:{problem}VectorEnv",
-                kwargs=dict(arguments),
-            )
-    for name, entry_point in OTHERS.items():
-        if name not in gym.registry:
-            batch = entry_point.replace("Env", "VectorEnv") if name == PROBING else None
-            gym.register(id=name, entry_point=entry_point, vector_entry_point=batch)
+            batch = None if name == TRACKS else point.replace("Env", "VectorEnv")
+            gym.register(id=name, entry_point=point, vector_entry_point=batch, kwargs=dict(kwargs))

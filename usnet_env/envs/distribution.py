@@ -219,9 +219,7 @@ class EpisodeSampler:
         names: what is drawn.
     """
 
-    def __init__(
-        self, arguments: DistributionArguments, make: Callable[[dict[str, Any], int | None], SwarmConfig]
-    ) -> None:
+    def __init__(self, arguments: DistributionArguments, make: MakeConfig) -> None:
         self._make, self._cache = make, dict[Any, SwarmConfig]()
         self.distribution = arguments.distribution or Distribution()
         extremes = {name: list_extremes(rule) for name, rule in self.distribution.rules.items()}

@@ -72,11 +72,7 @@ def _check_environment(env: Any) -> None:
 
 
 def _make_record(
-    env: gym.Env[Any, Any],
-    rounds: Sequence[PlayedRound],
-    seed: int | None,
-    detector_seed: int | None,
-    label: str,
+    env: gym.Env[Any, Any], rounds: Sequence[PlayedRound], seed: int | None, detector_seed: int | None, label: str
 ) -> EpisodeRecord:
     game: Any = env.unwrapped
     config = describe_arguments(game.config) | describe_arguments(game.rules)

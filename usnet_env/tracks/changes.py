@@ -20,6 +20,7 @@ from usnet_env.objectives import find_roots
 from usnet_env.tracks.confirm import confirm_leaders
 from usnet_env.tracks.found import DetectedWindow, Event, Name, name_kind
 from usnet_env.tracks.links import cut_positions
+from usnet_env.tracks.samples import keep_samples
 from usnet_env.tracks.tracks import Tracks, TrackWindow
 
 _LENGTH, _STRIDE = 40, 5  # steps of a short window, and to the next one
@@ -120,10 +121,7 @@ def _cut_span(tracks: Tracks, begin: float, end: float) -> Tracks:
     """The tracks from second ``begin`` to ``end``, at their times."""
     slack = 1e-6 * float(tracks.step or 1.0)
     inside = (tracks.time >= begin - slack) & (tracks.time <= end + slack)
-    offsets = np.append(0, np.cumsum(inside))[tracks.offsets]
-    return replace(
-        tracks, offsets=offsets, time=tracks.time[inside], position=tracks.position[inside], leader=None, source=None
-    )
+    return replace(keep_samples(tracks, inside), leader=None, source=None)
 
 
 def _read_roots(

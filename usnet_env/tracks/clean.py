@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from usnet_env.arrays import Floats, Indices, Mask
+from usnet_env.arrays import Floats, Indices
 from usnet_env.config import format_count
 from usnet_env.tracks.resample import close_jumps, leave_out_heights, leave_out_spikes, typical_intervals
-from usnet_env.tracks.samples import Samples, SamplesT
+from usnet_env.tracks.samples import Samples, SamplesT, keep_samples
 
 _REPEAT_FACTOR = 2.0  # times as long as with a quarter of the ids, half of an id's places are repeated
 _REST_SPEED = 0.25  # of the speed that 99 % of the steps don't exceed; an id that rests is slower
@@ -61,7 +61,7 @@ def leave_out_repeats(tracks: SamplesT) -> tuple[SamplesT, list[str]]:
     listed = ", ".join(names[:3]) + f" and {len(names) - 3} more" * (len(names) > 3)
     count = format_count(int((~is_kept).sum()), "repetition")
     note = f"{count} of places left out: those of {listed} are renewed more rarely than sampled."
-    return _keep_samples(tracks, is_kept), [note]
+    return keep_samples(tracks, is_kept), [note]
 
 
 def find_moving(tracks: Samples, intervals: Floats, interval: float) -> Indices:
@@ -105,7 +105,7 @@ def skip_pauses(tracks: SamplesT) -> tuple[SamplesT, list[str]]:
     delay = np.where(pause < 0, 0, skipped[pause]) * interval
     delays = np.column_stack([(ends - skipped) * interval, skipped * interval]).tolist()
     clock = replace(tracks.clock, skipped=tuple((begin, pause) for begin, pause in delays))
-    shortened = _keep_samples(replace(tracks, time=tracks.time - delay, clock=clock), is_kept)
+    shortened = keep_samples(replace(tracks, time=tracks.time - delay, clock=clock), is_kept)
     count = f"{format_count(len(starts), 'pause')} skipped, {skipped[-1] / total:.0%} of the time"
     reason = f"no id is seen there, or fewer than half of those seen move; they move in {share:.1%}."
     return shortened, [f"{count}: {reason}"]
@@ -113,9 +113,3 @@ def skip_pauses(tracks: SamplesT) -> tuple[SamplesT, list[str]]:
 
 def _number_intervals(time: Floats, interval: float) -> Indices:
     return np.floor(time / interval + 1e-6).astype(np.int64)
-
-
-def _keep_samples(tracks: SamplesT, is_kept: Mask) -> SamplesT:
-    offsets = np.append(0, np.cumsum(is_kept))[tracks.offsets]
-    leader = None if tracks.leader is None else tracks.leader[is_kept]
-    return replace(tracks, offsets=offsets, time=tracks.time[is_kept], position=tracks.position[is_kept], leader=leader)

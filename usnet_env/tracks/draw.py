@@ -106,8 +106,7 @@ def draw_network(rows: pd.DataFrame, windows: int, colors: Mapping[Id, str], ax:
     are in the middle. An id that leads in some window has its own colour; others, and arrows, have that of the head
     that they belong to most often.
     """
-    figure, axes = _make_axes(ax, 7, 7)
-    axes.set_position((0.02, 0.02, 0.96, 0.9)) if ax is None else None
+    figure, axes = _make_axes(ax, 7, 7, (0.02, 0.02, 0.96, 0.9))
     main_head = rows.groupby("id")["head"].agg(lambda heads: heads.value_counts().index[0])
     heads = [name for name in dict.fromkeys(rows["head"]) if (main_head == name).any()]
     members = [name for head in heads for name in main_head.index[main_head == head] if name not in heads]
@@ -156,7 +155,6 @@ def draw_delays(rows: pd.DataFrame, ax: Any = None) -> Figure:
     )
     error, direct = (matrix.reindex_like(table).to_numpy() for matrix in (error, direct))
     figure, axes = _make_axes(ax, 2.5 + 0.9 * table.shape[1], 1.5 + 0.3 * table.shape[0])
-    figure.set_layout_engine("constrained") if ax is None else None
     note = "± half of the 95 % interval" + "\n(in brackets: not surely direct)" * bool((direct < 0.5).any())
     axes.set_title(f"Median delay in seconds\n{note}" if table.size else "No leader was found.", fontsize=10)
     if table.size:
@@ -185,7 +183,6 @@ def draw_timeline(
     ``spans`` are an id, its head, a begin and an end, which are numbers of windows from 0 on with the times ``starts``.
     """
     figure, axes = _make_axes(ax, 8, 1.5 + 0.24 * len(ids))
-    figure.set_layout_engine("constrained") if ax is None else None
     row = {name: k for k, name in enumerate(ids)}
     for name, head, begin, end in spans:
         axes.barh(row[name], end - begin - 0.04, left=begin, height=0.8, color=colors[head])
@@ -212,7 +209,6 @@ def draw_evidence(curves: pd.DataFrame, chance: float, leader: Id, ax: Any = Non
     The index of ``curves`` are seconds, and a column is a follower. ``chance`` is the largest value by chance.
     """
     figure, axes = _make_axes(ax, 7.6, 3.8)
-    figure.set_layout_engine("constrained") if ax is None else None
     shown_curves = curves[curves.max().sort_values(ascending=False, kind="stable").index[:_MAX_CURVES]]
     for k, (name, curve) in enumerate(shown_curves.items()):
         style = {"color": drawing.CLUSTER_COLORS[k % len(drawing.CLUSTER_COLORS)], "label": _shorten_names([name])[0]}
@@ -237,7 +233,6 @@ def draw_probabilities(table: pd.DataFrame, colors: Mapping[Id, str], ax: Any = 
     The columns of ``table`` are ids, ``None`` for none, and the index are the times of the windows.
     """
     figure, axes = _make_axes(ax, 8, 3)
-    figure.set_layout_engine("constrained") if ax is None else None
     x = np.arange(len(table)) + 0.5
     for name in sorted(table.columns, key=lambda name: name in colors or name is None):
         style: dict[str, Any] = {"color": "#bbbbbb", "linewidth": 0.8}
@@ -255,12 +250,13 @@ def draw_probabilities(table: pd.DataFrame, colors: Mapping[Id, str], ax: Any = 
     return figure
 
 
-def _make_axes(ax: Any, width: float, height: float) -> tuple[Figure, Any]:
-    """The figure and axes to draw in: those that are given, or new ones of so many inches."""
+def _make_axes(ax: Any, width: float, height: float, box: Any = None) -> tuple[Figure, Any]:
+    """The figure and axes to draw in: those given, or new ones of so many inches, at ``box`` or where they fit."""
     if ax is not None:
         return ax.get_figure(), ax
     figure = drawing.new_figure(width, height)
-    return figure, figure.add_subplot()
+    figure.set_layout_engine(None if box else "constrained")
+    return figure, figure.add_axes(box) if box else figure.add_subplot()
 
 
 def _place_on_circle(points: int) -> Any:

@@ -11,7 +11,7 @@ import numpy as np
 from usnet_env.arrays import Floats, Indices
 from usnet_env.config import ArgumentError, format_number
 from usnet_env.series import find_middle
-from usnet_env.tracks.samples import Samples, SamplesT
+from usnet_env.tracks.samples import Samples, SamplesT, keep_samples
 
 _MAX_SPIKE_SHARE = 0.05  # of the samples; where more are off the track, in more parts than ids, none is wrong
 JUMP = 5.0  # a jump is faster than this many times the speed that 95 % of the steps don't exceed
@@ -96,13 +96,7 @@ def leave_out_spikes(tracks: SamplesT) -> SamplesT:
     for _ in range(_MAX_ROUNDS):
         if not len(spikes := find_jumps(tracks).spikes):
             break
-        tracks = replace(
-            tracks,
-            offsets=tracks.offsets - np.searchsorted(spikes, tracks.offsets),
-            time=np.delete(tracks.time, spikes),
-            position=np.delete(tracks.position, spikes, axis=0),
-            leader=None if tracks.leader is None else np.delete(tracks.leader, spikes),
-        )
+        tracks = keep_samples(tracks, ~np.isin(np.arange(tracks.samples), spikes))
     return tracks
 
 

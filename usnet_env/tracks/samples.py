@@ -182,6 +182,13 @@ def sort_samples(
     }
 
 
+def keep_samples(tracks: SamplesT, is_kept: Mask) -> SamplesT:
+    """The tracks with some of their samples, ``(S,)`` bool."""
+    offsets = np.append(0, np.cumsum(is_kept))[tracks.offsets]
+    leader = None if tracks.leader is None else tracks.leader[is_kept]
+    return replace(tracks, offsets=offsets, time=tracks.time[is_kept], position=tracks.position[is_kept], leader=leader)
+
+
 def split_gaps(tracks: SamplesT, gap: float) -> SamplesT:
     """The tracks with another id after each gap of more than so many seconds: ``a``, then ``a/2``, ``a/3``."""
     parts = np.flatnonzero(np.append(True, ~tracks.inner_steps | (np.diff(tracks.time) > gap)))
