@@ -127,7 +127,7 @@ def test_a_folder_that_takes_no_code_is_one_warning(tmp_path, monkeypatch):
 
 def test_a_person_hears_once_that_it_takes_long(tmp_path, monkeypatch):
     monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(compiling, "_LONG", 0.0)
+    monkeypatch.setattr(compiling, "_ANNOUNCE_AFTER", 0.0)
     said = []
     compiling.tell_if_long(said.append)
     loop = compiled()(lambda number: number + 3)

@@ -49,7 +49,7 @@ def test_the_interval_of_a_large_sample_is_the_limit_of_the_bootstrap(monkeypatc
     sample = np.random.default_rng(4).exponential(size=5_001)
     computed = mean_interval(sample)
     assert computed.high - computed.low == pytest.approx(2 * 1.96 * sample.std() / np.sqrt(5_001), rel=1e-3)
-    monkeypatch.setattr(stats, "_MOST_RESAMPLED", len(sample))
+    monkeypatch.setattr(stats, "_MAX_RESAMPLED", len(sample))
     monkeypatch.setattr(stats, "_RESAMPLES", 2_000)
     drawn = mean_interval(sample)
     width = drawn.high - drawn.low
@@ -111,7 +111,7 @@ def test_the_p_value_of_many_differences_is_that_of_random_signs(shift, monkeypa
     assert paired_test(-sample) == pytest.approx(paired_test(sample), abs=0.02)
     many = np.random.default_rng(6).normal(shift / 20, 1.0, 5_001)
     limit = paired_test(many)
-    monkeypatch.setattr(stats, "_MOST_RESAMPLED", 5_001)
+    monkeypatch.setattr(stats, "_MAX_RESAMPLED", 5_001)
     monkeypatch.setattr(stats, "_RESAMPLES", 2_000)
     assert paired_test(many) == pytest.approx(limit, abs=0.04)
 
