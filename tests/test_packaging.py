@@ -1,5 +1,6 @@
 """What the packages promise to whoever installs them: few imports, no side effects, arrows that point down."""
 
+import hashlib
 import re
 import subprocess
 import sys
@@ -115,6 +116,10 @@ def test_what_is_declared_is_there():
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))["version"]
     newest = re.search(r"^## \[?([\d.]+)", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)[1]
     assert citation == PROJECT["version"] == newest
+    for form in (ROOT / ".github/ISSUE_TEMPLATE").iterdir():
+        assert {"name", "description", "body"} <= set(yaml.safe_load(form.read_text(encoding="utf-8")))
+    weights = ROOT / "detectors/reader/data"
+    assert hashlib.sha256((weights / "reader.safetensors").read_bytes()).hexdigest() in (weights / "README.md").read_text()
     torches = [line for lines in EXTRAS.values() for line in lines if line.startswith("torch>")]
     assert torches
     assert all(re.search(r"<\d", line) for line in torches)
