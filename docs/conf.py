@@ -45,7 +45,7 @@ sphinx_gallery_conf = {  # each notebook is run, and shown with its outputs
     "gallery_dirs": "generated/notebooks",
     "filename_pattern": r"\d_",
     "within_subsection_order": "FileNameSortKey",
-    "image_scrapers": ("pages.keep_picture",),
+    "image_scrapers": ("matplotlib", "pages.keep_picture"),
     "abort_on_example_error": True,
     "download_all_examples": False,
     "show_signature": False,

@@ -118,8 +118,8 @@ def test_what_is_declared_is_there():
     assert citation == PROJECT["version"] == newest
     for form in (ROOT / ".github/ISSUE_TEMPLATE").iterdir():
         assert {"name", "description", "body"} <= set(yaml.safe_load(form.read_text(encoding="utf-8")))
-    weights = ROOT / "detectors/reader/data"
-    assert hashlib.sha256((weights / "reader.safetensors").read_bytes()).hexdigest() in (weights / "README.md").read_text()
+    data = ROOT / "detectors/reader/data"
+    assert hashlib.sha256((data / "reader.safetensors").read_bytes()).hexdigest() in (data / "README.md").read_text()
     torches = [line for lines in EXTRAS.values() for line in lines if line.startswith("torch>")]
     assert torches
     assert all(re.search(r"<\d", line) for line in torches)

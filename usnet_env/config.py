@@ -78,6 +78,18 @@ def format_number(value: float, digits: int = 6) -> str:
     return f"{float(f'{value:.{digits}g}'):.12g}"
 
 
+def choose_unit(seconds: float) -> tuple[str, int]:
+    """The unit in which a time reads best, ``"s"`` below ten minutes and up to ``"days"``, and its seconds."""
+    units = (("days", 86_400, 2), ("h", 3_600, 2), ("min", 60, 10))
+    return next(((unit, size) for unit, size, least in units if seconds >= least * size), ("s", 1))
+
+
+def format_seconds(seconds: float, digits: int = 6) -> str:
+    """Format a time: ``399.5 s``, ``15 min``, ``10 days``."""
+    unit, size = choose_unit(seconds)
+    return f"{format_number(seconds / size, digits if size == 1 else min(digits, 3))} {unit}"
+
+
 def quote(value: object) -> str:
     """Format ``value`` for an error message: its ``repr`` on one line of at most 80 characters."""
     text = _SHORT_REPR.repr(value[: 2 * _MAX_LENGTH] if isinstance(value, str | bytes) else value)

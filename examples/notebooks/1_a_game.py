@@ -40,4 +40,4 @@ draw_episode(record)
 
 # %%
 result = evaluate("USNET/MultiCluster-v0", ["reader", "lagged-network"], episodes=5, env_kwargs=game, trivial=True)
-print(result.to_markdown(["J", "exact", "f1_first"]))
+result

@@ -149,7 +149,7 @@ def test_out_and_record_write_all_files(run, folder, tmp_path):
     tracks = read_tracks(folder / "merging.csv")
     np.testing.assert_allclose(record.position[1, 0, 0], tracks.position[114], atol=1e-3)
     files = find_leaders(folder / "leaderless.csv", "lagged-correlation").write(out, "leaderless.csv")
-    assert " ids are there from the beginning to the end.</li>" in (out / "page.html").read_text(encoding="utf-8")
+    assert " ids are present throughout.</li>" in (out / "page.html").read_text(encoding="utf-8")
     assert set(files) == set(out.iterdir())
     assert {path.name for path in out.iterdir()} == (
         names | {"links.csv", "network.png", "delays.png", "timeline.png"}

@@ -1,5 +1,7 @@
 """What can be done with found leaders: events, a frame, pictures, and short texts."""
 
+import json
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -150,8 +152,8 @@ def test_a_change_of_the_leader_is_dated_within_a_window():
 
 
 def test_evidence_has_the_delay_and_the_correlation_of_each_follower():
-    tracks = read_tracks(pd.DataFrame(example().flock(), columns=["id", "t", "x", "y", "leader"]))
-    found = find_leaders(tracks, Answers(lambda uavs, k: answer_of(uavs, 0, [0] * uavs)), length=100)
+    frame = pd.DataFrame(example().flock(), columns=["id", "t", "x", "y", "leader"])
+    found = find_leaders(read_tracks(frame), Answers(lambda uavs, k: answer_of(uavs, 0, [0] * uavs)), length=100)
     evidence = found.evidence("bird-0").set_index("follower")
     assert len(evidence) == 11
     assert (evidence["windows"] == 6).all()
@@ -165,3 +167,8 @@ def test_evidence_has_the_delay_and_the_correlation_of_each_follower():
     assert "bird-0" in axes.get_title()
     with pytest.raises(ArgumentError, match=r"^leader must be an id that leads in a window, got 'bird-1'"):
         found.evidence("bird-1")
+    collars = read_tracks(frame.assign(t=1800 * frame["t"]))  # a fix every 15 min: too rare to compare places
+    sparse = find_leaders(collars, Answers(lambda uavs, k: answer_of(uavs, 0, [0] * uavs)), length=100)
+    assert sparse.evidence("bird-0")["path"].isna().all()
+    assert "repeat its velocity 15 to 46 min later" in sparse.leaders[0].reason
+    json.dumps(sparse.as_dict(), allow_nan=False)

@@ -183,7 +183,11 @@ class EvaluationResult:
         """
         return tables.format_markdown(*self._grid(metrics))
 
-    _repr_markdown_ = to_markdown  # what Jupyter shows
+    def _repr_html_(self) -> str:
+        import pandas as pd
+
+        header, lines = tables.list_ranking(self._ranked)
+        return str(pd.DataFrame(lines, columns=header).to_html(index=False))
 
     def _grid(
         self, metrics: Sequence[str] | str | None, pattern: str = "{} ({} to {})"

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from usnet_env import drawing
+from usnet_env.config import choose_unit, format_seconds
 from usnet_env.tracks.found import DetectedWindow
 from usnet_env.tracks.tracks import Tracks, TrackWindow
 
@@ -127,7 +128,9 @@ def draw_network(rows: pd.DataFrame, windows: int, colors: Mapping[Id, str], ax:
         arrow["linestyle"] = "-" if direct else (0, (4, 2))
         axes.annotate("", end, begin, arrowprops=arrow | {"alpha": 0.8, "mutation_scale": 10 + 2 * width})
         if len(links) <= _MAX_LABELS and not np.isnan(delay):
-            axes.text(*(begin + 0.45 * vector), f"{delay:.3g} s", fontsize=7, ha="center", va="center", bbox=_BOX)
+            axes.text(
+                *(begin + 0.45 * vector), format_seconds(delay, 3), fontsize=7, ha="center", va="center", bbox=_BOX
+            )
     for name, (x, y) in position.items():
         size, color = 420 if name in heads else 200, colors.get(name, colors[main_head[name]])
         axes.scatter(x, y, s=size, color=color, edgecolor="black", linewidth=0.6, zorder=3)
@@ -154,9 +157,11 @@ def draw_delays(rows: pd.DataFrame, ax: Any = None) -> Figure:
         for name, function in (("delay", "median"), ("error", "median"), ("direct", "mean"))
     )
     error, direct = (matrix.reindex_like(table).to_numpy() for matrix in (error, direct))
+    unit, size = choose_unit(float(np.nan_to_num(table.to_numpy()).max(initial=0.0)))
+    table, error = table / size, error / size
     figure, axes = _make_axes(ax, 2.5 + 0.9 * table.shape[1], 1.5 + 0.3 * table.shape[0])
     note = "± half of the 95 % interval" + "\n(in brackets: not surely direct)" * bool((direct < 0.5).any())
-    axes.set_title(f"Median delay in seconds\n{note}" if table.size else "No leader was found.", fontsize=10)
+    axes.set_title(f"Median delay in {unit}\n{note}" if table.size else "No leader was found.", fontsize=10)
     if table.size:
         image = axes.imshow(table.to_numpy(), cmap="viridis", aspect="auto", vmin=0.0)
         figure.colorbar(image, ax=axes)
@@ -204,11 +209,13 @@ def draw_timeline(
 
 
 def draw_evidence(curves: pd.DataFrame, chance: float, leader: Id, ax: Any = None) -> Figure:
-    """Draw the correlation of each follower's velocity with that of the leader against the seconds after it.
+    """Draw the correlation of each follower's velocity with that of the leader against the time after it.
 
     The index of ``curves`` are seconds, and a column is a follower. ``chance`` is the largest value by chance.
     """
     figure, axes = _make_axes(ax, 7.6, 3.8)
+    unit, size = choose_unit(float(np.abs(curves.idxmax()).max()))
+    curves = curves.set_axis(curves.index / size)
     shown_curves = curves[curves.max().sort_values(ascending=False, kind="stable").index[:_MAX_CURVES]]
     for k, (name, curve) in enumerate(shown_curves.items()):
         style = {"color": drawing.CLUSTER_COLORS[k % len(drawing.CLUSTER_COLORS)], "label": _shorten_names([name])[0]}
@@ -221,7 +228,7 @@ def draw_evidence(curves: pd.DataFrame, chance: float, leader: Id, ax: Any = Non
     name = _shorten_names([leader])[0]
     note = f" ({_MAX_CURVES} of {curves.shape[1]})" * (curves.shape[1] > _MAX_CURVES)
     axes.set_title(f"Why {name}: its followers{note} repeat its velocity later", fontsize=10)
-    axes.set(xlabel=f"seconds after {name}", ylabel="correlation of velocity")
+    axes.set(xlabel=f"{unit} after {name}", ylabel="correlation of velocity")
     axes.legend(fontsize=7, ncols=2, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
     axes.spines[["top", "right"]].set_visible(False)
     return figure

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from usnet_env.arrays import Floats
-from usnet_env.config import format_count, format_number
+from usnet_env.config import format_count, format_seconds
 from usnet_env.tracks.found import Link
 from usnet_env.tracks.links import compare_ways, cut_velocities, find_peak, shift_past
 from usnet_env.tracks.tracks import Tracks, TrackWindow
@@ -57,7 +57,7 @@ def add_evidence(links: Sequence[Link], curves: HeadCurves | None) -> list[Link]
             behind_head=round(float(curves.lags[0] + peak * step), 9) if 0 < peak < last else None,
             correlation=round(float(curve.max()), 6),
             by_chance=round(float(chance), 6),
-            path=round(float(path), 6),
+            path=round(float(path), 6) if np.isfinite(path) else None,  # the delay may be too long to compare places
         )
         for link, peak, curve, chance, path in zip(
             links, find_peak(curves.correlation, 1), curves.correlation, curves.by_chance, curves.path, strict=True
@@ -72,7 +72,8 @@ def describe_lead(links: Sequence[Link]) -> str:
     if known.empty:
         return f"Has {format_count(rows['follower'].nunique(), 'follower')}."
     delays = known.groupby("follower")["behind_head"].median()
-    low, high = (format_number(each, 2) for each in (delays.min(), delays.max()))
+    low, high = (format_seconds(each, 2) for each in (delays.min(), delays.max()))
+    span = high if low == high else f"{low.removesuffix(high.partition(' ')[2]).strip()} to {high}"
     who, repeat = format_count(len(delays), "follower"), "repeats" if len(delays) == 1 else "repeat"
     r = f"r {known['correlation'].median():.2f}; by chance at most {known['by_chance'].max():.2f}"
-    return f"{who} {repeat} its velocity {low} to {high} s later ({r}).".replace(f" {low} to {low} s", f" {low} s")
+    return f"{who} {repeat} its velocity {span} later ({r})."

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from usnet_env.config import ArgumentError, format_count, format_number, quote, whole_number
+from usnet_env.config import ArgumentError, format_count, format_number, format_seconds, quote, whole_number
 from usnet_env.detection import Detection, ask
 from usnet_env.objectives import list_followers
 from usnet_env.parts import describe_error
@@ -193,7 +193,7 @@ def _describe_late_clocks(windows: list[DetectedWindow], track_windows: list[Tra
     sentences = []
     for name, hubs in hubs_of.items():
         if 2 * len(late_hubs := [hub for hub in hubs if hub]) > len(hubs):
-            comes = f"{late_hubs[0][0]} comes {format_number(late_hubs[0][1], 2)} s after {name}"
+            comes = f"{late_hubs[0][0]} comes {format_seconds(late_hubs[0][1], 2)} after {name}"
             agrees = f"agrees better with those that follow {name}: if its clock is late, it leads."
             sentences.append(f"{comes}, but {agrees}")
     return sentences

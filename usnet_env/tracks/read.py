@@ -117,8 +117,7 @@ def read_tracks(
         file_rows = [_read_file(file, options, len(paths) > 1) for file in paths]
         return _make_tracks([*map(str, paths)], file_rows, options, source)
     except ImportError as error:
-        hint = f"{source}, which needs {error.name}; {how_to_install('tracks')}"
-        raise ArgumentError(f"path must be in a format that can be read, got {hint}.") from None
+        raise ArgumentError(f"{source} needs {error.name}; {how_to_install('tracks')}.") from None
 
 
 def read_stream(stream: Any, **reading: Any) -> Iterator[tuple[float, Floats, list[str | int], Clock]]:

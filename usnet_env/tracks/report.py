@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usnet_env.config import format_count, format_number
+from usnet_env.config import format_count, format_number, format_seconds
 from usnet_env.tracks.clean import skip_pauses
 from usnet_env.tracks.resample import JUMP, Jumps, find_jumps, typical_intervals
 from usnet_env.tracks.samples import Samples, find_one_body
@@ -43,9 +43,9 @@ def describe_samples(tracks: Samples) -> tuple[str, ...]:
     complete = int(((first <= slack) & (last >= tracks.duration - slack)).sum())
     return (
         f"{ids} ids, {tracks.samples} samples from {tracks.file_time(0.0)} to {tracks.file_time(tracks.duration)} "
-        f"({format_number(tracks.duration)} s), one every {format_number(interval)} s; {tracks.dimensions}-D, "
+        f"({format_seconds(tracks.duration)}), one every {format_seconds(interval)}; {tracks.dimensions}-D, "
         f"{tracks.frame}.",
-        f"{complete} of {ids} ids are there from the beginning to the end.",
+        f"{'All' if complete == ids else f'{complete} of'} {ids} ids are present throughout.",
     )
 
 
@@ -80,7 +80,7 @@ def _doubt_gaps(tracks: Samples) -> Iterator[str]:
     gaps = np.flatnonzero(inside & (interval > _GAP * expected))
     if len(gaps):
         longest_gap = int(gaps[interval[gaps].argmax()])
-        longest = f"the longest takes {format_number(interval[longest_gap])} s, after {_locate(tracks, longest_gap)}"
+        longest = f"the longest takes {format_seconds(interval[longest_gap])}, after {_locate(tracks, longest_gap)}"
         yield f"{format_count(len(gaps), 'gap')} longer than {_GAP:g} typical intervals; {longest}."
     share = (inside & (np.abs(interval - expected) > _UNEVEN * expected)).sum() / max(int(inside.sum()), 1)
     if share > _UNEVEN:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from usnet_env.arrays import Floats, Indices
-from usnet_env.config import ArgumentError, format_number
+from usnet_env.config import ArgumentError, format_number, format_seconds
 from usnet_env.series import find_middle
 from usnet_env.tracks.samples import Samples, SamplesT, keep_samples
 
@@ -247,12 +247,12 @@ def choose_step(tracks: Samples, length: int = 0) -> tuple[float, str]:
     (_, lag, followers), step = leads[best], factors[best] * interval
     reason = "no id follows another with a significant delay"
     if largest_lead:
-        typical = f"typical delay {format_number(lag * step, 2)} s, median of {followers}"
+        typical = f"typical delay {format_seconds(lag * step, 2)}, median of {followers}"
         reason = f"it is the shortest at which following shows ({typical})"
     sampled = f"{factors[best]:g} times the sampling interval".removeprefix("1 times ")
     noisy = f"; the noise of the positions is about {format_number(noise, 2)} m" * bool(noise)
     hidden = ", and shorter delays may be missed" if largest_lead and best == 0 and needed > 1 else ""
-    return step, f"The step is {format_number(step)} s, {sampled}: {reason}{noisy}{hidden}."
+    return step, f"The step is {format_seconds(step)}, {sampled}: {reason}{noisy}{hidden}."
 
 
 def _sample_velocities(tracks: Samples, interval: float) -> Floats:

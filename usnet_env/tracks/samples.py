@@ -57,7 +57,7 @@ class Clock:
             return f"{name}: {clock.file_time(max(0.0, seconds - begin))}"
         if self.timestamps:
             moment = _EPOCH + timedelta(milliseconds=round(1000 * (self.origin + seconds)))
-            return moment.isoformat(timespec="milliseconds") + "Z"
+            return moment.isoformat(timespec="milliseconds").removesuffix(".000") + "Z"
         number = self.origin + seconds / self.unit
         number = round(number, _count_decimals(number))
         return int(number) if self.whole and number.is_integer() else number

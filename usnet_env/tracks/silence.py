@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from usnet_env.config import format_count, format_number
+from usnet_env.config import format_count, format_seconds
 from usnet_env.detection import Detection
 from usnet_env.tracks.confirm import LEAST_STEPS
 from usnet_env.tracks.found import CONFOUNDS, DetectedWindow
@@ -21,7 +21,7 @@ def describe_windows(track_windows: Sequence[TrackWindow]) -> str:
     """How many windows were read, and how long they are."""
     steps = [each.window.observation_steps for each in track_windows]
     halves = sum(count < max(steps) for count in steps)
-    length = f"{format_count(max(steps), 'step')} ({format_number(max(steps) * track_windows[0].step)} s)"
+    length = f"{format_count(max(steps), 'step')} ({format_seconds(max(steps) * track_windows[0].step)})"
     split = f", of which {halves} are parts of one" * bool(halves)
     return f"{format_count(len(steps), 'window')} of {length} read{split}."
 
@@ -46,8 +46,8 @@ def explain_silence(
         return sentences
     reasons = []
     if any(windows[k].confound == "one signal" for k in leaderless):
-        longest = format_number(LAGS * track_windows[0].step)
-        reasons += ["the leader changes within a window", "followers mirror it", f"delays are longer than {longest} s"]
+        longest = format_seconds(LAGS * track_windows[0].step)
+        reasons += ["the leader changes within a window", "followers mirror it", f"delays are longer than {longest}"]
     left_out = Counter(name for k in leaderless for name in windows[k].left_out).most_common(_MAX_NAMES)
     if left_out:
         reasons.append(
