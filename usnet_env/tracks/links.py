@@ -1,7 +1,8 @@
 """Direct links in a group, and their delays, from the positions at the sampling interval.
 
 In a group of n ids, id i follows the id j whose past around its peak lag leaves the least of the velocity of i. It
-counts as direct where the residual of j is clearly smaller than that of every other id that is ahead of i.
+counts as direct where the residual of j is clearly smaller than that of every other id that is ahead of i, and the past
+of no other one takes much from it: then i copies several, or what j copies.
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ _BLOCKS = 8  # parts of the window, for errors
 _RIDGE = 1e-10  # of the sum of squares: smooth pasts at neighbouring lags are nearly equal
 _CHUNK = 16  # ids whose pasts are held at once
 _COPY = 1e-3  # a residual below this share is that of a copy: other copies leave as little
-_SURE, _MOST_SURE = 2.5, 0.4  # of z by blocks; fewer direct links than this share of a group are none
+_SURE, _ENOUGH = 2.0, 0.1  # of z by blocks; the past of another id takes less than this share of the residual
+_SURE_NAMED, _ENOUGH_NAMED = 0.5, 0.3  # if the detector names the same
+_OTHERS = 10  # ids whose pasts are added to that of the leader: those with the least residuals
 _SAME_WAY = 0.1  # squared distance to where the leader was, as a share of that to where it is
 _LONGEST_WAY = 30.0  # seconds, at most a third of the window
 _QUANTILE = 2.36  # 97.5 % of Student's t with 7 degrees of freedom
@@ -35,7 +38,7 @@ _LEAST_ERROR = 0.1  # samples
 class _Pairs(NamedTuple):
     """What the past of each id j tells of each id i, ``(n, n)``."""
 
-    lag: Floats  # samples at the peak of the correlation
+    top: Indices  # the number of the lag with the largest correlation
     ahead: Mask  # whether the peak is at a later time of i, and inside of the lags
     left: Floats  # (B, n, n): the residual of a regression on the lags around the peak, in each block
     share: Floats  # of the sum of squares of i
@@ -70,8 +73,12 @@ def find_links(
         named = np.array([place.get(int(leader[uav]), -1) for uav in group])
     if longest < 1 or len(velocity) - longest < 2 * _BLOCKS:
         return [Link(ids[i], ids[head], ids[head], None, direct=False) for i in followers]
-    pairs = _compare_pairs(velocity, known, half, longest)
-    parent, direct = _choose_parents(pairs, named, compare_ways(position, named, step) < _SAME_WAY)
+    lags = np.arange(-half - 1, longest + 1)
+    pairs = _compare_pairs(velocity, known, lags)
+    parent = _grow_tree(np.where(pairs.ahead, pairs.share, 9.0 + pairs.share))
+    direct = _judge_parents(pairs, parent, named, _add_others(velocity, known, lags, pairs, parent))
+    same_way = compare_ways(position, named, step) < _SAME_WAY
+    parent, direct = np.where(same_way, named, parent), direct | same_way
     links = []
     for i, (j, sure) in enumerate(zip(parent, direct, strict=True)):
         if i:
@@ -168,20 +175,22 @@ def shift_past(behind: Floats, ahead: Floats, known: Mask, lags: Indices) -> tup
     return own.transpose(1, 0, 2), past.transpose(1, 0, 3, 2)
 
 
-def _compare_pairs(velocity: Floats, known: Mask, half: int, longest: int) -> _Pairs:
+def _compare_pairs(velocity: Floats, known: Mask, lags: Indices) -> _Pairs:
     """Compare all pairs of velocities ``(T, n, d)``: with an intercept, and sums over the same instants."""
-    lags, n = np.arange(-half - 1, longest + 1), velocity.shape[1]
-    lag, last, left = np.empty((n, n)), np.empty((n, n), bool), np.empty((_BLOCKS, n, n))
+    n = velocity.shape[1]
+    top, lag, left = np.empty((n, n), np.int64), np.empty((n, n)), np.empty((_BLOCKS, n, n))
     square = np.empty(n)
     for begin in range(0, n, _CHUNK):
         some = slice(begin, begin + _CHUNK)
         sums = _sum_products(*shift_past(velocity, velocity[:, some], known, lags))
-        peak, shift = _find_peaks(sums)
-        lag[:, some], last[:, some] = (lags[peak] + shift).T, (peak == len(lags) - 1).T
-        left[:, :, some] = _leave_least(sums, peak)
-        square = sums.square.sum(axis=0)
+        square, cross, gram = (each.sum(axis=0) for each in sums)
+        size = np.diagonal(gram, axis1=1, axis2=2)[..., None] * square
+        curves = (cross / np.sqrt(np.maximum(size, 1e-300))).transpose(0, 2, 1)
+        peak = np.stack([find_peak(each, 1) for each in curves])
+        top[:, some], lag[:, some] = np.rint(peak).T, peak.T + lags[0]
+        left[:, :, some] = _leave_least(sums, top[:, some].T)
     share = left.sum(axis=0) / np.maximum(square, 1e-300)[:, None]
-    return _Pairs(lag, (lag > 0.5) & ~last & ~np.eye(n, dtype=bool), left, share)
+    return _Pairs(top, (lag > 0.5) & (top < len(lags) - 1) & ~np.eye(n, dtype=bool), left, share)
 
 
 class _Sums(NamedTuple):
@@ -201,23 +210,10 @@ def _sum_products(behind: Floats, past: Floats) -> _Sums:
     return _Sums(np.stack([(y**2).sum(axis=1) for y in own]), cross, np.stack([x @ x.transpose(0, 2, 1) for x in then]))
 
 
-def _find_peaks(sums: _Sums) -> tuple[Indices, Floats]:
-    """The lag ``(c, n)`` of the largest correlation, and how far from it a parabola has its peak."""
-    square, cross, gram = (each.sum(axis=0) for each in sums)
-    size = np.diagonal(gram, axis1=1, axis2=2)[..., None] * square
-    curve = cross / np.sqrt(np.maximum(size, 1e-300))
-    peak = curve.argmax(axis=1)
-    middle = peak.clip(1, curve.shape[1] - 2)
-    before, top, after = (np.take_along_axis(curve, (middle + s)[:, None], axis=1)[:, 0] for s in (-1, 0, 1))
-    bend = before - 2 * top + after
-    inner = (middle == peak) & (bend < 0)
-    return peak, np.where(inner, (before - after) / 2 / np.where(inner, bend, 1.0), 0.0)
-
-
 def _leave_least(sums: _Sums, peak: Indices) -> Floats:
     """The residuals ``(B, n, c)`` of regressions on the lags around the peaks ``(c, n)``."""
     _, _, lags, n = sums.cross.shape
-    near = peak.clip(_TAPS, lags - 1 - _TAPS)[..., None] + np.arange(-_TAPS, _TAPS + 1)  # (c, n, taps)
+    near = _list_taps(peak, lags)  # (c, n, taps)
     other = np.arange(len(peak))[:, None, None]
     both = other[..., None], near[..., :, None], near[..., None, :]
     each = other, near, np.arange(n)[:, None]
@@ -244,25 +240,41 @@ def compare_ways(position: Floats, named: Indices, step: float) -> Floats:
     return np.where(other, np.min(apart[1:], axis=0, initial=np.inf) / np.where(other, apart[0], 1.0), np.inf)
 
 
-def _choose_parents(pairs: _Pairs, named: Indices, ways: Mask) -> tuple[Indices, Mask]:
-    """The direct leader of each id, ``(n,)``, and whether it is known; 0 is the head.
+def _add_others(velocity: Floats, known: Mask, lags: Indices, pairs: _Pairs, parent: Indices) -> Floats:
+    """``(n,)`` the largest share of the residual after its parent that the past of one more id ahead takes."""
+    most = np.zeros(len(parent))
+    for i in range(1, len(parent)):
+        others = [j for j in pairs.share[i].argsort() if pairs.ahead[i, j] and j != parent[i]]
+        both = np.array([parent[i], *others[:_OTHERS]])
+        own, past = shift_past(velocity[:, [i]], velocity[:, both], known[:, [i]], lags)
+        near = _list_taps(pairs.top[i, both], len(lags))
+        first, *more = past[np.arange(len(both))[:, None], near].reshape(*near.shape, -1)
+        basis = np.linalg.qr(first.T).Q
+        rest = own.ravel() - basis @ (own.ravel() @ basis)
+        for past_of_other in more:
+            basis_of_other = np.linalg.qr((past_of_other - past_of_other @ basis @ basis.T).T).Q
+            most[i] = max(most[i], float(((rest @ basis_of_other) ** 2).sum() / max(rest @ rest, 1e-300)))
+    return most
 
-    It is the id ahead with the least residual. It is known if every other one leaves clearly more in the blocks of the
-    window, or if the detector names it, too. It isn't if the residual is that of a copy. An id that goes on the way of
-    the one that the detector names follows that one.
+
+def _list_taps(peak: Indices, lags: int) -> Indices:
+    """The numbers of the lags around each peak, along a last axis."""
+    return peak.clip(_TAPS, lags - 1 - _TAPS)[..., None] + np.arange(-_TAPS, _TAPS + 1)
+
+
+def _judge_parents(pairs: _Pairs, parent: Indices, named: Indices, added: Floats) -> Mask:
+    """Whether the parent of each id, ``(n,)``, is its direct leader.
+
+    It is if every other one ahead leaves clearly more in the blocks of the window, and takes little from its residual;
+    less is asked for if the detector names it, too. It isn't known if the residual is that of a copy. 0 is the head.
     """
-    n = len(named)
-    me = np.arange(n)
-    cost = np.where(pairs.ahead, pairs.share, 9.0 + pairs.share)
-    cost[me[ways], named[ways]] = -1.0
-    parent = _grow_tree(cost)
-    share = pairs.share[me, parent]
+    me = np.arange(len(parent))
     gain = pairs.left - pairs.left[:, me, parent][..., None]
     z = gain.mean(axis=0) / (gain.std(axis=0, ddof=1) / np.sqrt(_BLOCKS) + 1e-300)
     z = np.where(pairs.ahead & (me != parent[:, None]), z, np.inf).min(axis=1)
-    known = (z >= _SURE) & (share >= _COPY) & pairs.ahead[me, parent] & (me > 0)
-    known &= known.sum() >= _MOST_SURE * (n - 1)
-    return parent, known | ((parent == named) & (share >= _COPY)) | (ways & (parent == named))
+    known = (z >= _SURE) & (added < _ENOUGH)
+    known |= (parent == named) & (z >= _SURE_NAMED) & (added < _ENOUGH_NAMED)
+    return known & (pairs.share[me, parent] >= _COPY) & pairs.ahead[me, parent] & (me > 0)
 
 
 def _grow_tree(cost: Floats) -> Indices:
