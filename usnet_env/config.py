@@ -73,6 +73,12 @@ def format_count(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
+def list_names(names: Iterable[object], most: int, ending: str = " and {} more") -> str:
+    """The first ``most`` names with commas; if there are more, an ending, in which ``{}`` is their number."""
+    texts = [str(name) for name in names]
+    return ", ".join(texts[:most]) + (ending.format(len(texts) - most) if len(texts) > most else "")
+
+
 def format_number(value: float, digits: int = 6) -> str:
     """Format a number with some significant digits, and from 1 to 10**12 without an exponent: ``880``, ``0.5``."""
     return f"{float(f'{value:.{digits}g}'):.12g}"

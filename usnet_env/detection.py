@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from usnet_env.arrays import Floats, Indices, Mask
-from usnet_env.config import ArgumentError, named_values, quote
+from usnet_env.config import ArgumentError, list_names, named_values, quote
 from usnet_env.window import Window, frozen_array
 
 _ROUNDING = 1e-6  # probabilities in single precision may exceed 1 by so much
@@ -130,8 +130,8 @@ class Detection:
 
     def __repr__(self) -> str:
         candidates = np.flatnonzero(self.candidates)
-        listed = ", ".join(map(str, candidates[:6])) + ", …" * (len(candidates) > 6)
-        return f"<Detection for {len(self.candidates)} UAVs, {len(candidates)} named: {listed or 'none'}>"
+        names = list_names(candidates, 6, ", …") or "none"
+        return f"<Detection for {len(self.candidates)} UAVs, {len(candidates)} named: {names}>"
 
 
 def read_tags(detector: Any) -> Tags:

@@ -29,9 +29,9 @@ def _count(*masks: ArrayLike) -> Indices:
     return np.asarray(in_all.sum(axis=-1, dtype=np.int64))
 
 
-def _ratio(part: Indices, whole: Indices) -> Floats:
-    """``part / whole``, 0 where ``whole`` is 0."""
-    return np.asarray(np.where(whole > 0, part / np.maximum(whole, 1), 0.0))
+def _ratio(part: Indices, total: Indices) -> Floats:
+    """``part / total``, 0 where ``total`` is 0."""
+    return np.asarray(np.where(total > 0, part / np.maximum(total, 1), 0.0))
 
 
 def hits_and_redundant(head: Mask, alive: Mask, candidates: Mask) -> tuple[Indices, Indices]:

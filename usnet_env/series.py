@@ -41,10 +41,10 @@ def correlate_at_lag(later: NDArray[RealT], earlier: NDArray[RealT], lag: int) -
 
 def correlate_over_lags(later: NDArray[RealT], earlier: NDArray[RealT], most: int, *, least: int = 1) -> NDArray[RealT]:
     """``(n, m)``; the largest result of :func:`correlate_at_lag` for ``least`` to ``most`` lags; -inf without a lag."""
-    after, before, width = _list_rows(later), _list_rows(earlier), later.shape[2]
-    best = np.full((len(after), len(before)), -np.inf, later.dtype)
+    later_rows, earlier_rows, width = _list_rows(later), _list_rows(earlier), later.shape[2]
+    best = np.full((len(later_rows), len(earlier_rows)), -np.inf, later.dtype)
     for lag in range(least, most + 1):
-        np.maximum(best, _correlate_rows(after, before, lag * width), out=best)
+        np.maximum(best, _correlate_rows(later_rows, earlier_rows, lag * width), out=best)
     return best
 
 
@@ -52,9 +52,9 @@ def _list_rows(series: NDArray[RealT]) -> NDArray[RealT]:
     return series.transpose(1, 0, 2).reshape(series.shape[1], -1)
 
 
-def _correlate_rows(after: NDArray[RealT], before: NDArray[RealT], shift: int) -> NDArray[RealT]:
-    length = after.shape[1]
-    return after[:, max(0, shift) : length + min(0, shift)] @ before[:, max(0, -shift) : length - max(0, shift)].T
+def _correlate_rows(later: NDArray[RealT], earlier: NDArray[RealT], shift: int) -> NDArray[RealT]:
+    length = later.shape[1]
+    return later[:, max(0, shift) : length + min(0, shift)] @ earlier[:, max(0, -shift) : length - max(0, shift)].T
 
 
 def reverse_blocks(steps: int, blocks: Mask) -> tuple[Indices, Floats]:
@@ -65,8 +65,8 @@ def reverse_blocks(steps: int, blocks: Mask) -> tuple[Indices, Floats]:
     """
     parts = np.array_split(np.arange(steps), blocks.shape[-1])
     mirror, block = np.concatenate([part[::-1] for part in parts]), np.repeat(np.arange(len(parts)), [*map(len, parts)])
-    reverse = blocks[..., block]
-    return np.where(reverse, mirror, np.arange(steps)), np.where(reverse, -1.0, 1.0)
+    is_reversed = blocks[..., block]
+    return np.where(is_reversed, mirror, np.arange(steps)), np.where(is_reversed, -1.0, 1.0)
 
 
 def bound_maximum(maxima: Floats, level: Floats | float) -> Floats:
@@ -80,5 +80,5 @@ def bound_maximum(maxima: Floats, level: Floats | float) -> Floats:
 
 def find_middle(values: Floats) -> tuple[float, float]:
     """The median, and a standard deviation that outliers don't change: that of a normal variable with their MAD."""
-    middle = float(np.median(values))
-    return middle, _MAD_TO_SPREAD * float(np.median(np.abs(values - middle)))
+    median = float(np.median(values))
+    return median, _MAD_TO_SPREAD * float(np.median(np.abs(values - median)))

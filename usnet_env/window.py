@@ -33,14 +33,14 @@ def frozen_array(name: str, value: ArrayLike, dtype: type, shape: tuple[int | No
     """
     array = as_array(name, value)
     if array.ndim != len(shape) or any(
-        length not in (None, has) for length, has in zip(shape, array.shape, strict=True)
+        length not in (None, size) for length, size in zip(shape, array.shape, strict=True)
     ):
-        takes = str(shape).replace("None", "any")
-        raise ArgumentError(f"{name} must have shape {takes}, got {array.shape}.")
-    number = array if array.dtype.kind in "biuf" else np.full(array.shape, np.nan)
+        expected = str(shape).replace("None", "any")
+        raise ArgumentError(f"{name} must have shape {expected}, got {array.shape}.")
+    numbers = array if array.dtype.kind in "biuf" else np.full(array.shape, np.nan)
     with np.errstate(over="ignore", invalid="ignore"):  # numbers that the cast changes are refused below
-        copy: NDArray[Any] = number.astype(dtype, copy=True)
-    is_held = np.isfinite(copy) if copy.dtype.kind == "f" else copy == number
+        copy: NDArray[Any] = numbers.astype(dtype, copy=True)
+    is_held = np.isfinite(copy) if copy.dtype.kind == "f" else copy == numbers
     if not is_held.all():
         raise ArgumentError(f"{name} must hold {_HOLDS[copy.dtype.kind]}, got {quote(value)}.")
     copy.setflags(write=False)
@@ -104,8 +104,8 @@ class Window:
 
     def __repr__(self) -> str:
         step = f" of {self.step:g} s" if self.step else ""
-        gone = f", {int((~self.alive).sum())} destroyed" * (not self.alive.all())
-        return f"<Window of {self.uavs} UAVs, {self.observation_steps} steps{step}, round {self.round}{gone}>"
+        destroyed = f", {int((~self.alive).sum())} destroyed" * (not self.alive.all())
+        return f"<Window of {self.uavs} UAVs, {self.observation_steps} steps{step}, round {self.round}{destroyed}>"
 
     @property
     def uavs(self) -> int:

@@ -14,7 +14,7 @@ import click
 
 from usnet_env.cli.options import PositiveNumber, WholeNumber, complete_names
 from usnet_env.cli.output import print_message, show
-from usnet_env.config import ArgumentError, printable
+from usnet_env.config import ArgumentError, list_names, printable
 from usnet_env.files import as_path, reserve_folder
 from usnet_env.progress import progress_bar
 
@@ -203,10 +203,10 @@ def _make_tables(found: FoundLeaders) -> list[Table]:
 
     rows: list[list[str]] = []
     for window in found.windows:
-        confound = f"{_join_ids(window.alike)} {CONFOUNDS[window.confound]}." if window.confound else ""
+        confound = f"{list_names(window.alike, _MAX_NAMES)} {CONFOUNDS[window.confound]}." if window.confound else ""
         cells = [_list_cells(leader) for leader in window.leaders] or [["none found", "", "", confound]]
         if window.not_confirmed:
-            cells.append(["", "", "", f"Not confirmed: {_join_ids(window.not_confirmed)}."])
+            cells.append(["", "", "", f"Not confirmed: {list_names(window.not_confirmed, _MAX_NAMES)}."])
         rows += [[str(window.start), str(window.end), *row] for row in cells]
     summary = [[*_list_cells(leader), f"{leader.share or 0.0:.0%}"] for leader in found.leaders]
     headings = ["leader", "p", "followers", "why"]
@@ -216,14 +216,9 @@ def _make_tables(found: FoundLeaders) -> list[Table]:
     ]
 
 
-def _join_ids(ids: Sequence[str | int]) -> str:
-    rest = f" and {len(ids) - _MAX_NAMES} more" if len(ids) > _MAX_NAMES else ""
-    return ", ".join(map(str, ids[:_MAX_NAMES])) + rest
-
-
 def _list_cells(leader: Leader) -> list[str]:
     probability = "" if leader.probability is None else f"{leader.probability:.2f}"
-    return [str(leader.id), probability, _join_ids(leader.followers), leader.reason]
+    return [str(leader.id), probability, list_names(leader.followers, _MAX_NAMES), leader.reason]
 
 
 def _make_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:

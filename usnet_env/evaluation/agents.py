@@ -53,8 +53,8 @@ def label_detectors(detector: Any, trivial: bool, isolated: bool) -> dict[str, A
     that are given by name are made in their own processes only.
     """
     if isinstance(detector, Mapping):
-        named = named_values("detector", detector)
-        labels, detectors = list(named), list(named.values())
+        by_label = named_values("detector", detector)
+        labels, detectors = list(by_label), list(by_label.values())
     else:
         detectors = list(detector) if isinstance(detector, list | tuple) else [detector]
         labels = [

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from usnet_env.arrays import Floats, Indices
-from usnet_env.config import format_count
+from usnet_env.config import format_count, list_names
 from usnet_env.tracks.resample import close_jumps, leave_out_heights, leave_out_spikes, typical_intervals
 from usnet_env.tracks.samples import Samples, SamplesT, keep_samples
 
@@ -57,10 +57,9 @@ def leave_out_repeats(tracks: SamplesT) -> tuple[SamplesT, list[str]]:
     is_kept[starts] = True
     if is_kept.all():
         return tracks, []
-    names = [str(tracks.ids[k]) for k in np.unique(owner[is_stale])]
-    listed = ", ".join(names[:3]) + f" and {len(names) - 3} more" * (len(names) > 3)
+    names = list_names([tracks.ids[k] for k in np.unique(owner[is_stale])], 3)
     count = format_count(int((~is_kept).sum()), "repetition")
-    note = f"{count} of places left out: those of {listed} are renewed more rarely than sampled."
+    note = f"{count} of places left out: those of {names} are renewed more rarely than sampled."
     return keep_samples(tracks, is_kept), [note]
 
 

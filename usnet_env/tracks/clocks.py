@@ -22,14 +22,14 @@ def find_late_clock(
     is behind three quarters of the group, of which at most 20 are looked at, at the sampling interval.
     """
     group = [leader, *followers][:_MAX_COMPARED]
-    _, velocity, known, _, longest = cut_velocities(fine, track_window, group)
+    _, velocity, seen, _, longest = cut_velocities(fine, track_window, group)
     if len(group) < _MIN_GROUP or longest < 1:
         return None
-    unit = scale_to_unit(centre_columns(velocity, known), least=0.0)
+    unit = scale_to_unit(centre_columns(velocity, seen), least=0.0)
     curves = np.array([correlate_at_lag(unit, unit, lag) for lag in range(-longest, longest + 1)])
-    lag, agreement = curves.argmax(axis=0) - longest, curves.max(axis=0)  # of each, after each
-    np.fill_diagonal(agreement, 0.0)
-    hub = int(agreement.sum(axis=1).argmax())
+    lag, similarity = curves.argmax(axis=0) - longest, curves.max(axis=0)  # of each, after each
+    np.fill_diagonal(similarity, 0.0)
+    hub = int(similarity.sum(axis=1).argmax())
     if lag[hub, 0] <= 0 or (lag[hub] > 0).sum() < _MIN_SHARE_AHEAD * (len(group) - 1):
         return None
     return group[hub], float(lag[hub, 0] * (fine.step or 1.0))

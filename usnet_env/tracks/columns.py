@@ -13,7 +13,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from usnet_env.arrays import Floats
-from usnet_env.config import ArgumentError, quote
+from usnet_env.config import ArgumentError, list_names, quote
 from usnet_env.tracks.samples import is_none
 
 
@@ -164,7 +164,7 @@ def choose_columns(
             raise ArgumentError(f"row 1 of {source} must name its columns, got values: {first} ({hint}).")
     elif len(set(names)) < len(names) or any(header.count(name) != 1 for name in names):
         rule = f"give each role a column that {source} has once"
-    listed = ", ".join(header[:_MAX_LISTED]) + ", …" * (len(header) > _MAX_LISTED)
+    listed = list_names(header, _MAX_LISTED, ", …")
     if missing:
         subject = f"column of {source} is" if len(missing) == 1 else f"columns of {source} are"
         hint = " (several files may be the tracks of one id each)" * (missing == ["id"])

@@ -122,10 +122,10 @@ def keep_group(window: Window, leader: int, followers: Sequence[int]) -> list[in
     return sorted(group) or list(followers)
 
 
-def _are_alike(unit: Singles, others: Singles) -> Mask:
+def _are_alike(unit: Singles, other_unit: Singles) -> Mask:
     """Which scaled velocities ``(T, n, 3)`` are more like those of any other than chance allows; ``(n,)``."""
     shifts = np.linspace(_MIN_SHIFT, len(unit) - _MIN_SHIFT, _SHIFTS).astype(int)
-    likeness = np.array([_measure_likeness(np.roll(unit, k, axis=0), others).max(axis=1) for k in (0, *shifts)])
+    likeness = np.array([_measure_likeness(np.roll(unit, k, axis=0), other_unit).max(axis=1) for k in (0, *shifts)])
     observed, *shifted = np.arctanh(np.clip(likeness, -_MAX_CORRELATION, _MAX_CORRELATION))
     return np.asarray(observed > np.mean(shifted, axis=0) + _DEVIATIONS * np.std(shifted, axis=0))
 

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from usnet_env.arrays import Indices
-from usnet_env.config import format_count
+from usnet_env.config import format_count, list_names
 
 Name = str | int
 Kind = Literal["leads", "ends", "joins", "leaves", "changes", "merges", "splits", "takes over"]
@@ -143,13 +143,11 @@ class Event:
     probability: float | None = None
 
     def __str__(self) -> str:
-        names = ", ".join(map(str, self.ids[:_MAX_NAMES]))
-        names += f" and {len(self.ids) - _MAX_NAMES} more" * (len(self.ids) > _MAX_NAMES)
         follow = "follows" if len(self.ids) == 1 and self.kind != "leaves" else "follow"
         group = f" and its {format_count(len(self.ids), 'follower')} follow" if self.ids else " follows"
-        words = {"who": names, "follow": follow, "group": group, "old": self.old, "new": self.new}
+        words = {"who": list_names(self.ids, _MAX_NAMES), "follow": follow, "group": group}
         interval = "" if self.low in (None, self.time) else f" ({self.low} to {self.high})"
-        return f"From {self.time}{interval}: {_SENTENCES[self.kind].format(**words)}"
+        return f"From {self.time}{interval}: {_SENTENCES[self.kind].format(**words, old=self.old, new=self.new)}"
 
 
 def find_events(windows: Iterable[DetectedWindow]) -> tuple[Event, ...]:

@@ -231,22 +231,22 @@ def _detect_window(
     return DetectedWindow(*times, tuple(leaders), rejected, tuple(links), track_window.left_out, confound, alike_ids)
 
 
-def _number_groups(present: list[Group], known: list[Group]) -> list[int]:
+def _number_groups(groups: list[Group], known_groups: list[Group]) -> list[int]:
     """Number the groups of a window from 1, by the earlier groups with which they share the most members.
 
-    ``known`` holds each group as it was found last, in the order of the numbers, and is updated.
+    ``known_groups`` holds each group as it was found last, in the order of the numbers, and is updated.
     """
     from scipy.optimize import linear_sum_assignment  # a refusal does not wait for SciPy
 
-    share = np.zeros((len(present), len(known)))
-    for (k, (head, members)), (g, (known_head, known_members)) in product(enumerate(present), enumerate(known)):
+    share = np.zeros((len(groups), len(known_groups)))
+    for (k, (head, members)), (g, (known_head, known_members)) in product(enumerate(groups), enumerate(known_groups)):
         share[k, g] = len(members & known_members) / len(members | known_members)
         share[k, g] += _SAME_LEADER * (head == known_head)
     same = {k: int(g) for k, g in zip(*linear_sum_assignment(-share), strict=True) if share[k, g] >= _SAME_GROUP}
-    for k, group in enumerate(present):
-        g = same.setdefault(k, len(known))
-        known[g : g + 1] = [group]
-    return [same[k] + 1 for k in range(len(present))]
+    for k, group in enumerate(groups):
+        g = same.setdefault(k, len(known_groups))
+        known_groups[g : g + 1] = [group]
+    return [same[k] + 1 for k in range(len(groups))]
 
 
 def _describe_chance(windows: list[DetectedWindow]) -> str:

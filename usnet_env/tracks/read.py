@@ -263,8 +263,8 @@ def _join_date(clock: pd.Series[Any], date: pd.Series[Any] | None) -> pd.Series[
 def _make_tracks(paths: list[str], files: list[_FileRows], options: Options, source: str) -> Tracks:
     names, timestamps, pool = dict(files[-1].names), files[0].timestamps, options.pool or options.pool_by is not None
     if any(file.names.keys() != names.keys() or file.timestamps != timestamps for file in files if file.counts["rows"]):
-        named = ", ".join(quote(file.names) for file in files)
-        raise ArgumentError(f"path must be files with the same columns and kind of times, got {named} in {source}.")
+        got = ", ".join(quote(file.names) for file in files)
+        raise ArgumentError(f"path must be files with the same columns and kind of times, got {got} in {source}.")
     file_counts = Counter(label for file in files for label in file.rows["id"].unique())
     for path, file in zip(paths, files, strict=True):
         if file.details.get("for_itself") and not pool:
@@ -301,8 +301,8 @@ def _make_tracks(paths: list[str], files: list[_FileRows], options: Options, sou
     guess = ""
     if unit is None and not timestamps:
         unit, guess = guess_time_unit(time, names)
-    whole = bool((time == np.floor(time)).all())
-    clock = Clock(unit=unit or 1.0, timestamps=timestamps, whole=whole, guessed=guess, zone=files[0].zone)
+    is_whole = bool((time == np.floor(time)).all())
+    clock = Clock(unit=unit or 1.0, timestamps=timestamps, whole=is_whole, guessed=guess, zone=files[0].zone)
     if timestamps:
         if options.time_unit is not None:
             raise ArgumentError(f"time_unit must be left out for timestamps, got {options.time_unit:g} (--time-unit).")

@@ -157,9 +157,9 @@ def read_parquet(path: Path) -> pd.DataFrame:
 
 def read_sqlite(path: Path) -> pd.DataFrame:
     """Trajectories of JuPedSim."""
-    with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as base:
-        frame = pd.read_sql("SELECT * FROM trajectory_data", base)
-        rate = base.execute("SELECT value FROM metadata WHERE key = 'fps'").fetchone()
+    with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
+        frame = pd.read_sql("SELECT * FROM trajectory_data", database)
+        rate = database.execute("SELECT value FROM metadata WHERE key = 'fps'").fetchone()
     frame.attrs["rate"] = float(rate[0])
     return frame
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usnet_env.config import format_count, format_number, format_seconds
+from usnet_env.config import format_count, format_number, format_seconds, list_names
 from usnet_env.tracks.clean import skip_pauses
 from usnet_env.tracks.resample import JUMP, Jumps, find_jumps, typical_intervals
 from usnet_env.tracks.samples import Samples, find_one_body
@@ -89,11 +89,9 @@ def _doubt_gaps(tracks: Samples) -> Iterator[str]:
 
 def _doubt_bodies(tracks: Samples) -> Iterator[str]:
     if ids := find_one_body(tracks):
-        names = ", ".join(map(str, ids[:6])) + ", …" * (len(ids) > 6)
-        yield (
-            f"{len(ids)} ids ({names}) are hardly ever apart from another of them. If they are one body, with two tags "
-            "or two estimates of its places, keep the rows of one."
-        )
+        names = list_names(ids, 6, ", …")
+        advice = "If they are one body, with two tags or two estimates of its places, keep the rows of one."
+        yield f"{len(ids)} ids ({names}) are hardly ever apart from another of them. {advice}"
 
 
 def _doubt_jumps(tracks: Samples, jumps: Jumps) -> Iterator[str]:

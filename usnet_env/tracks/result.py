@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from usnet_env.config import ArgumentError, MissingExtraError, format_count, quote
+from usnet_env.config import ArgumentError, MissingExtraError, format_count, list_names, quote
 from usnet_env.detection import Detection
 from usnet_env.drawing import CLUSTER_COLORS, write_figure
 from usnet_env.files import as_path, replace_files, reserve_folder, write_text
@@ -77,8 +77,8 @@ class FoundLeaders:
     periods: tuple[Period, ...] = ()
 
     def __repr__(self) -> str:
-        names = ", ".join(str(leader.id) for leader in self.leaders[:6]) + ", …" * (len(self.leaders) > 6)
-        return f"<FoundLeaders in {format_count(len(self.windows), 'window')} by {self.detector}: {names or 'nobody'}>"
+        names = list_names([leader.id for leader in self.leaders], 6, ", …") or "nobody"
+        return f"<FoundLeaders in {format_count(len(self.windows), 'window')} by {self.detector}: {names}>"
 
     def __str__(self) -> str:
         leading = [(each.id, format_count(len(each.followers), "id"), each.share or 0.0) for each in self.leaders]

@@ -273,16 +273,16 @@ def _read_ids(name: str, value: Any, samples: int) -> tuple[Indices, tuple[str |
 
 
 def _cut_window(
-    tracks: Tracks, step_numbers: Indices, first: int, length: int, least_steps: int, wanted: Indices | None = None
+    tracks: Tracks, step_numbers: Indices, first: int, length: int, least_steps: int, subset: Indices | None = None
 ) -> TrackWindow | None:
     """Cut the window from grid time ``first`` on, if two ids are seen long enough; ``step_numbers`` ``(S,)``.
 
-    Its ids are those in the rows ``wanted``, or all.
+    Its ids are those in ``subset``, or all.
     """
     step = float(tracks.step or 0.0)
     samples = np.flatnonzero((step_numbers >= first) & (step_numbers <= first + length))
     owner = np.searchsorted(tracks.offsets, samples, side="right") - 1
-    rows = np.unique(owner) if wanted is None else wanted
+    rows = np.unique(owner) if subset is None else subset
     samples, owner = samples[is_known := np.isin(owner, rows)], owner[is_known]
     column = np.searchsorted(rows, owner)
     seen = np.zeros((length + 1, len(rows)), bool)

@@ -16,8 +16,8 @@ _MAX_INTERVAL = 0.05  # seconds between samples, or 72 minutes in days
 
 def guess_time_unit(time: Floats, names: Mapping[str, str]) -> tuple[float, str]:
     """Seconds in one unit of times that are numbers, and what they seem to be if the column's name doesn't say it."""
-    if named := columns.split_unit(names["frame" if "frame" in names else "t"])[1]:
-        return columns.TIME_UNITS.get(named, 1.0), ""
+    if unit_name := columns.split_unit(names["frame" if "frame" in names else "t"])[1]:
+        return columns.TIME_UNITS.get(unit_name, 1.0), ""
     first = float(np.min(time))
     for unit, words in ((1e-3, "milliseconds"), (1e-6, "microseconds"), (1e-9, "nanoseconds")):
         if _RECORDING_ERA[0] <= first * unit <= _RECORDING_ERA[1]:
@@ -50,14 +50,14 @@ def project_positions(rows: pd.DataFrame, origin: Floats | None = None) -> tuple
 
     longitude, latitude = rows["lon"].to_numpy(), rows["lat"].to_numpy()
     east = (longitude - longitude[0] + 180.0) % 360.0 - 180.0  # tracks may cross the 180th meridian
-    middle = [float(np.quantile(degrees, (0.01, 0.99)).mean()) for degrees in (east, latitude)]
-    middle[0] = (float(longitude[0]) + middle[0] + 180.0) % 360.0 - 180.0
-    middle = middle if origin is None else origin[:2].tolist()
-    local = f"+proj=aeqd +lon_0={middle[0]!r} +lat_0={middle[1]!r} +datum=WGS84 +units=m"
+    centre = [float(np.quantile(degrees, (0.01, 0.99)).mean()) for degrees in (east, latitude)]
+    centre[0] = (float(longitude[0]) + centre[0] + 180.0) % 360.0 - 180.0
+    centre = centre if origin is None else origin[:2].tolist()
+    local = f"+proj=aeqd +lon_0={centre[0]!r} +lat_0={centre[1]!r} +datum=WGS84 +units=m"
     axes = list(pyproj.Transformer.from_crs("EPSG:4326", local, always_xy=True).transform(longitude, latitude))
     height = 0.0
     if "z" in rows:
         height = float(np.round(rows["z"].mean()) if origin is None else origin[2])
         axes.append(rows["z"].to_numpy() - height)
     frame = "metres in a local azimuthal equidistant frame (pyproj), from degrees"
-    return axes, np.array([*middle, height]), frame
+    return axes, np.array([*centre, height]), frame
