@@ -55,7 +55,7 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         if loop is function:  # NUMBA_DISABLE_JIT
             return function
         try:
-            loop._cache = _cache_class()(function)
+            loop._cache = _make_cache_class()(function)
         except RuntimeError as error:
             if "no locator available" not in str(error):
                 raise
@@ -82,7 +82,7 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 
 @cache
-def _cache_class() -> Any:
+def _make_cache_class() -> Any:
     """The class of caches; a function, because importing Numba takes long."""
     from numba.core.caching import FunctionCache
 

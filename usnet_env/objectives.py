@@ -29,7 +29,7 @@ def _count(*masks: ArrayLike) -> Indices:
     return np.asarray(in_all.sum(axis=-1, dtype=np.int64))
 
 
-def _ratio(part: Indices, total: Indices) -> Floats:
+def _divide(part: Indices, total: Indices) -> Floats:
     """``part / total``, 0 where ``total`` is 0."""
     return np.asarray(np.where(total > 0, part / np.maximum(total, 1), 0.0))
 
@@ -63,7 +63,7 @@ def precision(head: ArrayLike, candidates: ArrayLike) -> Floats:
     >>> float(precision([True, False, False], [True, True, False]))
     0.5
     """
-    return _ratio(_count(head, candidates), _count(candidates))
+    return _divide(_count(head, candidates), _count(candidates))
 
 
 def recall(head: ArrayLike, candidates: ArrayLike) -> Floats:
@@ -72,7 +72,7 @@ def recall(head: ArrayLike, candidates: ArrayLike) -> Floats:
     >>> float(recall([True, False, True], [True, True, False]))
     0.5
     """
-    return _ratio(_count(head, candidates), _count(head))
+    return _divide(_count(head, candidates), _count(head))
 
 
 def f1(head: ArrayLike, candidates: ArrayLike) -> Floats:
@@ -82,7 +82,7 @@ def f1(head: ArrayLike, candidates: ArrayLike) -> Floats:
     0.67
     """
     total = _count(candidates) + _count(head)
-    return np.asarray(np.where(total > 0, _ratio(2 * _count(head, candidates), total), 1.0))
+    return np.asarray(np.where(total > 0, _divide(2 * _count(head, candidates), total), 1.0))
 
 
 def exact(head: ArrayLike, candidates: ArrayLike) -> Mask:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from usnet_env.arrays import Mask, Singles
 from usnet_env.config import ArgumentError, quote, real_number, whole_number
 
-_HOLDS = {"b": "only 0 and 1 (or booleans)", "i": "whole numbers", "f": "finite numbers that its type can hold"}
+_VALUES = {"b": "only 0 and 1 (or booleans)", "i": "whole numbers", "f": "finite numbers that its type can hold"}
 
 
 def as_array(name: str, value: Any) -> NDArray[Any]:
@@ -42,7 +42,7 @@ def frozen_array(name: str, value: ArrayLike, dtype: type, shape: tuple[int | No
         copy: NDArray[Any] = numbers.astype(dtype, copy=True)
     is_held = np.isfinite(copy) if copy.dtype.kind == "f" else copy == numbers
     if not is_held.all():
-        raise ArgumentError(f"{name} must hold {_HOLDS[copy.dtype.kind]}, got {quote(value)}.")
+        raise ArgumentError(f"{name} must hold {_VALUES[copy.dtype.kind]}, got {quote(value)}.")
     copy.setflags(write=False)
     return copy
 

@@ -131,7 +131,7 @@ def detect(
 
     if follow:
         options = {name: value for name, value in {"window": window, "stride": stride}.items() if value is not None}
-        _follow(tracks, reading, step=step, detector=detector, seed=seed, **options)
+        _follow_stream(tracks, reading, step=step, detector=detector, seed=seed, **options)
         return
     if (record or open_page) and out is None:
         raise click.UsageError(f"--{'record' if record else 'open'} needs --out.")
@@ -173,7 +173,7 @@ def detect(
         click.launch(str(folder / "page.html"))
 
 
-def _follow(tracks: tuple[str, ...], reading: dict[str, Any], **options: Any) -> None:
+def _follow_stream(tracks: tuple[str, ...], reading: dict[str, Any], **options: Any) -> None:
     """Print what changes in the tracks of standard input while they come."""
     from usnet_env.tracks import LeaderTracker
     from usnet_env.tracks.read import read_stream

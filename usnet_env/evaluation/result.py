@@ -104,7 +104,7 @@ class EvaluationResult:
         """The summary; the other metrics have their mean in place of the ends of the interval."""
         entries = []
         for label, rows in self._by_detector():
-            intervals = {name: _interval(rows, name, self._unit, name in with_interval) for name in self.metrics}
+            intervals = {name: _make_interval(rows, name, self._unit, name in with_interval) for name in self.metrics}
             metrics = {name: interval._asdict() for name, interval in intervals.items() if interval is not None}
             failed = int((rows["error"] != "").sum())
             entries.append({"detector": label, "episodes": len(rows) - failed, "failed": failed, "metrics": metrics})
@@ -202,7 +202,7 @@ class EvaluationResult:
         parts = [(cell, self.rows[self.rows["cell"] == cell], "swarm_seed") for cell in self.cells]
         lines = []
         for cell, rows, unit in [*parts, ("all cells", self.rows, self._unit)]:
-            intervals = [_interval(rows[rows["detector"] == label], metrics, unit) for label in self]
+            intervals = [_make_interval(rows[rows["detector"] == label], metrics, unit) for label in self]
             lines.append([cell, *(tables.format_interval(interval and interval._asdict()) for interval in intervals)])
         return [tables.heading(self._ranked, metrics), *map(printable, self)], lines
 
@@ -270,7 +270,7 @@ class EvaluationResult:
             raise unknown_name("detector", label, self)
 
 
-def _interval(rows: pd.DataFrame, metric: str, unit: str, with_interval: bool = True) -> Interval | None:
+def _make_interval(rows: pd.DataFrame, metric: str, unit: str, with_interval: bool = True) -> Interval | None:
     """The mean of a metric with its interval, or the mean three times; ``None`` if no row has a value.
 
     Rows with the same value of the column ``unit`` are one group.

@@ -28,7 +28,7 @@ class Interval(NamedTuple):
     high: float
 
 
-def _mean_by_group(sample: Floats, groups: Sample | None) -> Floats:
+def _average_by_group(sample: Floats, groups: Sample | None) -> Floats:
     """Independent values ``(g,)`` with the mean of the sample and, nearly, the variance of that mean.
 
     The linearised ratio estimator: Cochran, Sampling Techniques, 3rd edition, 1977, section 9A.1.
@@ -47,7 +47,7 @@ def rate_interval(values: Sample, groups: Sample | None = None) -> Interval:
     values divided by the design effect (Kish, Survey Sampling, 1965, section 8.2), or that of groups if all are equal.
     """
     sample, z = np.asarray(values, np.float64), NormalDist().inv_cdf((1 + CONFIDENCE) / 2)
-    grouped = _mean_by_group(sample, groups)
+    grouped = _average_by_group(sample, groups)
     mean, n = float(sample.mean()), float(len(sample))  # n may become a fraction, which scipy's Wilson doesn't take
     if len(grouped) < n:
         variance = float(grouped.var()) / len(grouped)
@@ -69,7 +69,7 @@ def mean_interval(values: Sample, confidence: float = CONFIDENCE, groups: Sample
     it is [mean, mean]. Values of one of the ``groups`` ``(n,)`` depend on each other, and are resampled as a whole.
     """
     ungrouped = np.asarray(values, np.float64)
-    sample = _mean_by_group(ungrouped, groups)
+    sample = _average_by_group(ungrouped, groups)
     mean = float(sample.mean())
     for constant in (ungrouped, sample):  # the first one, too: groups of several sizes differ by rounding
         if np.ptp(constant) <= 1e-12 * abs(constant[0]):
@@ -89,7 +89,7 @@ def _expand_level(confidence: float, values: int) -> float:
     return 1 - max(2 * NormalDist().cdf(-quantile), 2e-12)  # a level of 1 has no quantile
 
 
-def _resampling_options(values: int) -> dict[str, Any]:
+def _make_options(values: int) -> dict[str, Any]:
     """Arguments of scipy's resampling: as many values at once as memory should hold, and the same draws each time."""
     batch = max(1, _MAX_DRAWS // values)
     return {"n_resamples": _RESAMPLES, "batch": batch, "vectorized": True, "random_state": np.random.default_rng(0)}
@@ -106,7 +106,7 @@ def _bootstrap(sample: Floats, confidence: float) -> Interval:
 
     level = _expand_level(confidence, len(sample))
     scaled = [(sample - mean) / scale]
-    options = {"confidence_level": level, "method": "BCa"} | _resampling_options(len(sample))
+    options = {"confidence_level": level, "method": "BCa"} | _make_options(len(sample))
     result = bootstrap(scaled, rounded_mean, **options)
     low, high = result.confidence_interval
     return Interval(mean, mean + scale * float(low), mean + scale * float(high))
@@ -125,7 +125,7 @@ def paired_test(differences: Sample) -> float:
         return math.erfc(abs(float(sample.sum())) / math.sqrt(2 * float((sample**2).sum())))
     from scipy.stats import permutation_test
 
-    result = permutation_test([sample], np.mean, permutation_type="samples", **_resampling_options(len(sample)))
+    result = permutation_test([sample], np.mean, permutation_type="samples", **_make_options(len(sample)))
     return float(result.pvalue)
 
 

@@ -48,7 +48,7 @@ def _list_links(root: Indices, followers: Mask, heads: Mask) -> Indices:
     return np.column_stack([linked, root[linked]])
 
 
-def _stack(values: Sequence[ArrayLike | None], absent: int = 0) -> Any:
+def _stack_values(values: Sequence[ArrayLike | None], absent: int = 0) -> Any:
     """Stack an optional part of the answers; it is full of ``absent`` where a round lacks it, ``None`` if all do."""
     first = next((value for value in values if value is not None), None)
     if first is None:
@@ -191,10 +191,10 @@ class EpisodeRecord:
             **{name: [getattr(window, name) for window in windows] for name in ("position", "velocity", "seen")},
             "candidates": candidates,
             "scores": [answer.scores for answer in answers],
-            "clusters": _stack([answer.clusters for answer in answers], absent=-1),
-            "leader_estimate": _stack([answer.leader for answer in answers], absent=-1),
-            "attention": _stack([answer.attention for answer in answers]),
-            "probability": _stack([answer.extras.get("probability") for answer in answers]),
+            "clusters": _stack_values([answer.clusters for answer in answers], absent=-1),
+            "leader_estimate": _stack_values([answer.leader for answer in answers], absent=-1),
+            "attention": _stack_values([answer.attention for answer in answers]),
+            "probability": _stack_values([answer.extras.get("probability") for answer in answers]),
             "reasons": reasons if any(reasons) else None,
             "seconds": np.zeros(rounds),
             "versions": versions(),

@@ -176,28 +176,28 @@ def choose_columns(
     return chosen
 
 
-def _normalise(name: str) -> str:
+def _normalise_name(name: str) -> str:
     return re.sub(r"\W+", "_", name.lower()).strip("_")
 
 
 def split_unit(name: str) -> tuple[str, str]:
     """The plain name of a column, and the unit behind it, or ``""``: ``"X (cm)"`` is ``"x"`` in ``"cm"``."""
-    name_only, _, unit = _normalise(name).rpartition("_")
-    return (name_only, unit) if name_only and unit in TIME_UNITS | LENGTH_UNITS else (_normalise(name), "")
+    name_only, _, unit = _normalise_name(name).rpartition("_")
+    return (name_only, unit) if name_only and unit in TIME_UNITS | LENGTH_UNITS else (_normalise_name(name), "")
 
 
 def find_wide(header: Sequence[str]) -> dict[str, dict[str, str]]:
     """The columns x, y and perhaps z of each id of a table with a row for each time, such as ``x1, y1, x2, y2``."""
     axes_of: dict[str, dict[str, str]] = {}
     for name in header:
-        if match := _AXIS_NAME.fullmatch(_normalise(name)):
+        if match := _AXIS_NAME.fullmatch(_normalise_name(name)):
             axes_of.setdefault(match["id"] or match["name"], {})[match["axis"] or match["last"]] = name
     return {label: axes for label, axes in axes_of.items() if {"x", "y"} <= axes.keys()}
 
 
 def is_number(cell: str) -> bool:
     """Whether a cell holds a number."""
-    return not math.isnan(_parse(cell, "."))
+    return not math.isnan(_parse_number(cell, "."))
 
 
 def read_numbers(
@@ -215,7 +215,7 @@ def read_numbers(
         codes, distinct = pd.factorize(column)
         cells = pd.Series(distinct)
         is_time = formatted or (role in TIMES and has_timestamps(column))
-        numbers = [] if is_time else [_parse(cell, decimal) for cell in cells]
+        numbers = [] if is_time else [_parse_number(cell, decimal) for cell in cells]
         values = _parse_timestamps(cells, time_format) if is_time else np.array(numbers, np.float64)
         is_wrong = np.isnan(values) & ~cells.map(is_none).to_numpy(bool)
         if is_wrong.any() and not (skip_few and is_wrong.mean() < 0.5):
@@ -237,7 +237,7 @@ def has_timestamps(column: pd.Series[Any]) -> bool:
     """Whether a column of times holds timestamps: its first value is no number."""
     if column.dtype.kind in "fiumM":
         return bool(column.dtype.kind == "M")
-    return math.isnan(_parse(next((cell for cell in column if not is_none(cell)), "0"), "."))
+    return math.isnan(_parse_number(next((cell for cell in column if not is_none(cell)), "0"), "."))
 
 
 def find_zone(column: pd.Series[Any]) -> Any:
@@ -253,7 +253,7 @@ def to_text(cell: Any) -> str:
     return (cell.decode("utf-8", "backslashreplace") if isinstance(cell, bytes) else str(cell)).strip()
 
 
-def _parse(cell: Any, decimal: str) -> float:
+def _parse_number(cell: Any, decimal: str) -> float:
     """The number in a cell, or NaN."""
     text = to_text(cell)
     try:

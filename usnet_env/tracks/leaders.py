@@ -28,8 +28,8 @@ from usnet_env.tracks.silence import describe_windows
 from usnet_env.tracks.tracks import Tracks, TrackWindow
 
 DEFAULT_DETECTOR = "reader(policy='map')"
-_SAME_GROUP = 0.25  # two groups are one if they share this part of all their members
-_SAME_LEADER = 0.25
+_MIN_SHARED_PART = 0.25  # two groups are one if they share this part of all their members
+_LEADER_BONUS = 0.25
 
 Group = tuple[int, set[int]]  # the row of its leader in ``Tracks.ids``, and those of its members
 
@@ -101,7 +101,7 @@ def find_leaders(
         facts.append(_describe_chance(windows))
     periods: tuple[Period, ...] = ()
     if "probability" in answers[0].extras:
-        periods = trace_periods(resampled, windows, track_windows, partial(_ask_once, player, seed), confirm)
+        periods = trace_periods(resampled, windows, track_windows, partial(_ask_detector, player, seed), confirm)
         pairs = zip(windows, track_windows, strict=True)
         windows = [blur_links(window, track_window, periods, tracks.ids) for window, track_window in pairs]
     leaders = _summarise_leaders(windows, tracks.ids)
@@ -123,7 +123,7 @@ def answer_window(player: DetectorLike, resampled: Tracks, track_window: TrackWi
     hides a leader, so only those count at which an id probably leads. Of their answers, the one
     that names most nearly what all of them name is returned, or of several the one that is surest that somebody leads.
     """
-    answer = partial(_ask_once, player, seed)
+    answer = partial(_ask_detector, player, seed)
 
     def read_p_no_leader(detection: Detection) -> float:
         return float(detection.extras.get("p_no_leader", detection.extras.get("silent", 0.0)))
@@ -166,7 +166,7 @@ def _detect_in_window(
     return [*chain(*halves)] if all(names) and names[0] != names[-1] else whole
 
 
-def _ask_once(player: DetectorLike, seed: int, track_window: TrackWindow) -> Detection:
+def _ask_detector(player: DetectorLike, seed: int, track_window: TrackWindow) -> Detection:
     player.reset(seed)
     return ask(player, track_window.window)[0]
 
@@ -241,8 +241,8 @@ def _number_groups(groups: list[Group], known_groups: list[Group]) -> list[int]:
     share = np.zeros((len(groups), len(known_groups)))
     for (k, (head, members)), (g, (known_head, known_members)) in product(enumerate(groups), enumerate(known_groups)):
         share[k, g] = len(members & known_members) / len(members | known_members)
-        share[k, g] += _SAME_LEADER * (head == known_head)
-    same = {k: int(g) for k, g in zip(*linear_sum_assignment(-share), strict=True) if share[k, g] >= _SAME_GROUP}
+        share[k, g] += _LEADER_BONUS * (head == known_head)
+    same = {k: int(g) for k, g in zip(*linear_sum_assignment(-share), strict=True) if share[k, g] >= _MIN_SHARED_PART}
     for k, group in enumerate(groups):
         g = same.setdefault(k, len(known_groups))
         known_groups[g : g + 1] = [group]

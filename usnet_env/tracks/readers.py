@@ -102,23 +102,23 @@ def read_json(path: Path) -> pd.DataFrame:
         if len({len(cell) if isinstance(cell, list) else -1 for cell in data.values()} - {0}) != 1:
             raise ValueError(f"it holds neither records nor columns, but {quote(list(data))}")
         return pd.DataFrame(data)
-    return _table_records(data if isinstance(data, list) else [data])
+    return _tabulate_records(data if isinstance(data, list) else [data])
 
 
 def read_lines(path: Path) -> pd.DataFrame:
     """A JSON record on each line, perhaps with lists of records in it, or the tracks of Trajnet++."""
     records = [json.loads(line) for line in path.read_bytes().splitlines() if line.strip()]
     tracks = [record["track"] for record in records if isinstance(record.get("track"), dict)]
-    return pd.DataFrame(tracks).rename(columns={"f": "frame", "p": "id"}) if tracks else _table_records(records)
+    return pd.DataFrame(tracks).rename(columns={"f": "frame", "p": "id"}) if tracks else _tabulate_records(records)
 
 
 def _list_nested(record: Mapping[str, Any]) -> list[str]:
     return [name for name, cell in record.items() if isinstance(cell, list) and cell and isinstance(cell[0], dict)]
 
 
-def _table_records(records: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
+def _tabulate_records(records: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
     """A frame of records, in which a list of coordinates is a column for each."""
-    frame = pd.DataFrame([row for record in records for row in _flatten(record, {})])
+    frame = pd.DataFrame([row for record in records for row in _flatten_record(record, {})])
     for name, axes in _VECTOR_AXES.items():
         if name in frame:
             vectors = frame.pop(name)
@@ -127,7 +127,7 @@ def _table_records(records: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
     return frame
 
 
-def _flatten(record: Mapping[str, Any], outer: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+def _flatten_record(record: Mapping[str, Any], outer: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     """The rows of a record: itself, or one for each record in its lists, but for those of a ball."""
     nested, row = _list_nested(record), dict(outer)
     for name, cell in record.items():
@@ -135,7 +135,7 @@ def _flatten(record: Mapping[str, Any], outer: Mapping[str, Any]) -> Iterator[di
             row |= cell if name in _GEOJSON and isinstance(cell, dict) else {name: cell}
     for name in nested:
         for inner_row in record[name] if not name.lower().startswith("ball") else ():
-            yield from _flatten(inner_row, row)
+            yield from _flatten_record(inner_row, row)
     if not nested:
         yield row
 
@@ -197,7 +197,7 @@ def read_hdf5(path: Path) -> pd.DataFrame:
             return _list_samples(position, arrays)
         if "tracks" in file:
             axes = {name: json.loads(file[name].attrs.get("dims", _SLEAP[name])) for name in _SLEAP if name in file}
-            arrays = {name: _arrange(file[name], axes[name], ("frame", "track", "xy")) for name in axes}
+            arrays = {name: _arrange_axes(file[name], axes[name], ("frame", "track", "xy")) for name in axes}
             names = file["track_names"]
             return _list_samples(arrays.pop("tracks"), arrays, names.asstr()[()] if len(names) else None)
         if "trajectory" in file:
@@ -209,7 +209,7 @@ def read_hdf5(path: Path) -> pd.DataFrame:
             raise ValueError(f"it has neither {names_read}, but {', '.join(file) or 'nothing'}")
         axes = {name: [scales[0].name.strip("/") for scales in file[name].dims] for name in _MOVEMENT if name in file}
         individuals = next(name for name in axes["position"] if name.startswith("individual"))
-        arrays = {name: _arrange(file[name], axes[name], ("time", individuals, "space")) for name in axes}
+        arrays = {name: _arrange_axes(file[name], axes[name], ("time", individuals, "space")) for name in axes}
         time = "frame" if file.attrs.get("time_unit") in ("frames", b"frames") else "t"
         position, names = arrays.pop("position"), file[individuals].asstr()[()]
         return _list_samples(position, arrays | {time: file["time"][()]}, names)
@@ -227,7 +227,7 @@ def read_dataset(dataset: Any) -> pd.DataFrame:
     return frame.to_dataframe().dropna(subset=["x", "y"]).reset_index().rename(columns={"time": time})
 
 
-def _arrange(values: Any, axes: Sequence[str], order: Sequence[str]) -> Floats:
+def _arrange_axes(values: Any, axes: Sequence[str], order: Sequence[str]) -> Floats:
     """An array with its axes in this order; over those that are not named, the mean is taken."""
     averaged = tuple(k for k, name in enumerate(axes) if name not in order)
     remaining = [name for name in axes if name in order]

@@ -27,11 +27,11 @@ _OTHER_FACTORS = (0.25, 0.5)  # times the chosen step
 # The choice of the step looks at a part of the tracks: followers, ids in all, steps, and samples.
 _FOCAL_IDS, _POOL_IDS, _PART_STEPS, _MAX_SAMPLES = 48, 400, 2048, 2**21
 LAGS = 4  # steps in which delays lie; detectors look at least as far back
-_MAX_STEPS_OF_STAY, _MIN_STEPS = 100, 16  # of the longest step that is tried; of the shortest
+_STEPS_PER_STAY, _MIN_STEPS = 100, 16  # of the longest step that is tried; of the shortest
 _STEP_GROWTH = 2**0.5  # from one step that is tried to the next
 _SHIFTS = 64
 _MAX_DELAY_PART = 8  # delays of up to this part of the tracks are looked at
-_MIN_FOLLOWER_SHARE = 16  # one in this many ids must follow another
+_IDS_PER_FOLLOWER = 16  # one in this many ids must follow another
 _SIGNIFICANT = 5.0  # a lead exceeds those of shifted tracks by this many robust standard deviations
 _MIN_LEAD_SHARE = 0.8  # the shortest step whose lead is at least this share of the largest is chosen
 _MIN_SIGNAL = 4.0  # in a step, the squared movement should exceed the noise of the squared movement this many times
@@ -231,7 +231,7 @@ def choose_step(tracks: Samples, length: int = 0) -> tuple[float, str]:
     noise, needed = _estimate_noise(_sample_velocities(tracks, interval))
     stay = typical_stay(tracks) / interval
     needed = min(needed, max(1, int(stay / max(_MIN_STEPS, length / 2))))
-    longest = max(1.0, stay / (_MAX_STEPS_OF_STAY * needed))  # compared with the shortest step
+    longest = max(1.0, stay / (_STEPS_PER_STAY * needed))  # compared with the shortest step
     powers = np.arange(1 + max(0, int(np.floor(np.log(longest) / np.log(_STEP_GROWTH) + 1e-9))))
     factors = sorted({round(needed * _STEP_GROWTH ** int(k)) for k in powers})
     leads = [_find_leads(_sample_velocities(tracks, factor * interval)) for factor in factors]
@@ -346,6 +346,6 @@ def _find_leads(velocity: Floats) -> tuple[float, float, int]:
         if lead.max() > median + _SIGNIFICANT * spread:
             leads.append(float(lead.max()) - median)
             delays.append(1 + int(curve[lead.argmax(), 1 : LAGS + 1].argmax()))
-    if len(leads) < max(1, len(focal) / _MIN_FOLLOWER_SHARE):
+    if len(leads) < max(1, len(focal) / _IDS_PER_FOLLOWER):
         return 0.0, 0.0, 0
     return sum(leads) / len(focal), float(np.median(delays)), len(leads)

@@ -150,12 +150,12 @@ class FoundLeaders:
     def plot_evidence(self, leader: str | int, ax: Axes | None = None) -> Figure:
         """Draw how the velocity of each follower is correlated with that of its leader before and after."""
         self.evidence(leader)  # refuses an id that leads in no window
-        curves, chance = self._lag_curves(leader)
+        curves, chance = self._compute_lag_curves(leader)
         if curves is None:
             raise ArgumentError(f"leader must lead in a window of more steps, got {quote(leader)}.")
         return draw.draw_evidence(curves, chance, leader, ax)
 
-    def _lag_curves(self, leader: str | int) -> tuple[pd.DataFrame | None, float]:
+    def _compute_lag_curves(self, leader: str | int) -> tuple[pd.DataFrame | None, float]:
         """The median correlation by lag (index, seconds) and follower, if any window is long enough, and by chance."""
         fine, curves, chance = sample_finely(self._resampled), list[pd.DataFrame](), np.nan
         for window, track_window in zip(self.windows, self.track_windows, strict=True):
@@ -267,7 +267,7 @@ class FoundLeaders:
         tracks, windows, answers = self._resampled, list[Window](), list[Detection]()
         for track_window, answer, detected in zip(self.track_windows, self.answers, self.windows, strict=True):
             windows.append(track_window.among(len(tracks.ids)))
-            answers.append(_answer_among(len(tracks.ids), track_window, answer, detected))
+            answers.append(_expand_answer(len(tracks.ids), track_window, answer, detected))
         config: dict[str, Any] = {"ids": [*tracks.ids], "step": tracks.step, "frame": tracks.frame}
         config |= {"origin": tracks.origin.tolist()}
         config |= {end: [getattr(window, end) for window in self.windows] for end in ("start", "end")}
@@ -332,12 +332,12 @@ class FoundLeaders:
         data, version = None, versions().get("usnet", "unknown")
         if self.tracks is not None and self.windows:
             results = (self.windows, self.track_windows, self.leaders, self.colors, self._probabilities)
-            data = collect_data(self.tracks, *results, self._lag_curves)
+            data = collect_data(self.tracks, *results, self._compute_lag_curves)
         facts = [*self.facts, f"Found by {self.detector}, seed {self.seed}, with usnet {version}."]
         write_page(path, title, str(self).splitlines(), data, self._repr_html_(), facts)
 
 
-def _answer_among(ids: int, track_window: TrackWindow, answer: Detection, detected: DetectedWindow) -> Detection:
+def _expand_answer(ids: int, track_window: TrackWindow, answer: Detection, detected: DetectedWindow) -> Detection:
     """The answer to a window, with confirmed leaders only, for all ids of the tracks."""
     rows, roots = track_window.rows, detected.roots(track_window.ids)
     leader, scores, probability = np.full(ids, -1), np.zeros(ids), np.zeros(ids)
