@@ -165,7 +165,6 @@ def ask(detector: Any, window: Window) -> tuple[Detection, float]:
     answer = detector.detect(window)
     seconds = time.perf_counter() - begin
     if not isinstance(answer, Detection) or len(answer.candidates) != window.uavs:
-        raise ArgumentError(
-            f"detect must return a usnet_env.Detection for all {window.uavs} UAVs, got {quote(answer)}."
-        )
+        expected = f"a usnet_env.Detection for all {window.uavs} UAVs"
+        raise ArgumentError(f"detect must return {expected}, got {quote(answer)}.")
     return answer, seconds

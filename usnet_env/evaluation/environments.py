@@ -36,9 +36,8 @@ def make_environment(env_id: str, env_kwargs: Mapping[str, Any]) -> gym.Env[Any,
     if not all(hasattr(type(env.unwrapped), attribute) for attribute in ("swarm", "problem")):
         raise ArgumentError(f"env must be a USNET environment ({', '.join(usnet_ids())}), got {quote(env_id)}.")
     if not getattr(env.unwrapped, "labelled", True):
-        raise ArgumentError(
-            "env must know the leaders to score detectors, got tracks without a column 'leader' that names their ids."
-        )
+        got = "tracks without a column 'leader' that names their ids"
+        raise ArgumentError(f"env must know the leaders to score detectors, got {got}.")
     return env
 
 
@@ -57,5 +56,7 @@ def describe_environments() -> dict[str, str]:
         line = (inspect.getdoc(creator) or "").partition("\n")[0]
         presets = ", ".join(f"{key}={value}" for key, value in spec.kwargs.items())
         base = plain_id.get(spec.entry_point)
-        texts[name] = f"{base} with {presets}" if presets and base else f"{line} ({presets})" if presets else line
+        if presets:
+            line = f"{base} with {presets}" if base else f"{line} ({presets})"
+        texts[name] = line
     return texts | {f"usnet_env.multiagent.{name}": text for name, text in GAMES.items()}

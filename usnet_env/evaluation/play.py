@@ -128,9 +128,7 @@ def record_metrics(record: Any) -> dict[str, float | int | None]:
     for number, candidates in enumerate(record.candidates):
         truth: Any = SimpleNamespace(head=record.head, decoy=record.decoy, root=record.root[number])
         clusters = None if record.clusters is None else record.clusters[number]
-        answer, info = (
-            Detection(candidates, record.scores[number], clusters),
-            {"over_budget": record.over_budget[number]},
-        )
+        answer = Detection(candidates, record.scores[number], clusters)
+        info = {"over_budget": record.over_budget[number]}
         rounds.append(PlayedRound(None, truth, answer, record.seconds[number], info))
     return _episode_metrics(record.problem, rounds)

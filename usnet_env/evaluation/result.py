@@ -51,10 +51,8 @@ class Comparison:
         correction = "" if self.comparisons == 1 else f", corrected for {self.comparisons} comparisons"
         p = "p < 0.001" if self.p < 0.001 else f"p = {self.p:.2g}"
         interval = "" if self.low == self.high else f"95 % interval {self.low:+.4g} to {self.high:+.4g}, "
-        return (
-            f"{self.metric} of {self.a} minus {self.b}: {self.difference:+.4g} ({interval}{p}{correction}) "
-            f"over {format_count(self.episodes, 'episode')}"
-        )
+        difference = f"{self.metric} of {self.a} minus {self.b}: {self.difference:+.4g}"
+        return f"{difference} ({interval}{p}{correction}) over {format_count(self.episodes, 'episode')}"
 
 
 class EvaluationResult:
@@ -228,7 +226,8 @@ class EvaluationResult:
         14.0
         """
         self._check_metric(metric)
-        opponents = [label for label in self if label != a] if b is None else [b] if isinstance(b, str) else b
+        labels = [b] if isinstance(b, str) else b
+        opponents = [label for label in self if label != a] if labels is None else labels
         for label in (a, *opponents):
             self._check_label(label)
         values = self.rows.pivot(index=["cell", "swarm_seed"], columns="detector", values=metric)

@@ -80,14 +80,10 @@ def list_lines(
     """
     counts = [*["episodes"] * (not means), *["failed"] * any(entry["failed"] for entry in summary)]
     columns = {name: "{}" if name in means else pattern for name in metrics}
-    lines = [
-        [
-            printable(entry["detector"]),
-            *(str(entry[name]) for name in counts),
-            *(format_interval(entry["metrics"].get(name), form) for name, form in columns.items()),
-        ]
-        for entry in summary
-    ]
+    lines = []
+    for entry in summary:
+        intervals = [format_interval(entry["metrics"].get(name), form) for name, form in columns.items()]
+        lines.append([printable(entry["detector"]), *(str(entry[name]) for name in counts), *intervals])
     return ["detector", *counts, *(heading(summary, name) for name in columns)], lines
 
 

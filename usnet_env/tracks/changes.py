@@ -264,12 +264,9 @@ def find_change(
     low, cut, high = (int(np.clip(round(t / step) - first_instant, 1, len(velocity) - 1)) for t in between)
     low = min(max(low, _MAX_LAG), cut)
     for _ in range(4):
-        sides = (-2, slice(low, cut), old >= 0), (-1, slice(cut, high), new >= 0)
-        before, after = (
-            _compute_residuals(velocity[:, :-2], velocity[:, column], velocity_seen, part, is_led)
-            for column, part, is_led in sides
-        )
-        total = np.cumsum(before)[low:high] + after.sum() - np.cumsum(after)[low:high]
+        old_squares = _compute_residuals(velocity[:, :-2], velocity[:, -2], velocity_seen, slice(low, cut), old >= 0)
+        new_squares = _compute_residuals(velocity[:, :-2], velocity[:, -1], velocity_seen, slice(cut, high), new >= 0)
+        total = np.cumsum(old_squares)[low:high] + new_squares.sum() - np.cumsum(new_squares)[low:high]
         if (best_cut := low + 1 + int(total.argmin())) == cut:
             break
         cut = min(max(best_cut, low + 2), high - 2) if high - low > 4 else cut
@@ -334,10 +331,8 @@ def list_events(periods: Sequence[Period], tracks: Tracks) -> tuple[Event, ...]:
         old, new = (None if head == NO_LEADER else tracks.ids[head] for head in heads)
         kind = name_kind(heads[0] in rows, heads[1] in rows, old, new)
         ids = tuple(tracks.ids[row] for row in rows if row not in heads)
-        low, high = (
-            tracks.file_time(pick(getattr(period, name) for period in changes))
-            for name, pick in (("low", min), ("high", max))
-        )
+        low = tracks.file_time(min(period.low for period in changes))
+        high = tracks.file_time(max(period.high for period in changes))
         probability = min(period.probability for period in changes)
         event = Event(tracks.file_time(time), kind, ids, old, new, low, high, probability)
         events += [event] if ids or kind in ("ends", "merges") else []

@@ -12,6 +12,7 @@ from usnet_env.arrays import Indices
 from usnet_env.config import format_count, list_names
 
 Name = str | int
+Time = float | int | str  # as in the file
 Kind = Literal["leads", "ends", "joins", "leaves", "changes", "merges", "splits", "takes over"]
 CONFOUNDS = {
     "one path": "go along one path, each at a pace of its own",
@@ -102,8 +103,8 @@ class DetectedWindow:
         alike: these ids.
     """
 
-    start: float | int | str
-    end: float | int | str
+    start: Time
+    end: Time
     leaders: tuple[Leader, ...]
     not_confirmed: tuple[Name, ...] = ()
     links: tuple[Link, ...] = ()
@@ -133,13 +134,13 @@ class Event:
         probability: that it happens at all, by the detector, or ``None``.
     """
 
-    time: float | int | str
+    time: Time
     kind: Kind
     ids: tuple[Name, ...]
     old: Name | None
     new: Name | None
-    low: float | int | str | None = None
-    high: float | int | str | None = None
+    low: Time | None = None
+    high: Time | None = None
     probability: float | None = None
 
     def __str__(self) -> str:
@@ -161,12 +162,12 @@ def find_events(windows: Iterable[DetectedWindow]) -> tuple[Event, ...]:
     return tuple(events)
 
 
-def compare_heads(before: Mapping[Name, Name], now: Mapping[Name, Name], time: float | int | str) -> list[Event]:
-    """The changes from the head of each id before to that now; a leader is its own head."""
+def compare_heads(old_heads: Mapping[Name, Name], new_heads: Mapping[Name, Name], time: Time) -> list[Event]:
+    """The changes from the old head of each id to the new one; a leader is its own head."""
     events, moves = list[Event](), dict[tuple[Name | None, Name | None], list[Name]]()
-    for name in dict.fromkeys([*before, *now]):
-        if before.get(name) != now.get(name):
-            moves.setdefault((before.get(name), now.get(name)), []).append(name)
+    for name in dict.fromkeys([*old_heads, *new_heads]):
+        if old_heads.get(name) != new_heads.get(name):
+            moves.setdefault((old_heads.get(name), new_heads.get(name)), []).append(name)
     for (old, new), ids in sorted(moves.items(), key=lambda move: (-len(move[1]), str(move[0]))):
         members = tuple(name for name in ids if name not in (old, new))
         events.append(Event(time, name_kind(old in ids, new in ids, old, new), members, old, new))

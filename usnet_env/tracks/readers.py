@@ -56,10 +56,8 @@ _SLEAP = {"tracks": '["track", "xy", "node", "frame"]', "instance_scores": '["tr
 _MOVEMENT = ("position", "confidence")
 _VECTOR_AXES = {"coordinates": ("lon", "lat", "z"), "xyz": ("x", "y", "z")}  # lists in JSON
 _GEOJSON = ("properties", "geometry")  # whose names are those of a record
-_FROM_START = (
-    "Times of ULog files without UTC are those since each drone's own start: leaders are right only if all started at "
-    "one time."
-)
+_FROM_START = "Times of ULog files without UTC are those since each drone's own start: "
+_FROM_START += "leaders are right only if all started at one time."
 _NO_STAMPS = "Times are those of the bag's log, as messages have no stamps; a late connection makes a leader late."
 
 

@@ -50,9 +50,8 @@ def explain_silence(
         reasons += ["the leader changes within a window", "followers mirror it", f"delays are longer than {longest}"]
     left_out = Counter(name for k in leaderless for name in windows[k].left_out).most_common(_MAX_NAMES)
     if left_out:
-        reasons.append(
-            f"an id leads that is left out, as it is seen too little ({', '.join(str(n) for n, _ in left_out)})"
-        )
+        names = ", ".join(str(name) for name, _ in left_out)
+        reasons.append(f"an id leads that is left out, as it is seen too little ({names})")
     if (steps := min(track_windows[k].window.observation_steps for k in leaderless)) < 2 * LEAST_STEPS:
         reasons.append(f"windows of {steps} steps are short (--window)")
     if reasons:
