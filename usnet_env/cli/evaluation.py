@@ -87,14 +87,14 @@ def evaluate(
         ctx.find_root().obj = f"Finished episodes are kept in {out}; the same command resumes."
     from usnet_env import evaluation
 
-    given = {name: value for name, value in options.items() if value is not None}
-    given["progress"] = sys.stderr is not None and sys.stderr.isatty()
+    run_options = {name: value for name, value in options.items() if value is not None}
+    run_options["progress"] = sys.stderr is not None and sys.stderr.isatty()
     with redirect_stdout(sys.stderr) if as_json else nullcontext():  # what a detector prints is no JSON
         if suite is not None:
-            result = evaluation.evaluate_suite(suite, list(detectors), cells=cells or None, **given)
+            result = evaluation.evaluate_suite(suite, list(detectors), cells=cells or None, **run_options)
         else:
             env_id = env_id or "USNET/MultiCluster-v0"
-            result = evaluation.evaluate(env_id, list(detectors), env_kwargs=env_kwargs, **given)
+            result = evaluation.evaluate(env_id, list(detectors), env_kwargs=env_kwargs, **run_options)
     if as_json:
         click.echo(json.dumps(result.summary, indent=2, allow_nan=False))
     else:

@@ -89,7 +89,7 @@ def _expand_level(confidence: float, values: int) -> float:
     return 1 - max(2 * NormalDist().cdf(-quantile), 2e-12)  # a level of 1 has no quantile
 
 
-def _make_options(values: int) -> dict[str, Any]:
+def _plan_resampling(values: int) -> dict[str, Any]:
     """Arguments of scipy's resampling: as many values at once as memory should hold, and the same draws each time."""
     batch = max(1, _MAX_DRAWS // values)
     return {"n_resamples": _RESAMPLES, "batch": batch, "vectorized": True, "random_state": np.random.default_rng(0)}
@@ -106,7 +106,7 @@ def _bootstrap(sample: Floats, confidence: float) -> Interval:
 
     level = _expand_level(confidence, len(sample))
     scaled = [(sample - mean) / scale]
-    options = {"confidence_level": level, "method": "BCa"} | _make_options(len(sample))
+    options = {"confidence_level": level, "method": "BCa"} | _plan_resampling(len(sample))
     result = bootstrap(scaled, rounded_mean, **options)
     low, high = result.confidence_interval
     return Interval(mean, mean + scale * float(low), mean + scale * float(high))
@@ -125,7 +125,7 @@ def paired_test(differences: Sample) -> float:
         return math.erfc(abs(float(sample.sum())) / math.sqrt(2 * float((sample**2).sum())))
     from scipy.stats import permutation_test
 
-    result = permutation_test([sample], np.mean, permutation_type="samples", **_make_options(len(sample)))
+    result = permutation_test([sample], np.mean, permutation_type="samples", **_plan_resampling(len(sample)))
     return float(result.pvalue)
 
 

@@ -166,8 +166,8 @@ def _compute_evidence(
     members_seen = np.maximum((root >= 0).sum(axis=1), 1)
     led_share = (root[..., None] == candidates).sum(axis=1) / members_seen[:, None]
     free_share = (root == rows).sum(axis=1) / members_seen
-    led = _LOG_ZERO * (1.0 - led_share) + log_p_leads[:, candidates]
-    return np.column_stack([led, _LOG_ZERO * (1.0 - free_share) + log_p_none])
+    leader_evidence = _LOG_ZERO * (1.0 - led_share) + log_p_leads[:, candidates]
+    return np.column_stack([leader_evidence, _LOG_ZERO * (1.0 - free_share) + log_p_none])
 
 
 def _find_led_times(

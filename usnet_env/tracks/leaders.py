@@ -156,14 +156,14 @@ def _detect_in_window(
     times = resampled.file_time(track_window.start), resampled.file_time(track_window.end)
     answer = _try_answer(player, resampled, track_window, seed, times)
     detected = _detect_window(track_window, fine, answer, confirm, groups, times)
-    whole, steps = [(track_window, answer.detection, detected)], track_window.window.observation_steps
+    result_of_window, steps = [(track_window, answer.detection, detected)], track_window.window.observation_steps
     if detected.confound != "one signal" or steps < 4 * LEAST_STEPS:
-        return whole
+        return result_of_window
     middle = track_window.start + steps // 2 * track_window.step
     parts = map(resampled.cut_like, (replace(track_window, end=middle), replace(track_window, start=middle)))
     halves = [_detect_in_window(player, resampled, fine, part, seed, confirm, groups) for part in parts if part]
     names = [{leader.id for _, _, window in half for leader in window.leaders} for half in halves]
-    return [*chain(*halves)] if all(names) and names[0] != names[-1] else whole
+    return [*chain(*halves)] if all(names) and names[0] != names[-1] else result_of_window
 
 
 def _ask_detector(player: DetectorLike, seed: int, track_window: TrackWindow) -> Detection:
@@ -267,8 +267,8 @@ def _summarise_leaders(windows: list[DetectedWindow], ids: Sequence[str | int]) 
     leaders = []
     for (group, head), entries in sorted(entries_of.items(), key=lambda item: (-len(item[1]), item[0])):
         count = len(entries)
-        windows_behind = Counter(name for leader in entries for name in leader.followers)
-        followers = sorted((name for name, times in windows_behind.items() if times >= count / 2), key=row.__getitem__)
+        windows_led = Counter(name for leader in entries for name in leader.followers)
+        followers = sorted((name for name, times in windows_led.items() if times >= count / 2), key=row.__getitem__)
         numbers = [(np.nan if leader.probability is None else leader.probability, leader.score) for leader in entries]
         probability, score = np.mean(numbers, axis=0).tolist()
         reason = f"Leads group {group} in {count} of {format_count(len(windows), 'window')}."

@@ -97,8 +97,8 @@ def _doubt_bodies(tracks: Samples) -> Iterator[str]:
 def _doubt_jumps(tracks: Samples, jumps: Jumps) -> Iterator[str]:
     limit = f"more than {JUMP:g} times as fast as 95 % of the steps ({format_number(jumps.typical_speed, 3)} m/s)"
     if count := len(jumps.spikes):
-        place = _locate(tracks, int(jumps.spikes[0]))
-        yield f"{format_count(count, 'spike')}, samples to and from which tracks move {limit}; the first is at {place}."
+        first = _locate(tracks, int(jumps.spikes[0]))
+        yield f"{format_count(count, 'spike')}, samples to and from which tracks move {limit}; the first is at {first}."
     steps = np.setdiff1d(jumps.steps, np.concatenate([jumps.spikes, jumps.spikes - 1]))
     if count := len(steps):
         fastest = int(steps[jumps.speed[steps].argmax()])
