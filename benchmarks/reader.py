@@ -28,7 +28,7 @@ from scipy import special
 from sklearn.metrics import roc_auc_score
 
 from detectors.reader.features import CONTEXT_GROUPS, PAIR_GROUPS, UAV_GROUPS, make_features
-from detectors.reader.forward import load_reader, read
+from detectors.reader.forward import load_reader, predict
 from detectors.reader.prior import FAMILIES, draw_examples
 from usnet_env import Window
 from usnet_env.evaluation import list_suites, load_suite
@@ -51,7 +51,7 @@ def find_weights(readers: Path, label: str) -> Path:
     return (data if label == SHIPPED else readers / label) / "reader.safetensors"
 
 
-def train(options: Namespace, label: str, without: tuple[str, ...] = ()) -> None:
+def ensure_training(options: Namespace, label: str, without: tuple[str, ...] = ()) -> None:
     """Train a reader without some families, unless its weights are there."""
     path = find_weights(options.readers, label)
     if path.exists() or options.draw:
@@ -75,7 +75,7 @@ def draw_window(source: str, episode: int, seed: int) -> tuple[Window, np.ndarra
     return Window(position, velocity, seen, np.ones(len(head), bool)), head
 
 
-def ask(path: Path, window: Window, dropped: str) -> tuple[np.ndarray, float]:
+def read_window(path: Path, window: Window, dropped: str) -> tuple[np.ndarray, float]:
     """``(N,)`` p(head), and p(nobody leads); a group of features that is dropped has its mean in the training."""
     flying = np.flatnonzero(window.velocity_seen.any(axis=0))
     features = make_features(window.position[:, flying], window.velocity[:, flying], window.seen[:, flying])
@@ -83,7 +83,7 @@ def ask(path: Path, window: Window, dropped: str) -> tuple[np.ndarray, float]:
     if dropped != NONE:
         kind, part = GROUPS[dropped]
         getattr(features, kind)[..., part] = weights[f"{kind}_mean"][part]
-    answer, p = read(weights, features), np.zeros(window.uavs)
+    answer, p = predict(weights, features), np.zeros(window.uavs)
     p[flying] = special.expit(answer.head.astype(float))
     return p, float(special.expit(answer.silent))
 
@@ -91,15 +91,15 @@ def ask(path: Path, window: Window, dropped: str) -> tuple[np.ndarray, float]:
 def play(game: shared.Game, readers: Path, seed: int) -> list[dict[str, Any]]:
     """Read one window."""
     window, head = draw_window(game["source"], game["episode"], seed)
-    p, silent = ask(find_weights(readers, game["reader"]), window, game["dropped"])
-    about = game | {
+    p, p_no_leader = read_window(find_weights(readers, game["reader"]), window, game["dropped"])
+    row = game | {
         "exact": int(((p > 0.5) == head).all()),
         "confidence": np.maximum(p, 1 - p).prod(),
-        "silent": silent,
+        "silent": p_no_leader,
     }
-    about["leads"] = "some UAV" if head.any() else "nobody"
+    row["leads"] = "some UAV" if head.any() else "nobody"
     bins = pd.DataFrame({"uavs": 1, "p": p, "heads": head.astype(int)}).groupby(np.minimum(10 * p, 9).astype(int)).sum()
-    return [{**about, "bin": k, **sums} for k, sums in bins.to_dict("index").items()]
+    return [{**row, "bin": k, **sums} for k, sums in bins.to_dict("index").items()]
 
 
 def list_cells(suites: Iterable[str] = SUITES, family: str = "") -> list[str]:
@@ -112,10 +112,10 @@ def list_cells(suites: Iterable[str] = SUITES, family: str = "") -> list[str]:
 def choose_windows(options: Namespace) -> Iterable[tuple[str, str, str]]:
     """The reader, the dropped group and the source of each window of a study, after the trainings that it needs."""
     if options.study == "families":
-        train(options, "all")
+        ensure_training(options, "all")
         yield from product(["all"], [NONE], list_cells(["paper"]))  # f1 to f7 are in no prior
         for family in options.names or [name for name in FAMILIES if name != "field"]:
-            train(options, f"without {family}", without=(family,))
+            ensure_training(options, f"without {family}", without=(family,))
             yield from product(["all", f"without {family}"], [NONE], [f"prior/{family}", *list_cells(family=family)])
     elif options.study == "ablation":
         yield from product([SHIPPED], [NONE, *(options.names or GROUPS)], list_cells())
@@ -155,8 +155,8 @@ def draw_reliability(rows: pd.DataFrame, path: Path) -> None:
 def find_reliability(sources: pd.DataFrame, draws: int = 1000) -> tuple[float, float, float, float]:
     """The mean p(head) and the share of heads of one tenth with its 95 % interval, by drawing sources anew."""
     sums = sources[["uavs", "p", "heads"]].to_numpy(float)
-    chosen = np.random.default_rng(0).integers(len(sums), size=(draws, len(sums)))
-    uavs, _, heads = sums[chosen].sum(axis=1).T
+    samples = np.random.default_rng(0).integers(len(sums), size=(draws, len(sums)))
+    uavs, _, heads = sums[samples].sum(axis=1).T
     low, high = np.quantile(heads / uavs, (0.025, 0.975))
     return sums[:, 1].sum() / sums[:, 0].sum(), sums[:, 2].sum() / sums[:, 0].sum(), low, high
 
@@ -174,22 +174,22 @@ def format_confidence(windows: pd.DataFrame) -> str:
 
 def report_families(windows: pd.DataFrame) -> str:
     """What a reader knows of a family that its training lacked, beside one that was trained alike with all families."""
-    left = windows[windows.reader != "all"]
-    pairs = left[["reader", "source"]].drop_duplicates()
-    known = windows[windows.reader == "all"].drop(columns="reader").merge(pairs, on="source")
-    both = pd.concat([left.assign(training="without"), known.assign(training="with")])
-    both = both.assign(family=both.reader.str.removeprefix("without "))
+    without = windows[windows.reader != "all"]
+    pairs = without[["reader", "source"]].drop_duplicates()
+    with_all = windows[windows.reader == "all"].drop(columns="reader").merge(pairs, on="source")
+    windows = pd.concat([without.assign(training="without"), with_all.assign(training="with")])
+    windows = windows.assign(family=windows.reader.str.removeprefix("without "))
     columns = {"windows": lambda part: size(part[part.training == "with"])}
     columns |= across("training", ("with", "without"), rate("exact"), "exact, {}")
     columns |= across("training", ("with", "without"), format_confidence, "mean confidence, {}")
     columns |= across("training", ("without",), measure_doubt, "AUROC of low confidence, {}")
-    return pivot(both, {"left out": "family", "source": "source"}, columns)
+    return pivot(windows, {"left out": "family", "source": "source"}, columns)
 
 
 def report(rows: pd.DataFrame, study: str) -> str:
     """The tables of a study."""
-    sure = pd.cut(rows.confidence.clip(1e-6), CONFIDENCES).astype(str)
-    rows = rows.assign(set=rows.source.str.partition("/")[0], sure=sure)
+    level = pd.cut(rows.confidence.clip(1e-6), CONFIDENCES).astype(str)
+    rows = rows.assign(set=rows.source.str.partition("/")[0], level=level)
     rows["unit"] = rows.source.where(rows.set.str.startswith("open"), rows.episode.astype(str))  # laws, or windows
     windows = rows.drop_duplicates(KEYS)
     if study == "ablation":
@@ -200,11 +200,11 @@ def report(rows: pd.DataFrame, study: str) -> str:
     columns |= {"mean confidence": format_confidence, "AUROC of low confidence": measure_doubt}
     columns = {name: partial(lambda say, part: say(part.drop_duplicates(KEYS)), say) for name, say in columns.items()}
     columns["calibration error"] = measure_calibration
-    falling = rows.sort_values("sure", ascending=False, kind="stable")
-    tables = (rows, {"set": "set", "leads": "leads"}), (rows, {"leads": "leads"}), (falling, {"confidence": "sure"})
+    by_level = rows.sort_values("level", ascending=False, kind="stable")
+    tables = (rows, {"set": "set", "leads": "leads"}), (rows, {"leads": "leads"}), (by_level, {"confidence": "level"})
     parts = [pivot(part, lines, columns) for part, lines in tables]
-    inside = {label: rows.set.isin(sets) for label, sets in LAWS.items()}
-    laws = rows.assign(laws=np.select(list(inside.values()), list(inside), "")).sort_values("bin")
+    is_law = {label: rows.set.isin(sets) for label, sets in LAWS.items()}
+    laws = rows.assign(laws=np.select(list(is_law.values()), list(is_law), "")).sort_values("bin")
     texts = across("laws", LAWS, measure_reliability, "laws {}: mean p; heads; UAVs")
     return "\n\n".join([*parts, pivot(laws, {"tenth of p(head)": "bin"}, texts)])
 
@@ -218,13 +218,13 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("--shards", type=int, default=25, help="of a training")
     parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu")
     options = parser.parse_args(argv)
-    most = {name: suite.episodes for name, suite in list_suites().items()}
-    played = [
+    episodes = {name: suite.episodes for name, suite in list_suites().items()}
+    keys = [
         (*key, episode)
         for key in dict.fromkeys(choose_windows(options))
-        for episode in range(min(options.episodes, most.get(key[2].partition("/")[0], options.episodes)))
+        for episode in range(min(options.episodes, episodes.get(key[2].partition("/")[0], options.episodes)))
     ]
-    games = [dict(zip(KEYS, each, strict=True)) for each in played]
+    games = [dict(zip(KEYS, key, strict=True)) for key in keys]
     options.rows /= f"{options.study}.csv.gz"
     rows = shared.run_missing(options, games, partial(play, readers=options.readers, seed=options.seed))
     print(report(rows, options.study))

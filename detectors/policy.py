@@ -9,11 +9,11 @@ import numpy as np
 from usnet_env.arrays import Floats, Mask
 
 
-def choose(
+def choose_candidates(
     probability: Floats,
     alive: Mask,
     tie: Floats,
-    silent: float,
+    p_no_leader: float,
     *,
     policy: Literal["cost", "map"] = "cost",
     objective: Literal["P1", "P2"] = "P2",
@@ -27,12 +27,12 @@ def choose(
 
     P1: there is one head; naming k > 1 UAVs costs k - 1 and hits it with the sum of their p.
 
-    With probability ``silent`` no UAV leads, so that another round costs nothing and each named UAV is redundant. Else
-    the heads are independent with p / (1 - ``silent``), and an empty set misses them. The best set may be empty. The
+    With ``p_no_leader`` no UAV leads, so that another round costs nothing and each named UAV is redundant. Else the
+    heads are independent with p / (1 - ``p_no_leader``), and an empty set misses them. The best set may be empty. The
     numbers ``tie`` ``(N,)`` order UAVs with equal ``probability`` ``(N,)``.
 
     >>> probability = np.array([0.9, 0.6, 0.01, 0.01])
-    >>> choose(probability, np.ones(4, bool), np.zeros(4), silent=0.0, policy="map").tolist()
+    >>> choose_candidates(probability, np.ones(4, bool), np.zeros(4), p_no_leader=0.0, policy="map").tolist()
     [True, True, False, False]
     """
     named = np.zeros(len(alive), bool)
@@ -44,14 +44,14 @@ def choose(
     if policy == "map":
         named[order[: min(int((p > 0.5).sum()), 1 if objective == "P1" else len(p))]] = True
         return named
-    led = 1.0 - min(max(silent, 0.0), 1.0 - 1e-9)
-    p = np.minimum(p / led, 1.0)
+    p_led = 1.0 - min(max(p_no_leader, 0.0), 1.0 - 1e-9)
+    p = np.minimum(p / p_led, 1.0)
     if objective == "P1":
-        cost, empty = np.arange(len(p)) - led * np.cumsum(p / max(float(p.sum()), 1e-12)), led - 1.0
+        cost, empty_cost = np.arange(len(p)) - p_led * np.cumsum(p / max(float(p.sum()), 1e-12)), p_led - 1.0
     else:
-        none_left = np.append(np.cumprod((1.0 - p)[::-1])[::-1][1:], 1.0)  # after each place in the order
-        cost = led * round_price * (1.0 - none_left) + np.cumsum(1.0 - led * p) / len(alive)
-        empty = led * round_price
-    if cost.min() < empty:
+        none_missed = np.append(np.cumprod((1.0 - p)[::-1])[::-1][1:], 1.0)  # after each place in the order
+        cost = p_led * round_price * (1.0 - none_missed) + np.cumsum(1.0 - p_led * p) / len(alive)
+        empty_cost = p_led * round_price
+    if cost.min() < empty_cost:
         named[order[: int(cost.argmin()) + 1]] = True
     return named

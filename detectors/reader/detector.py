@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
 from scipy.special import expit, softmax
 
 from detectors.base import Detector
-from detectors.policy import choose
+from detectors.policy import choose_candidates
 from detectors.reader.features import LEAST_STRIDED, make_features
-from detectors.reader.forward import Answer, Weights, load_reader, read
+from detectors.reader.forward import Answer, Weights, load_reader, predict
 from detectors.reader.neighbourhoods import cut_swarm, gather_doubtful
 from detectors.series.designs import check_pairs
 from usnet_env.arrays import Indices, Mask, Singles
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
-_DENSE = 200  # UAVs that are read as one window; a larger swarm is read in neighbourhoods
-_SURE = -0.01  # logarithm of a probability from which on a window is read once
+_MOST_AT_ONCE = 200  # UAVs that are read as one window; a larger swarm is read in neighbourhoods
+_CLEAR = -0.01  # logarithm of the probability of a set of heads from which on a window is read once
 _DECIMALS = 6  # of a probability: smaller differences are rounding errors, and count as ties
 
 
@@ -31,8 +31,8 @@ class Reader(Detector):
     UAVs, and needs no PyTorch. More than 200 UAVs are read in neighbourhoods of UAVs that move alike.
 
     Args:
-        policy: ``"cost"`` (default) names the set with the least expected cost (:func:`detectors.policy.choose`),
-            none where probably no UAV leads; ``"map"`` names the UAVs with a probability above 1/2.
+        policy: ``"cost"`` (default) names the set with the least expected cost, none where probably no UAV leads (see
+            :func:`detectors.policy.choose_candidates`); ``"map"`` names the UAVs with a probability above 1/2.
         objective: ``"P2"`` (destroy all heads in few rounds) or ``"P1"`` (name the single head in one round).
         round_price: the expected cost of one more round of P2, in rounds; used by ``"cost"`` only.
         weights: ``"shipped"``; to compare with, ``"untrained"`` (random) and ``"blind"`` (trained on windows of the
@@ -70,56 +70,57 @@ class Reader(Detector):
         arguments = self.check_arguments()
         check_pairs(window.uavs)
         flying = np.flatnonzero(window.velocity.any(axis=(0, 2)))
-        probability, away, free, delay = np.zeros((4, window.uavs))
+        probability, guest_probability, unled_probability, delay = np.zeros((4, window.uavs))
         leader, root, clusters = np.full((3, window.uavs), -1, np.int64)
-        attention = np.zeros((window.uavs, window.uavs)) if len(flying) <= _DENSE else None
-        p_no_leader, sets = 1.0, _divide_uavs(window, flying)
+        attention = np.zeros((window.uavs, window.uavs)) if len(flying) <= _MOST_AT_ONCE else None
+        p_no_leader, neighbourhoods = 1.0, _divide_uavs(window, flying)
 
-        def keep_answer(answer: Answer[Singles], uavs: Indices, kept: Mask) -> None:
+        def keep_answer(answer: Answer[Any], uavs: Indices, mask: Mask) -> None:
             """Keep what an answer says of some of its UAVs."""
-            probability[uavs[kept]] = expit(answer.head.astype(np.float64))[kept]
-            leader[uavs[kept]], root[uavs[kept]] = (
-                uavs[to.argmax(axis=1)[kept]] for to in (answer.leader, answer.root)
+            probability[uavs[mask]] = answer.head[mask]
+            leader[uavs[mask]], root[uavs[mask]] = (
+                uavs[logits.argmax(axis=1)[mask]] for logits in (answer.leader, answer.root)
             )
-            delay[uavs[kept]] = answer.delay[kept]
+            delay[uavs[mask]] = answer.delay[mask]
 
-        for uavs, core in sets:
+        for uavs, core in neighbourhoods:
             answer = self._read_twice(window, uavs, core)
             keep_answer(answer, uavs, core)
-            head, follows = expit(answer.head.astype(np.float64)), softmax(answer.leader, axis=1)
-            free[uavs[core]] = follows.diagonal()[core]
-            away[uavs[~core]] = np.maximum(away[uavs[~core]], head[~core])
+            unled_probability[uavs[core]] = softmax(answer.leader, axis=1).diagonal()[core]
+            guest_probability[uavs[~core]] = np.maximum(guest_probability[uavs[~core]], answer.head[~core])
             p_no_leader = min(p_no_leader, round(float(expit(np.float64(answer.silent))), _DECIMALS))
             if attention is not None:
                 attention[np.ix_(uavs, uavs)] = expit(answer.link.astype(np.float64)) * ~np.eye(len(uavs), dtype=bool)
-        probability[:] = np.maximum(probability, free * away)
-        for uavs, core in gather_doubtful(probability, root) if len(sets) > 1 else ():
+        probability[:] = np.maximum(probability, unled_probability * guest_probability)
+        for uavs, core in gather_doubtful(probability, root) if len(neighbourhoods) > 1 else ():
             answer = self._read_twice(window, uavs, core)
-            keep_answer(answer, uavs, core & (expit(answer.head.astype(np.float64)) < probability[uavs]))
+            keep_answer(answer, uavs, core & (answer.head < probability[uavs]))
         probability = probability.round(_DECIMALS)
         delay[leader == np.arange(window.uavs)] = 0.0
         clusters[root >= 0] = np.unique(root[root >= 0], return_inverse=True)[1]
         rule = {name: getattr(arguments, name) for name in ("policy", "objective", "round_price")}
-        candidates = choose(probability, window.alive, self.rng.random(window.uavs), p_no_leader, **rule)
+        candidates = choose_candidates(probability, window.alive, self.rng.random(window.uavs), p_no_leader, **rule)
         confidence = float(np.maximum(probability, 1.0 - probability).prod())
         extras = {"probability": probability, "root": root, "delay": delay, "confidence": confidence}
         extras |= {"p_no_leader": p_no_leader, "silent": p_no_leader}  # silent: its name in version 0.1
         return Detection(candidates, probability, clusters, leader, attention, extras)
 
-    def _read_twice(self, window: Window, uavs: Indices, core: Mask) -> Answer[Singles]:
-        """The answer for some UAVs; its delays are in steps. A doubtful one is compared with that at every second step.
+    def _read_twice(self, window: Window, uavs: Indices, core: Mask) -> Answer[Any]:
+        """The answer for some UAVs, with probabilities of being a head, and delays in steps.
 
-        The surer one counts, that is, the one with the likelier set of heads in the ``core`` ``(m,)``.
+        A doubtful one is compared with that at every second step. The one with the likelier set of heads in the
+        ``core`` ``(m,)`` counts.
         """
-        answers = list[tuple[float, Answer[Singles]]]()
+        answers = list[tuple[float, Answer[Any]]]()
         for stride in (1, 2) if len(window.velocity) >= LEAST_STRIDED else (1,):
-            answer = read(self._weights, make_features(*_take_samples(window, uavs, stride)))
-            sure = float(-np.logaddexp(0.0, -np.abs(answer.head[core].astype(np.float64))).sum())
+            answer = predict(self._weights, make_features(*_take_samples(window, uavs, stride)))
+            head = answer.head.astype(np.float64)
+            log_probability = float(-np.logaddexp(0.0, -np.abs(head[core])).sum())
             delay = stride * np.expm1(answer.delay.clip(0.0))
-            answers.append((sure, answer._replace(delay=delay)))
-            if sure > _SURE:
+            answers.append((log_probability, answer._replace(head=expit(head), delay=delay)))
+            if log_probability > _CLEAR:
                 break
-        return max(answers, key=lambda each: each[0])[1]
+        return max(answers, key=lambda pair: pair[0])[1]
 
 
 def _take_samples(window: Window, uavs: Indices, stride: int) -> tuple[Singles, Singles, Mask]:
@@ -127,15 +128,15 @@ def _take_samples(window: Window, uavs: Indices, stride: int) -> tuple[Singles, 
     position, seen = window.position[::stride, uavs], window.seen[::stride, uavs]
     if stride == 1:
         return position, window.velocity[:, uavs], seen
-    both = (seen[1:] & seen[:-1])[..., None]
-    return position, np.where(both, np.diff(position, axis=0), np.float32(0.0)), seen
+    both_seen = (seen[1:] & seen[:-1])[..., None]
+    return position, np.where(both_seen, np.diff(position, axis=0), np.float32(0.0)), seen
 
 
 def _divide_uavs(window: Window, flying: Indices) -> list[tuple[Indices, Mask]]:
     """The sets of UAVs that are read at once, and for which of them, the core, the answer counts."""
     if len(flying) < 2:
         return []
-    if len(flying) <= _DENSE:
+    if len(flying) <= _MOST_AT_ONCE:
         return [(flying, np.ones(len(flying), bool))]
     return [
         (flying[uavs], core) for uavs, core in cut_swarm(window.velocity[:, flying], window.velocity_seen[:, flying])

@@ -23,7 +23,7 @@ _LAGS = tuple(range(13))
 _PLACES = (1, 2, 4, 8, 16, 32)
 _CROWDS = {"near": 3, "far": 4}  # of the bank of radii, those in which UAVs are compared with their neighbours
 _BLOCK_LAGS, _BLOCK_FEATURES = (0, 1, 2, 3), 22
-_WAYS, _WAY_LAGS = (4, 16), (0, 1, 2, 4, 6, 8, 12, 16, 24, 32)  # steps of a way, delays between two ways
+_WAY_STEPS, _WAY_LAGS = (4, 16), (0, 1, 2, 4, 6, 8, 12, 16, 24, 32)  # steps of a displacement, delays between two
 _JOINT = ((0, 1, (1e-2, 1e-6)), (1, 0, (1e-2,)))  # of places 0 and velocities 1: of all UAVs, of i alone; ridges
 _SHARES = (  # components of j (velocity, its squares), axes of i (innovations, velocity), lag
     ("plain", "innovation", 1), ("plain", "innovation", 2), ("plain", "innovation", 3), ("squared", "innovation", 1),
@@ -48,12 +48,12 @@ def _slice_groups(lengths: Mapping[str, int]) -> dict[str, slice]:
 PAIR_GROUPS = _slice_groups({
     **{name: len(lags) for name, (_, lags) in _CORRELATIONS.items()}, "raw": 2, "tops": 5, "shares": len(_SHARES),
     "local": _BLOCK_FEATURES, "geo": 6 + kernels.BANK, "force": 5, "places": 13, "joint": 6,
-    "ways": len(_WAYS) * (1 + len(_WAY_LAGS)), "answers": len(_ANSWERS) * (len(_ANSWER_LAGS) + 2),
+    "ways": len(_WAY_STEPS) * (1 + len(_WAY_LAGS)), "answers": len(_ANSWERS) * (len(_ANSWER_LAGS) + 2),
     "answered": len(_ANSWER_SHARES),
 })  # fmt: skip
 UAV_GROUPS = _slice_groups({
     "track": 20, "nearest": 4, "neighbours": 26, "rule": 13,
-    "companions": len(_WAYS) * (1 + len(_WAY_LAGS)), "pulls": 8,
+    "companions": len(_WAY_STEPS) * (1 + len(_WAY_LAGS)), "pulls": 8,
 })  # fmt: skip
 CONTEXT_GROUPS = _slice_groups({"size": 3, "motion": 6})
 PAIR_FEATURES, UAV_FEATURES, CONTEXT_FEATURES = (
@@ -88,14 +88,14 @@ def make_features(position: Singles, velocity: Singles, seen: Mask) -> Features:
     _fill_shares(pair[PAIR_GROUPS["answered"]], s, _ANSWER_SHARES)
     _fill_blocks(pair[PAIR_GROUPS["local"]], s)
     _fill_places(pair[PAIR_GROUPS["places"]], s)
-    own = _fill_bearings(pair[PAIR_GROUPS["geo"]], pair[PAIR_GROUPS["force"]], s)
+    bearings = _fill_bearings(pair[PAIR_GROUPS["geo"]], pair[PAIR_GROUPS["force"]], s)
     companions, pulls = _fill_ways(pair[PAIR_GROUPS["ways"]], s), _fill_joint(pair[PAIR_GROUPS["joint"]], s)
-    uav = np.stack([*_describe_uavs(s, own), *companions, *pulls]).astype(np.float32)
+    uav = np.stack([*_describe_uavs(s, bearings), *companions, *pulls]).astype(np.float32)
     for x in pair:
         np.fill_diagonal(x, 0)
-    never = s["m"].sum(0) == 0
-    pair[:, never], pair[:, :, never], uav[:, never] = 0, 0, 0
-    context = _describe_window(s, uav, never)
+    unseen = s["m"].sum(0) == 0
+    pair[:, unseen], pair[:, :, unseen], uav[:, unseen] = 0, 0, 0
+    context = _describe_window(s, uav, unseen)
     return Features(pair.transpose(1, 2, 0), np.ascontiguousarray(uav.T), context)
 
 
@@ -166,15 +166,15 @@ def _fill_correlations(pair: Singles, s: _Signals) -> None:
     steps, n = s["m"].shape
     for group, (name, lags) in _CORRELATIONS.items():
         _correlate(s[name], s[name], [lag for lag in lags if lag <= steps], pair[PAIR_GROUPS[group]])
-    both = _make_array((n, n))
-    np.matmul(s["m"].T, s["m"], out=both)
+    common_steps = _make_array((n, n))
+    np.matmul(s["m"].T, s["m"], out=common_steps)
     share = np.maximum(s["m"].mean(0), np.float32(0.02))
-    overlap = both / (steps * np.sqrt(share[:, None] * share))
+    overlap = common_steps / (steps * np.sqrt(share[:, None] * share))
     pair[: PAIR_GROUPS["raw"].start] *= 1 / np.maximum(overlap, np.float32(0.3))
     direction = _align(s["v"] / np.maximum(np.sqrt((s["v"] ** 2).sum(1, keepdims=True)), np.float32(1e-6)))
-    alike = _make_array((1, n, n))
-    _correlate(direction, direction, (0,), alike)
-    pair[PAIR_GROUPS["raw"]] = alike[0] / np.maximum(both, 1), overlap
+    cosine = _make_array((1, n, n))
+    _correlate(direction, direction, (0,), cosine)
+    pair[PAIR_GROUPS["raw"]] = cosine[0] / np.maximum(common_steps, 1), overlap
     (e, e_lag), (c, c_lag), (g, _) = (
         _summarise_lags(pair[PAIR_GROUPS[name]][first:], _CORRELATIONS[name][1][first:])
         for name, first in (("ee", 1), ("cc", 1), ("gg", 0))
@@ -187,10 +187,10 @@ def _summarise_lags(x: Singles, lags: Sequence[int]) -> tuple[Singles, Singles]:
     weight = np.maximum(x, 0)
     weight *= weight
     weight *= weight * weight
-    total, place = weight.sum(0) + np.float32(1e-9), np.zeros_like(x[0])
+    total, mean_lag = weight.sum(0) + np.float32(1e-9), np.zeros_like(x[0])
     for w, lag in zip(weight, lags, strict=True):
-        place += np.float32(lag / lags[-1]) * w
-    return x.max(0), place / total
+        mean_lag += np.float32(lag / lags[-1]) * w
+    return x.max(0), mean_lag / total
 
 
 def _fill_answers(out: Singles, s: _Signals) -> None:
@@ -227,10 +227,10 @@ def _fill_blocks(out: Singles, s: _Signals) -> None:
     blocks, first = steps // _BLOCK, _BLOCK_LAGS[-1]
     if blocks < 2:
         return
-    (mine, theirs), e = _make_array((2, first + steps, 5, n)), _make_array((first + steps, 3, n))
+    (rows, columns), e = _make_array((2, first + steps, 5, n)), _make_array((first + steps, 3, n))
     v, m, power = s["v"], s["m"], (s["v"] ** 2).sum(1)
-    mine[first:, :3], mine[first:, 3], mine[first:, 4] = -2 * v, power, m
-    theirs[first:, :3], theirs[first:, 3], theirs[first:, 4] = v, m, power
+    rows[first:, :3], rows[first:, 3], rows[first:, 4] = -2 * v, power, m
+    columns[first:, :3], columns[first:, 3], columns[first:, 4] = v, m, power
     np.multiply(s["innovation"], np.float32(np.sqrt(blocks)), out=e[first:])
     seen, change = _make_array((2, first + steps, 1, n))
     seen[first + 1 :, 0] = m[1:] * m[:-1]
@@ -239,11 +239,11 @@ def _fill_blocks(out: Singles, s: _Signals) -> None:
     start = 0
     square, overlap, product = products = _make_array((3, blocks, n, n))
     for lag in _BLOCK_LAGS:
-        for y, left, right in zip(products, (mine, mine[:, 4:], e), (theirs, theirs[:, 3:4], e), strict=True):
+        for y, left, right in zip(products, (rows, rows[:, 4:], e), (columns, columns[:, 3:4], e), strict=True):
             np.matmul(_cut_blocks(left).transpose(0, 2, 1), _cut_blocks(right, lag), out=y)
-        found = out[start : start + (6 if lag else 4)]  # without a delay, j's motion isn't a forecast of i's
-        kernels.judge_blocks(square, overlap, product, persistence, found)
-        start += len(found)
+        features = out[start : start + (6 if lag else 4)]  # without a delay, j's motion isn't a forecast of i's
+        kernels.judge_blocks(square, overlap, product, persistence, features)
+        start += len(features)
 
 
 def _fill_bearings(geo: Singles, force: Singles, s: _Signals) -> list[Singles]:
@@ -251,29 +251,29 @@ def _fill_bearings(geo: Singles, force: Singles, s: _Signals) -> list[Singles]:
     steps, n = s["m"].shape
     instants = -(-steps // _STRIDE)
     spare = np.zeros((instants * _STRIDE - steps, 3, n), np.float32)
-    known = np.concatenate([s["m"], spare[:, 0]]).reshape(instants, _STRIDE, n).sum(1)
-    v = np.concatenate([s["v"], spare]).reshape(instants, _STRIDE, 3, n).sum(1) / np.maximum(known, 1)[:, None]
-    moving, turns, a = np.minimum(known, 1), np.zeros_like(known), np.zeros_like(v)
+    seen_steps = np.concatenate([s["m"], spare[:, 0]]).reshape(instants, _STRIDE, n).sum(1)
+    v = np.concatenate([s["v"], spare]).reshape(instants, _STRIDE, 3, n).sum(1) / np.maximum(seen_steps, 1)[:, None]
+    moving, turns, a = np.minimum(seen_steps, 1), np.zeros_like(seen_steps), np.zeros_like(v)
     turns[:-1] = moving[:-1] * moving[1:]
     a[:-1] = (v[1:] - v[:-1]) * turns[:-1, None]
     sums, nearest = kernels.measure_bearings(s["p"][:steps:_STRIDE].copy(), v, a, moving, turns)
     count, turned = np.maximum(sums[4], 1), np.maximum(sums[12], 1)
     geo[:3] = sums[:3] / count
     geo[3], geo[4] = _log_distance(sums[3] / count), np.minimum(_log_distance(sums[7]), 4)
-    late, early = sums[5] / np.maximum(sums[6], 1), (sums[3] - sums[5]) / np.maximum(sums[4] - sums[6], 1)
-    geo[5] = (_log_distance(late) - _log_distance(early)) * ((sums[6] > 0) & (sums[4] > sums[6]))
+    first, second = (sums[3] - sums[5]) / np.maximum(sums[4] - sums[6], 1), sums[5] / np.maximum(sums[6], 1)  # halves
+    geo[5] = (_log_distance(second) - _log_distance(first)) * ((sums[6] > 0) & (sums[4] > sums[6]))
     geo[6:] = sums[18 : 18 + kernels.BANK] / count
     pull = sums[9] - (sums[13:16] * a.sum(0)[:, :, None]).sum(0) / turned
     spread = np.maximum(sums[10] - (sums[13:16] ** 2).sum(0) / turned, 0) + np.float32(1e-3) * sums[10]
     sizes = (turned, turned, sums[10], spread, sums[17])
     for k, (x, size) in enumerate(zip((sums[2], sums[8], sums[9], pull, sums[16]), sizes, strict=True)):
         force[k] = x / (np.sqrt(sums[11] * size) + np.float32(1e-3))
-    met = nearest[0] < 1e5
-    often, cosine = np.maximum(met.sum(0), 1), nearest[1] * met
+    is_met = nearest[0] < 1e5
+    encounters, cosine = np.maximum(is_met.sum(0), 1), nearest[1] * is_met
     for x in sums[-2:]:
         np.fill_diagonal(x, 0)
-    ahead = sums[-1].sum(1) / np.maximum(sums[-2].sum(1), np.float32(0.5))
-    return [*(x.sum(0) / often for x in (cosine, np.abs(cosine), _log_distance(nearest[0]) * met)), ahead]
+    frontness = sums[-1].sum(1) / np.maximum(sums[-2].sum(1), np.float32(0.5))
+    return [*(x.sum(0) / encounters for x in (cosine, np.abs(cosine), _log_distance(nearest[0]) * is_met)), frontness]
 
 
 def _log_distance(x: Singles) -> Singles:
@@ -285,42 +285,42 @@ def _fill_places(out: Singles, s: _Signals) -> None:
     """Fill how close i comes to where j was, and who was there first."""
     steps, n = s["m"].shape
     lags = [0, *(lag for lag in _PLACES if lag <= steps // 3)]
-    k, last, near = len(lags), len(_PLACES), _make_array((len(lags) + 3, n, n))
-    kernels.measure_places(s["p"], s["seen"], np.array(lags), max(1, steps // 50), near)
-    size = _log(near[: k + 1], 0.5)
+    k, last, distances = len(lags), len(_PLACES), _make_array((len(lags) + 3, n, n))
+    kernels.measure_places(s["p"], s["seen"], np.array(lags), max(1, steps // 50), distances)
+    size = _log(distances[: k + 1], 0.5)
     out[: k - 1] = size[1:k] - size[0]
     for slot, lag in enumerate((2, 8, 32)):
         if lag in lags:
             out[last + slot] = size[lags.index(lag)] - size[lags.index(lag)].T
-    out[last + 3], out[last + 4 : last + 6] = size[k] - size[0], near[k + 1 :]
-    out[last + 6] = near[k + 1] - near[k + 1].T
+    out[last + 3], out[last + 4 : last + 6] = size[k] - size[0], distances[k + 1 :]
+    out[last + 6] = distances[k + 1] - distances[k + 1].T
 
 
 def _fill_ways(out: Singles, s: _Signals) -> list[Singles]:
-    """Fill who flies like i, and how j's ways resemble those of i's companions later; return what they say of a UAV.
+    """Fill who flies like i, and how j's displacements resemble those of i's companions later; return what they say.
 
-    With noise, a way of many steps tells more than velocities do, and the mean of companions more than a UAV.
+    With noise, displacements in many steps tell more than velocities do, and the mean of companions more than a UAV.
     """
     (steps, n), size = s["m"].shape, 1 + len(_WAY_LAGS)
     if steps < 3 or n < 2:
-        return [np.zeros(n, np.float32)] * (len(_WAYS) * size)
-    found = list[Singles]()
-    for rows, longest in zip(out.reshape(len(_WAYS), size, n, n), _WAYS, strict=True):
+        return [np.zeros(n, np.float32)] * (len(_WAY_STEPS) * size)
+    descriptions = list[Singles]()
+    for rows, longest in zip(out.reshape(len(_WAY_STEPS), size, n, n), _WAY_STEPS, strict=True):
         width = min(longest, steps // 3)
-        way, known, weight = flock.find_companions(s["p"], s["seen"], width)
-        found += flock.compare_companions(way, known, weight, _WAY_LAGS)
+        displacement, is_seen, weight = flock.find_companions(s["p"], s["seen"], width)
+        descriptions += flock.compare_companions(displacement, is_seen, weight, _WAY_LAGS)
         rows[0] = _log(weight, 1e-3)
-        both = weight.max(1, keepdims=True) * np.eye(n, dtype=np.float32) + weight
-        mean, share = flock.average_companions(way, known, both)
-        given, stride = np.minimum(share, 1), max(width // 4, 1)
-        powers = (mean**2).sum(1), (way**2).sum(1)
-        for row, lag in zip(rows[1:], (lag for lag in _WAY_LAGS if 2 * lag < len(way)), strict=False):
-            later, earlier = slice(lag, None, stride), slice(0, len(way) - lag, stride)
-            square = (powers[0][later].T @ known[earlier]) * (given[later].T @ powers[1][earlier])
-            product = mean[later].reshape(-1, n).T @ way[earlier].reshape(-1, n)
+        companions = weight.max(1, keepdims=True) * np.eye(n, dtype=np.float32) + weight
+        mean, share = flock.average_companions(displacement, is_seen, companions)
+        mean_share, stride = np.minimum(share, 1), max(width // 4, 1)
+        powers = (mean**2).sum(1), (displacement**2).sum(1)
+        for row, lag in zip(rows[1:], (lag for lag in _WAY_LAGS if 2 * lag < len(displacement)), strict=False):
+            later, earlier = slice(lag, None, stride), slice(0, len(displacement) - lag, stride)
+            square = (powers[0][later].T @ is_seen[earlier]) * (mean_share[later].T @ powers[1][earlier])
+            product = mean[later].reshape(-1, n).T @ displacement[earlier].reshape(-1, n)
             row[:] = _log(1 - np.minimum(np.maximum(product, 0) ** 2 / (square + np.float32(1e-9)), 1))
         rows[2:] -= rows[1] * (rows[2:] != 0)
-    return found
+    return descriptions
 
 
 def _fill_joint(out: Singles, s: _Signals) -> list[Singles]:
@@ -335,16 +335,16 @@ def _fill_joint(out: Singles, s: _Signals) -> list[Singles]:
     change = series.change_series(s["v"], s["m"], 1)[:-1]
     size = np.sqrt((change**2).sum(1, keepdims=True))
     change *= size < 8 * size.mean(0, keepdims=True) + np.float32(1e-9)
-    now = [x - x.mean(0) for x in (s["p"][1:-1], s["v"][:-1])]
-    flat = np.stack([*now, change], axis=2).reshape(-1, 3, change.shape[2]).astype(np.float64)
-    found = series.regress_jointly(flat, _JOINT)
+    predictors = [x - x.mean(0) for x in (s["p"][1:-1], s["v"][:-1])]
+    flat = np.stack([*predictors, change], axis=2).reshape(-1, 3, change.shape[2]).astype(np.float64)
+    regressions = series.regress_jointly(flat, _JOINT)
     flying = s["m"].sum(0) > 0
-    out[::2] = [np.arcsinh(sure) for sure, _ in found]
+    out[::2] = [np.arcsinh(t_statistic) for t_statistic, _ in regressions]
     size = max(np.count_nonzero(flying), 1)
-    out[1::2] = [part / (np.sqrt((part**2).sum(1, keepdims=True) / size) + 1e-12) for _, part in found]
-    others = flying[:, None] & ~np.eye(len(flying), dtype=bool)
-    mean = out[:4].sum(1, where=others) / np.maximum(others.sum(0), 1)
-    least = out[:4].min(1, where=others, initial=np.float32(60)) * others.any(0)
+    out[1::2] = [b / (np.sqrt((b**2).sum(1, keepdims=True) / size) + 1e-12) for _, b in regressions]
+    is_other = flying[:, None] & ~np.eye(len(flying), dtype=bool)
+    mean = out[:4].sum(1, where=is_other) / np.maximum(is_other.sum(0), 1)
+    least = out[:4].min(1, where=is_other, initial=np.float32(60)) * is_other.any(0)
     parts = np.concatenate([mean, least]) * flying
     parts -= parts.sum(1, keepdims=True) / size
     return [*(parts * flying / (np.sqrt((parts**2 * flying).sum(1, keepdims=True) / size) + np.float32(1e-2)))]
@@ -356,7 +356,7 @@ def _log(x: Singles, least: float = 1e-4) -> Singles:
     return out
 
 
-def _describe_uavs(s: _Signals, own: list[Singles]) -> list[Singles]:
+def _describe_uavs(s: _Signals, bearings: list[Singles]) -> list[Singles]:
     """What single tracks and neighbourhoods say of each UAV, (n,) each."""
     steps, multiply = len(s["m"]), kernels.multiply_series
     count, rows = np.maximum(s["m"].sum(0), 1), np.maximum(s["complete"].sum(0), 1)
@@ -387,14 +387,14 @@ def _describe_uavs(s: _Signals, own: list[Singles]) -> list[Singles]:
     rules = [error, _log(s["last"]) - error, _log(s["least"]) - error, _log(least**2),
              *np.clip(s["coefficients"], -3, 3), np.log1p(np.minimum(s["nearest"][-max(steps - 1, 1) :], 400)).mean(0),
              *echo("residual", 1, 4, 16), np.sqrt((direction**2).sum(0)) / rows]  # fmt: skip
-    return [*track, *own, *neighbours, *rules]
+    return [*track, *bearings, *neighbours, *rules]
 
 
-def _describe_window(s: _Signals, uav: Singles, never: Mask) -> Singles:
+def _describe_window(s: _Signals, uav: Singles, unseen: Mask) -> Singles:
     """Sizes of the window and means over its UAVs: (K,)."""
-    some = ~never if not never.all() else never
+    seen_uavs = ~unseen if not unseen.all() else unseen
     v = _align(s["v"].transpose(1, 0, 2).reshape(3, -1))
     spread = np.linalg.eigvalsh((v @ v.T).astype(np.float64))
-    sizes = [np.log(some.sum()) - 3.4, np.log(len(s["m"])) - 4.6, 1 - s["m"][:, some].mean()]
+    sizes = [np.log(seen_uavs.sum()) - 3.4, np.log(len(s["m"])) - 4.6, 1 - s["m"][:, seen_uavs].mean()]
     flat = np.sqrt(max(spread[0], 0) / max(spread[2], 1e-9))
-    return np.array([*sizes, *(uav[k, some].mean() for k in (5, 0, 15, 10, 12)), flat], np.float32)
+    return np.array([*sizes, *(uav[k, seen_uavs].mean() for k in (5, 0, 15, 10, 12)), flat], np.float32)

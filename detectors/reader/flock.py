@@ -30,10 +30,10 @@ def survey_neighbours(p: Singles, seen: Singles, v: Singles, m: Singles) -> tupl
     sums = sum_neighbours(p, seen, v, m)
     count, bank = sums[:, :BANK, 0], np.empty((len(v), 3, 1 + 2 * BANK, v.shape[2]), np.float32)
     bank[:, :, 0] = sums[:, BANK, 1:4]
-    some, several = np.maximum(count, np.float32(0.3)), np.maximum(count, np.float32(0.5))
+    velocity_count, direction_count = np.maximum(count, np.float32(0.3)), np.maximum(count, np.float32(0.5))
     for axis in range(3):
-        np.divide(sums[:, :BANK, 1 + axis], some, out=bank[:, axis, 1 : 1 + BANK])
-        np.divide(sums[:, :BANK, 4 + axis], several, out=bank[:, axis, 1 + BANK :])
+        np.divide(sums[:, :BANK, 1 + axis], velocity_count, out=bank[:, axis, 1 : 1 + BANK])
+        np.divide(sums[:, :BANK, 4 + axis], direction_count, out=bank[:, axis, 1 + BANK :])
     return bank, count, sums[:, BANK, 0]
 
 
@@ -57,8 +57,8 @@ def fit_flock(v: Singles, complete: Singles, bank: Singles) -> dict[str, Singles
         k = rules.shape[1]
         g, r = gram[rules.T[:, None], rules.T].reshape(k, k, -1), right[rules.T, 0].reshape(k, 1, -1)
         b = solve_ridges(g, r, 1e-3, 1e-3)
-        rest = (b * ((b[None, :, 0] * g).sum(1, keepdims=True) - 2 * r)).sum((0, 1)).reshape(len(rules), n) + power
-        return b.reshape(k, len(rules), n), np.maximum(rest, 0) / rows
+        squares = (b * ((b[None, :, 0] * g).sum(1, keepdims=True) - 2 * r)).sum((0, 1)).reshape(len(rules), n) + power
+        return b.reshape(k, len(rules), n), np.maximum(squares, 0) / rows
 
     b, error = fit(_RULES)
     best = int(np.log(error + np.float32(1e-4)).sum(1).argmin())
@@ -74,8 +74,8 @@ def leave_crowd(v: Singles, m: Singles, mean: Singles, count: Singles) -> Single
 
     ``mean`` (T, 3, n) and ``count`` (T, n) are those of :func:`survey_neighbours` for one radius.
     """
-    own = delay_series(m, 1)
-    common = (mean * count[:, None] + delay_series(v, 1)) / np.maximum(count + own, 1)[:, None]
+    is_seen = delay_series(m, 1)
+    common = (mean * count[:, None] + delay_series(v, 1)) / np.maximum(count + is_seen, 1)[:, None]
     length = np.maximum(np.sqrt((common**2).sum(1, keepdims=True)), np.float32(0.05))
     out = (v - common / length) * m[:, None]
     out[0] = 0
@@ -83,36 +83,37 @@ def leave_crowd(v: Singles, m: Singles, mean: Singles, count: Singles) -> Single
 
 
 def find_companions(p: Singles, seen: Singles, width: int) -> tuple[Singles, Singles, Singles]:
-    """The ways of ``width`` steps (S, 3, n), where both ends are seen (S, n), and the companions' weights (n, n).
+    """Displacements in ``width`` steps (S, 3, n), where both ends are seen (S, n), and the companions' weights (n, n).
 
-    Companions of a UAV are those whose ways are like its own, so that the mean of their ways has little noise. A row of
+    Companions of a UAV are those whose displacements are like its own, so that their mean has little noise. A row of
     weights adds up to 1. Takes places (T + 1, 3, n), and where they are seen.
     """
-    known, stride = seen[width:] * seen[:-width], max(width // 4, 1)
-    way = (p[width:] - p[:-width]) * (known / np.float32(width**0.5))[:, None]
-    x, shown = way[::stride], known[::stride]
-    power, flat, overlap = (x**2).sum(1).T @ shown, x.reshape(-1, x.shape[2]), shown.T @ shown
+    is_seen, stride = seen[width:] * seen[:-width], max(width // 4, 1)
+    displacement = (p[width:] - p[:-width]) * (is_seen / np.float32(width**0.5))[:, None]
+    x, x_seen = displacement[::stride], is_seen[::stride]
+    flat, overlap = x.reshape(-1, x.shape[2]), x_seen.T @ x_seen
+    power = (x**2).sum(1).T @ x_seen
     np.fill_diagonal(overlap, 0)
-    apart = np.maximum(power + power.T - 2 * (flat.T @ flat), 0) / np.maximum(overlap, 1) + np.float32(1e-4)
-    apart[overlap == 0] = 1e9
-    weight = (apart.min(1, keepdims=True) / apart) ** 2
-    return way, known, weight / weight.sum(1, keepdims=True)
+    distance = np.maximum(power + power.T - 2 * (flat.T @ flat), 0) / np.maximum(overlap, 1) + np.float32(1e-4)
+    distance[overlap == 0] = 1e9
+    weight = (distance.min(1, keepdims=True) / distance) ** 2
+    return displacement, is_seen, weight / weight.sum(1, keepdims=True)
 
 
-def average_companions(way: Singles, known: Singles, weight: Singles) -> tuple[Singles, Singles]:
-    """The weighted mean of those ways (S, 3, n) that are seen, and the weight that is: (S, 3, n), (S, n)."""
-    share = known @ weight.T
-    return (way.reshape(-1, way.shape[2]) @ weight.T).reshape(way.shape) / np.maximum(share, 0.1)[:, None], share
+def average_companions(d: Singles, is_seen: Singles, weight: Singles) -> tuple[Singles, Singles]:
+    """The weighted mean of those displacements (S, 3, n) that are seen, and the weight that is: (S, 3, n), (S, n)."""
+    share = is_seen @ weight.T
+    return (d.reshape(-1, d.shape[2]) @ weight.T).reshape(d.shape) / np.maximum(share, 0.1)[:, None], share
 
 
-def compare_companions(way: Singles, known: Singles, weight: Singles, lags: tuple[int, ...]) -> list[Singles]:
-    """How a UAV's ways differ from the mean of its companions', some steps later: (n,) each.
+def compare_companions(d: Singles, is_seen: Singles, weight: Singles, lags: tuple[int, ...]) -> list[Singles]:
+    """How a UAV's displacements differ from the mean of its companions', some steps later: (n,) each.
 
     Followers have errors of their own, so the UAV that all copy has the least distance. Returns the logarithm of the
     mean square without a lag, and for each lag its standard score among the companions' own.
     """
-    mean, share = average_companions(way, known, weight)
-    sizes = [np.log(compare_series(mean, way, share, known, lag) + np.float32(1e-4)) for lag in lags]
+    mean, share = average_companions(d, is_seen, weight)
+    sizes = [np.log(compare_series(mean, d, share, is_seen, lag) + np.float32(1e-4)) for lag in lags]
     scores = [size - weight @ size for size in sizes]
     return [sizes[0], *(score / np.sqrt(weight @ score**2 + np.float32(0.02)) for score in scores)]
 
@@ -120,11 +121,11 @@ def compare_companions(way: Singles, known: Singles, weight: Singles, lags: tupl
 def compare_turns(v: Singles, m: Singles, mean: Singles, lags: tuple[int, ...]) -> tuple[list[Singles], Singles]:
     """Do the neighbours turn to where a UAV deviates, and does it turn back: 2 correlations a lag, and its power."""
     v, mean, mask = v[:-1], mean[1:], m[:-1, None]
-    deviation, found = (v - mean) * mask, []
+    deviation, correlations = (v - mean) * mask, []
     for lag in lags:
         d, rows = deviation[:-lag], max(len(v) - lag, 0)
-        own = (v[:rows] - v[lag:]) * mask[lag:] * mask[:rows]
-        for x in (mean[lag:] - mean[:rows], own):
+        own_turn = (v[:rows] - v[lag:]) * mask[lag:] * mask[:rows]
+        for x in (mean[lag:] - mean[:rows], own_turn):
             size = np.sqrt(multiply_series(x, x) * multiply_series(d, d))
-            found.append(multiply_series(x, d) / (size + np.float32(1e-3)))
-    return found, multiply_series(deviation, deviation)
+            correlations.append(multiply_series(x, d) / (size + np.float32(1e-3)))
+    return correlations, multiply_series(deviation, deviation)

@@ -11,7 +11,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numpy as np
 
 from detectors.reader.features import CONTEXT_FEATURES, PAIR_FEATURES, UAV_FEATURES, Features
-from detectors.weights import packaged_arrays, read_arrays
+from detectors.weights import read_arrays, read_packaged_arrays
 from usnet_env.arrays import Singles
 from usnet_env.compiling import compiled
 from usnet_env.config import ArgumentError, quote
@@ -35,10 +35,10 @@ class Answer(NamedTuple, Generic[T]):
     """
 
     head: T  #: ``(n,)``: the UAV leads another
-    leader: T  #: ``(n, n)`` over j: i follows j directly; (i, i): nobody
-    root: T  #: ``(n, n)`` over j: the chain of i's leaders ends at j; (i, i): i follows nobody
+    leader: T  #: ``(n, n)`` over j: i follows j directly; (i, i): i follows no UAV
+    root: T  #: ``(n, n)`` over j: the chain of i's leaders ends at j; (i, i): i follows no UAV
     link: T  #: ``(n, n)``: i's motion depends on j's itself
-    silent: T  #: ``()``: nobody leads
+    silent: T  #: ``()``: no UAV leads
     delay: T  #: ``(n,)``
 
 
@@ -49,14 +49,13 @@ def load_reader(weights: str = "shipped") -> Weights:
     """
     np.empty(2**22, np.float32)  # glibc keeps freed blocks up to the largest so far: windows need no new pages
     if weights == "blind":
-        return packaged_arrays("detectors.reader", "blind")
+        return read_packaged_arrays("detectors.reader", "blind")
     if weights in ("shipped", "untrained"):
-        arrays, rng = packaged_arrays("detectors.reader", "reader"), np.random.default_rng(0)
+        arrays, rng = read_packaged_arrays("detectors.reader", "reader"), np.random.default_rng(0)
         # Sorted, as the order of a file's arrays changes from one reading to the next.
-        drawn = {
-            name: rng.standard_normal(old.shape, np.float32) for name, old in sorted(arrays.items()) if old.ndim == 2
-        }
-        drawn = {name: new / np.float32(np.sqrt(new.shape[1])) for name, new in drawn.items()}
+        shapes = {name: array.shape for name, array in sorted(arrays.items()) if array.ndim == 2}
+        drawn = {name: rng.standard_normal(shape, np.float32) for name, shape in shapes.items()}
+        drawn = {name: values / np.float32(np.sqrt(values.shape[1])) for name, values in drawn.items()}
         return arrays if weights == "shipped" else arrays | drawn
     arrays = read_arrays(weights)
     counts = tuple(len(arrays.get(f"{name}_mean", ())) for name in ("pair", "uav", "context"))
@@ -65,7 +64,7 @@ def load_reader(weights: str = "shipped") -> Weights:
     return arrays
 
 
-def read(weights: Weights, features: Features) -> Answer[Singles]:
+def predict(weights: Weights, features: Features) -> Answer[Singles]:
     """Answer for a window of n UAVs."""
     n, width = len(features.uav), len(weights["itself"])
     context, state = (
@@ -75,53 +74,53 @@ def read(weights: Weights, features: Features) -> Answer[Singles]:
     state = _apply_layers(weights, "enter_uav", np.hstack([state, np.broadcast_to(context, (n, len(context)))]))
     row, column = (state @ half.T for half in np.split(weights["ends.weight"], 2))
     row = row + _apply(weights, "context", context)
-    both, scaled = np.empty((n, n, 2 * width), np.float32), np.empty((len(weights["pair_mean"]), n), np.float32)
+    spare, scaled = np.empty((n, n, 2 * width), np.float32), np.empty((len(weights["pair_mean"]), n), np.float32)
     enter = np.ascontiguousarray(weights["enter.weight"].T)
-    for pairs, out in zip(features.pair, both, strict=True):  # of one UAV each, which stay in the cache
+    for pairs, out in zip(features.pair, spare, strict=True):  # of one UAV each, which stay in the cache
         _standardise(pairs.T, weights["pair_mean"], weights["pair_scale"], scaled)
         np.matmul(scaled.T, enter, out=out)
     entered = np.empty((n, n, width), np.float32)
-    _meet(both, row, column, weights["itself"], entered)
-    plain, ranked = np.split(weights["rows.weight"].T, 2)
+    _combine_pairs(spare, row, column, weights["itself"], entered)
+    absolute, relative = np.split(weights["rows.weight"].T, 2)
     mean = entered.mean(axis=1, keepdims=True)
     entered -= mean
     scale = _ONE / np.sqrt(np.einsum("ijc,ijc->ic", entered, entered) / np.float32(n) + ROW_NOISE)
-    change = np.matmul(entered, plain + scale[:, :, None] * ranked)  # ranked: of the values with variance 1 in a row
-    change = (change + (mean @ plain + weights["rows.bias"])).reshape(n * n, width)
+    change = np.matmul(entered, absolute + scale[:, :, None] * relative)  # relative: of values with variance 1 in a row
+    change = (change + (mean @ absolute + weights["rows.bias"])).reshape(n * n, width)
     pair, normed = np.zeros_like(change), np.empty_like(change)
     for block in range(sum(name.endswith(".attention.weight") for name in weights)):
         _add_and_normalise(pair, change, normed)
-        state = _update(weights, f"blocks.{block}", normed, state, both, entered)
+        state = _update(weights, f"blocks.{block}", normed, state, spare, entered)
         np.matmul(entered.reshape(n * n, width), weights[f"blocks.{block}.out.weight"].T, out=change)
     _add_and_normalise(pair, change, normed)
     leader, root, link = np.ascontiguousarray(_apply(weights, "links", normed).T).reshape(3, n, n)
     state = _normalise(state)
     head, delay = _apply_layers(weights, "head", state).T
-    silent = _apply_layers(weights, "silent", np.concatenate([state.mean(axis=0), state.max(axis=0)]))
-    return Answer(head, leader, root, link, silent[0], delay)
+    no_leader = _apply_layers(weights, "silent", np.concatenate([state.mean(axis=0), state.max(axis=0)]))
+    return Answer(head, leader, root, link, no_leader[0], delay)
 
 
-def _update(weights: Weights, block: str, normed: Singles, state: Singles, both: Singles, mixed: Singles) -> Singles:
-    """The new vectors of UAVs ``(n, w)``; those of pairs ``(n, n, w)`` go to ``mixed``; ``both`` is overwritten."""
+def _update(weights: Weights, block: str, normed: Singles, state: Singles, spare: Singles, mixed: Singles) -> Singles:
+    """The new vectors of UAVs ``(n, w)``; those of pairs ``(n, n, w)`` go to ``mixed``; ``spare`` is overwritten."""
     n, width = state.shape
     pair = normed.reshape(n, n, width)
-    given = np.matmul(weights[f"{block}.attention.weight"], pair.transpose(0, 2, 1))  # (n, heads, n)
-    given = np.exp(given - given.max(axis=2, keepdims=True))
-    given /= given.sum(axis=2, keepdims=True)
-    known, heads = _normalise(state), given.shape[1]
-    taken = np.ascontiguousarray(given.transpose(2, 1, 0))  # (n, heads, n): of j by i
-    vectors = np.stack([given @ pair, taken @ pair.transpose(1, 0, 2)])
-    seen = np.hstack([given[:, h] @ part for h, part in enumerate(np.split(known, heads, axis=1))])
+    attention = np.matmul(weights[f"{block}.attention.weight"], pair.transpose(0, 2, 1))  # (n, heads, n)
+    attention = np.exp(attention - attention.max(axis=2, keepdims=True))
+    attention /= attention.sum(axis=2, keepdims=True)
+    normed_state, heads = _normalise(state), attention.shape[1]
+    attention_to = np.ascontiguousarray(attention.transpose(2, 1, 0))  # (n, heads, n): of j by i
+    vectors = np.stack([attention @ pair, attention_to @ pair.transpose(1, 0, 2)])
+    attended = np.hstack([attention[:, h] @ part for h, part in enumerate(np.split(normed_state, heads, axis=1))])
     matrix = weights[f"{block}.gathered.weight"].reshape(heads, -1, 2, width).transpose(2, 0, 3, 1)  # (2, h, w, d)
     chosen, received = np.matmul(vectors.swapaxes(1, 2), matrix).swapaxes(1, 2).reshape(2, n, width)
     received = np.sign(received) * np.log1p(np.abs(received))
-    whole = np.broadcast_to(state.mean(axis=0), state.shape)
-    gathered = [known, chosen, received, seen, whole, np.log1p(taken.sum(axis=2))]
-    state = state + _apply_layers(weights, f"{block}.uav", np.hstack(gathered))
+    mean_state = np.broadcast_to(state.mean(axis=0), state.shape)
+    inputs = [normed_state, chosen, received, attended, mean_state, np.log1p(attention_to.sum(axis=2))]
+    state = state + _apply_layers(weights, f"{block}.uav", np.hstack(inputs))
     row, column = (_normalise(state) @ half.T for half in np.split(weights[f"{block}.ends.weight"], 2))
-    forth, back = np.split(weights[f"{block}.mix.weight"], 2, axis=1)
-    np.matmul(pair, np.hstack([forth.T, back.T]), out=both)
-    _meet(both, row + weights[f"{block}.mix.bias"], column, np.zeros(width, np.float32), mixed)
+    direct, reverse = np.split(weights[f"{block}.mix.weight"], 2, axis=1)
+    np.matmul(pair, np.hstack([direct.T, reverse.T]), out=spare)
+    _combine_pairs(spare, row + weights[f"{block}.mix.bias"], column, np.zeros(width, np.float32), mixed)
     return state
 
 
@@ -147,12 +146,12 @@ def _gelu(value):
     inner = _SLOPE * (value + _CUBE * value * value * value)
     inner = min(max(inner, -_TANH_LIMIT), _TANH_LIMIT)
     square = inner * inner
-    over, under = _P[0], _Q[0]
+    numerator, denominator = _P[0], _Q[0]
     for k in range(1, 7):
-        over = over * square + _P[k]
+        numerator = numerator * square + _P[k]
     for k in range(1, 4):
-        under = under * square + _Q[k]
-    return _HALF * value * (_ONE + inner * over / under)
+        denominator = denominator * square + _Q[k]
+    return _HALF * value * (_ONE + inner * numerator / denominator)
 
 
 @compiled(**_FAST)
@@ -163,15 +162,15 @@ def _standardise(values, mean, scale, out):
 
 
 @compiled(**_FAST)
-def _meet(both, row, column, itself, out):
+def _combine_pairs(products, row, column, self_bias, out):
     """GELU of a pair's own share, the share that its reverse gives, and those of both UAVs."""
     n, width = row.shape
     for i in range(n):
         for j in range(n):
-            same = np.float32(i == j)
+            is_self = np.float32(i == j)
             for c in range(width):
                 out[i, j, c] = _gelu(
-                    both[i, j, c] + both[j, i, width + c] + row[i, c] + column[j, c] + same * itself[c]
+                    products[i, j, c] + products[j, i, width + c] + row[i, c] + column[j, c] + is_self * self_bias[c]
                 )
 
 

@@ -39,18 +39,18 @@ def _multiply_series(x, y, lag, total):
                 total[i] += x[t, a, i] * y[t - lag, a, i]
 
 
-def compare_series(later: Singles, earlier: Singles, share: Singles, known: Singles, lag: int) -> Singles:
-    """The mean square (n,) of later(t + lag) - earlier(t) where ``share`` (T, n) > .1 and ``known`` (T, n) is 1."""
+def compare_series(later: Singles, earlier: Singles, share: Singles, valid: Singles, lag: int) -> Singles:
+    """The mean square (n,) of later(t + lag) - earlier(t) where ``share`` (T, n) > .1 and ``valid`` (T, n) is 1."""
     total, count, weight = np.zeros((3, later.shape[2]), np.float32)
-    _compare_series(later, earlier, share, known, lag, total, count, weight)
+    _compare_series(later, earlier, share, valid, lag, total, count, weight)
     return np.asarray(total / np.maximum(count, _ONE))
 
 
 @compiled(**_FAST)
-def _compare_series(later, earlier, share, known, lag, total, count, weight):
+def _compare_series(later, earlier, share, valid, lag, total, count, weight):
     for t in range(len(later) - lag):
         for i in range(later.shape[2]):
-            weight[i] = known[t, i] if share[t + lag, i] > np.float32(0.1) else _ZERO
+            weight[i] = valid[t, i] if share[t + lag, i] > np.float32(0.1) else _ZERO
             count[i] += weight[i]
         for a in range(later.shape[1]):
             for i in range(later.shape[2]):
@@ -79,10 +79,10 @@ def solve_ridges(gram: Singles, right: Singles, relative: float, absolute: float
 
     If ``whiten``, stop halfway: rows with the covariance ``gram`` become orthonormal.
     """
-    made, trace = np.array(right, np.float32, order="C"), np.zeros(right.shape[2], np.float32)
+    solution, trace = np.array(right, np.float32, order="C"), np.zeros(right.shape[2], np.float32)
     ridge = np.float32(relative), np.float32(absolute)
-    _solve_ridges(np.array(gram, np.float32, order="C"), made, *ridge, whiten, trace)
-    return made
+    _solve_ridges(np.array(gram, np.float32, order="C"), solution, *ridge, whiten, trace)
+    return solution
 
 
 @compiled(**_FAST)
@@ -131,7 +131,7 @@ def sum_neighbours(p: Singles, seen: Singles, v: Singles, m: Singles) -> Singles
 
 
 @compiled(**_FAST)
-def _sum_neighbours(p, padded, seen, v, m, sums, one, here, out):
+def _sum_neighbours(p, padded, seen, v, m, sums, offset, centre, out):
     steps, _, n = v.shape
     last = BANK * _ROWS * _HALF
     for start in range(0, n, _HALF):
@@ -141,35 +141,36 @@ def _sum_neighbours(p, padded, seen, v, m, sums, one, here, out):
                 sums[k] = _FAR if last <= k < last + _HALF else _ZERO
             for a in range(3):
                 for i in range(width):
-                    here[a * _HALF + i] = padded[t, a, start + i]
+                    centre[a * _HALF + i] = padded[t, a, start + i]
             for j in range(n):
                 if seen[t, j] * m[t - 1, j] == _ZERO:
                     continue
                 x, y, z, vx, vy, vz = p[t, 0, j], p[t, 1, j], p[t, 2, j], v[t - 1, 0, j], v[t - 1, 1, j], v[t - 1, 2, j]
                 for i in range(width):
-                    dx, dy, dz = x - here[i], y - here[_HALF + i], z - here[2 * _HALF + i]
+                    dx, dy, dz = x - centre[i], y - centre[_HALF + i], z - centre[2 * _HALF + i]
                     d = np.sqrt(dx * dx + dy * dy + dz * dz) + _TINY
-                    near = _ONE / d
-                    one[i], one[_HALF + i], one[2 * _HALF + i], one[3 * _HALF + i] = d, dx * near, dy * near, dz * near
+                    inverse = _ONE / d
+                    offset[i], offset[_HALF + i] = d, dx * inverse
+                    offset[2 * _HALF + i], offset[3 * _HALF + i] = dy * inverse, dz * inverse
                 if start <= j < start + width:
-                    one[j - start] = _FAR
+                    offset[j - start] = _FAR
                 for i in range(width):
-                    push = _ONE / (_ONE + one[i] * one[i] * _REACH)
-                    sums[last + i] = min(sums[last + i], one[i])
-                    sums[last + _HALF + i] -= push * one[_HALF + i]
-                    sums[last + 2 * _HALF + i] -= push * one[2 * _HALF + i]
-                    sums[last + 3 * _HALF + i] -= push * one[3 * _HALF + i]
+                    push = _ONE / (_ONE + offset[i] * offset[i] * _REACH)
+                    sums[last + i] = min(sums[last + i], offset[i])
+                    sums[last + _HALF + i] -= push * offset[_HALF + i]
+                    sums[last + 2 * _HALF + i] -= push * offset[2 * _HALF + i]
+                    sums[last + 3 * _HALF + i] -= push * offset[3 * _HALF + i]
                 for r in range(BANK):
                     steep, outer, k = _STEEP / RADII[r], _OUTER * RADII[r], r * _ROWS * _HALF
                     for i in range(width):
-                        w = min(_ONE, max(_ZERO, (outer - one[i]) * steep))
+                        w = min(_ONE, max(_ZERO, (outer - offset[i]) * steep))
                         sums[k + i] += w
                         sums[k + _HALF + i] += w * vx
                         sums[k + 2 * _HALF + i] += w * vy
                         sums[k + 3 * _HALF + i] += w * vz
-                        sums[k + 4 * _HALF + i] += w * one[_HALF + i]
-                        sums[k + 5 * _HALF + i] += w * one[2 * _HALF + i]
-                        sums[k + 6 * _HALF + i] += w * one[3 * _HALF + i]
+                        sums[k + 4 * _HALF + i] += w * offset[_HALF + i]
+                        sums[k + 5 * _HALF + i] += w * offset[2 * _HALF + i]
+                        sums[k + 6 * _HALF + i] += w * offset[3 * _HALF + i]
             for row in range(out.shape[1]):
                 for i in range(width):
                     out[t, row, start + i] = sums[row * _HALF + i]
@@ -185,13 +186,13 @@ def measure_bearings(p: Singles, v: Singles, a: Singles, moving: Singles, turns:
     instants, _, n = p.shape
     p, v, moving, turns = _pad(p), _pad(v), _pad(moving), _pad(turns)
     sums, nearest = np.empty((19 + BANK, n, p.shape[2]), np.float32), np.full((2, instants, n), _FAR)
-    total, now = np.empty((19 + BANK) * _W, np.float32), np.empty(2 * _W, np.float32)
-    _measure_bearings(p, v, a, moving, turns, total, now, sums, nearest)
+    total, instant = np.empty((19 + BANK) * _W, np.float32), np.empty(2 * _W, np.float32)
+    _measure_bearings(p, v, a, moving, turns, total, instant, sums, nearest)
     return np.ascontiguousarray(sums[..., :n]), nearest
 
 
 @compiled(**_FAST)
-def _measure_bearings(p, v, a, moving, turns, total, now, sums, nearest):
+def _measure_bearings(p, v, a, moving, turns, total, instant, sums, nearest):
     instants, n = len(p), a.shape[2]
     for i in range(n):
         for start in range(0, n, _W):
@@ -202,7 +203,7 @@ def _measure_bearings(p, v, a, moving, turns, total, now, sums, nearest):
             for k in range(instants):
                 if moving[k, i] == _ZERO:
                     continue
-                turn, late = turns[k, i], _ONE if 2 * k >= instants else _ZERO
+                turn, is_late = turns[k, i], _ONE if 2 * k >= instants else _ZERO
                 x, y, z, vx, vy, vz = p[k, 0, i], p[k, 1, i], p[k, 2, i], v[k, 0, i], v[k, 1, i], v[k, 2, i]
                 ax, ay, az = a[k, 0, i], a[k, 1, i], a[k, 2, i]
                 power = ax * ax + ay * ay + az * az
@@ -214,17 +215,17 @@ def _measure_bearings(p, v, a, moving, turns, total, now, sums, nearest):
                     ux, uy, uz = (qx[j] - vx) * b, (qy[j] - vy) * b, (qz[j] - vz) * b
                     square = dx * dx + dy * dy + dz * dz
                     d = np.sqrt(square) + _TINY
-                    near, pull = _ONE / d, ax * dx + ay * dy + az * dz
-                    c, along = (dx * vx + dy * vy + dz * vz) * near, pull * near
-                    now[j], now[_W + j] = c, d + (_ONE - b) * _FAR
+                    inverse, pull = _ONE / d, ax * dx + ay * dy + az * dz
+                    c, along = (dx * vx + dy * vy + dz * vz) * inverse, pull * inverse
+                    instant[j], instant[_W + j] = c, d + (_ONE - b) * _FAR
                     total[j] += c
                     total[_W + j] += abs(c)
                     total[2 * _W + j] += along
                     total[3 * _W + j] += d * b
                     total[4 * _W + j] += b
-                    total[5 * _W + j] += late * d * b
-                    total[6 * _W + j] += late * b
-                    total[7 * _W + j] = min(total[7 * _W + j], now[_W + j])
+                    total[5 * _W + j] += is_late * d * b
+                    total[6 * _W + j] += is_late * b
+                    total[7 * _W + j] = min(total[7 * _W + j], instant[_W + j])
                     total[8 * _W + j] += abs(along)
                     total[9 * _W + j] += pull
                     total[10 * _W + j] += square * turn
@@ -238,14 +239,14 @@ def _measure_bearings(p, v, a, moving, turns, total, now, sums, nearest):
                 for r in range(BANK):
                     row, steep = (18 + r) * _W, np.float32(5.0) / RADII[r]
                     for j in range(width):
-                        w = min(_ONE, max(_ZERO, np.float32(5.5) - steep * now[_W + j]))
+                        w = min(_ONE, max(_ZERO, np.float32(5.5) - steep * instant[_W + j]))
                         total[row + j] += w
                 for j in range(width):
-                    w = min(_ONE, max(_ZERO, np.float32(5.5) - _STEEP / RADII[BANK - 1] * now[_W + j]))
-                    total[(18 + BANK) * _W + j] += w * now[j]
+                    w = min(_ONE, max(_ZERO, np.float32(5.5) - _STEEP / RADII[BANK - 1] * instant[_W + j]))
+                    total[(18 + BANK) * _W + j] += w * instant[j]
                 for j in range(min(width, n - start)):
-                    if now[_W + j] < nearest[0, k, i] and j + start != i:
-                        nearest[0, k, i], nearest[1, k, i] = now[_W + j], now[j]
+                    if instant[_W + j] < nearest[0, k, i] and j + start != i:
+                        nearest[0, k, i], nearest[1, k, i] = instant[_W + j], instant[j]
             for row in range(len(sums)):
                 for j in range(width):
                     sums[row, i, start + j] = total[row * _W + j]
@@ -259,12 +260,12 @@ def measure_places(p: Singles, seen: Singles, lags: Indices, stride: int, out: S
     ``lags``, 0 to 1.
     """
     p, seen = _pad(p), _pad(seen)
-    rows = np.empty((3, p.shape[2]), np.float32), np.empty((2, len(lags) + 3, p.shape[2]), np.float32)
-    _measure_places(p, seen, lags, stride, *rows[0], *rows[1], out)
+    buffers = np.empty((3, p.shape[2]), np.float32), np.empty((2, len(lags) + 3, p.shape[2]), np.float32)
+    _measure_places(p, seen, lags, stride, *buffers[0], *buffers[1], out)
 
 
 @compiled(**_FAST)
-def _measure_places(p, seen, lags, stride, nearest, best, times, total, count, out):
+def _measure_places(p, seen, lags, stride, nearest, best_lag, times, total, count, out):
     instants, width, last, n = len(p), p.shape[2], len(lags) - 1, out.shape[2]
     for i in range(n):
         for j in range(width):
@@ -276,7 +277,7 @@ def _measure_places(p, seen, lags, stride, nearest, best, times, total, count, o
                 continue
             x, y, z = p[t, 0, i], p[t, 1, i], p[t, 2, i]
             for j in range(width):
-                nearest[j], best[j] = _FAR, _ZERO
+                nearest[j], best_lag[j] = _FAR, _ZERO
             for k in range(last + 1):
                 if lags[k] > t:
                     break
@@ -288,13 +289,13 @@ def _measure_places(p, seen, lags, stride, nearest, best, times, total, count, o
                     sums[j] += d * b
                     counts[j] += b
                     d += (_ONE - b) * _FAR
-                    best[j] = lag if d < nearest[j] else best[j]
+                    best_lag[j] = lag if d < nearest[j] else best_lag[j]
                     nearest[j] = min(d, nearest[j])
             for j in range(width if t >= lags[last] else 0):
                 w = _ONE if nearest[j] < _FAR else _ZERO
                 total[last + 1, j] += nearest[j] * w
-                total[last + 2, j] += w if best[j] > _ZERO else _ZERO
-                total[last + 3, j] += best[j] * w
+                total[last + 2, j] += w if best_lag[j] > _ZERO else _ZERO
+                total[last + 3, j] += best_lag[j] * w
                 times[j] += w
         for k in range(last + 4):
             for j in range(n):
@@ -322,15 +323,15 @@ def _judge_blocks(square, overlap, product, persistence, count, total, out):
                 total[k, j] = -_FAR if k == 2 else _ZERO
         for b in range(blocks):
             calm = _ONE / (persistence[b, i] + _SLACK)
-            apart, steps, alike = square[b, i], overlap[b, i], product[b, i]
+            squares, steps, products = square[b, i], overlap[b, i], product[b, i]
             for j in range(n):
                 valid = _ONE if steps[j] > np.float32(1.5) else _ZERO
-                d = max(apart[j], _ZERO) / max(steps[j], _ONE) + _SLACK
-                near, far, positive = d * _CLOSE, d * _SIMILAR, max(alike[j], _ZERO)
+                d = max(squares[j], _ZERO) / max(steps[j], _ONE) + _SLACK
+                close, similar, positive = d * _CLOSE, d * _SIMILAR, max(products[j], _ZERO)
                 count[j] += valid
-                total[0, j] += valid / (_ONE + near * near)
-                total[1, j] += valid / (_ONE + far * far)
-                total[2, j] = max(total[2, j], alike[j])
+                total[0, j] += valid / (_ONE + close * close)
+                total[1, j] += valid / (_ONE + similar * similar)
+                total[2, j] = max(total[2, j], products[j])
                 total[3, j] += positive * positive
                 d *= calm
                 total[4, j] += valid / (_ONE + d * d * d)

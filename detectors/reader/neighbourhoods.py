@@ -13,19 +13,16 @@ from scipy.sparse import csr_array
 from usnet_env.arrays import Floats, Indices, Mask, Singles
 
 SIZE = 82  # UAVs of a neighbourhood; the network has learned from swarms of this size
-_MERGED = 60  # of them that are merged; the others join
+_COMMUNITY_SIZE = 60  # of them that are merged; the others join
 _LINKS = 12  # of each UAV
-_STRONG = 2.3  # weight of a link that isn't due to chance
-_JOINING = 2  # UAVs that join a community because they explain most, and because they turn first
-_FEW = 2000  # UAVs of which each may join; of more, those without a community and those of divided ones
+_STRONG_WEIGHT = 2.3  # weight of a link that isn't due to chance
+_GUESTS = 2  # UAVs that join a community because they explain most, and because they turn first
+_ALL_RANKED = 2000  # UAVs of which each may join; of more, those without a community and those of divided ones
 _RIVALS = 100  # UAVs that may come first, of each community
 _LAST_LAG = 12  # steps
-_CALLED, _BESIDE, _CALLED_AT_ONCE = (
-    12,
-    100,
-    50,
-)  # followers of a doubtful head, probable heads, and doubtful ones with followers
-_WORK = 3e10  # products in a comparison of all pairs; in a larger swarm, steps are averaged before
+# Followers of a doubtful head, probable heads, and doubtful heads with followers that are read at once.
+_MOST_FOLLOWERS, _MOST_HEADS, _MOST_CORE = 12, 100, 50
+_MOST_PRODUCTS = 3e10  # products in a comparison of all pairs; in a larger swarm, steps are averaged before
 _CHUNK = 512  # UAVs whose pairs are compared at once
 
 
@@ -36,18 +33,18 @@ def cut_swarm(velocity: Singles, seen: Mask) -> list[tuple[Indices, Mask]]:
     may lead UAVs there. Time grows with n², memory with n.
     """
     uavs = seen.shape[1]
-    links, weight = link_alike(velocity, seen)
-    strong = weight > _STRONG
-    community = _merge_links(links[strong], weight[strong], uavs)
+    links, weight = link_similar(velocity, seen)
+    is_strong = weight > _STRONG_WEIGHT
+    community = _merge_links(links[is_strong], weight[is_strong], uavs)
     piece = _merge_links(links, weight, uavs)
     size = np.bincount(community, minlength=uavs)
-    ends = community[links[strong]]
-    divided = np.isin(community, ends[ends[:, 0] != ends[:, 1]])
-    alone = size[community] < 3
-    possible = np.flatnonzero(alone | divided | (uavs <= _FEW))
+    ends = community[links[is_strong]]
+    is_divided = np.isin(community, ends[ends[:, 0] != ends[:, 1]])
+    is_single = size[community] < 3
+    candidates = np.flatnonzero(is_single | is_divided | (uavs <= _ALL_RANKED))
     guests: dict[int, set[int]] = {}
-    for uav, group in _find_guests(velocity, seen, community, np.flatnonzero(size > 2), possible):
-        if alone[uav]:
+    for uav, group in _find_guests(velocity, seen, community, np.flatnonzero(size > 2), candidates):
+        if is_single[uav]:
             piece[uav] = piece[group]
         guests.setdefault(int(piece[group]), set()).add(uav)
     return _pack_pieces(piece, guests)
@@ -62,16 +59,15 @@ def gather_doubtful(probability: Floats, root: Indices) -> list[tuple[Indices, M
     """
     doubtful = np.flatnonzero((probability > 1 / len(root)) & (probability < 1 - 1 / len(root)))
     heads = np.flatnonzero(probability > 0.5)
-    groups = [
-        np.append(uav, np.flatnonzero((root == uav) & (np.arange(len(root)) != uav))[:_CALLED]) for uav in doubtful
-    ]
+    follows = root != np.arange(len(root))
+    groups = [np.append(uav, np.flatnonzero((root == uav) & follows)[:_MOST_FOLLOWERS]) for uav in doubtful]
     sets = list[tuple[Indices, Mask]]()
-    for beside in np.array_split(heads, -(-len(heads) // _BESIDE) or 1):
+    for some_heads in np.array_split(heads, -(-len(heads) // _MOST_HEADS) or 1):
         core = np.empty(0, np.int64)
-        for last, group in enumerate(groups, start=1):
+        for number, group in enumerate(groups, start=1):
             core = np.union1d(core, group)
-            if len(core) >= _CALLED_AT_ONCE or last == len(groups):
-                uavs = np.union1d(core, beside)
+            if len(core) >= _MOST_CORE or number == len(groups):
+                uavs = np.union1d(core, some_heads)
                 sets.append((uavs, np.isin(uavs, core)))
                 core = core[:0]
     return sets
@@ -84,26 +80,27 @@ def find_turns(series: Singles, seen: Mask, block: int = 1) -> Singles:
     turns; single large turns are bounded.
     """
     count, (uavs, width) = len(seen) // block, series.shape[1:]
-    there = seen[: count * block].reshape(count, block, uavs, 1)
-    some = np.minimum(there.sum(axis=1), 1).astype(np.float32)
-    mean = (series[: count * block].reshape(count, block, uavs, width) * there).sum(axis=1) / there.sum(axis=1).clip(1)
-    mean = (mean - (mean * some).sum(axis=0) / some.sum(axis=0).clip(1)) * some
-    known = np.zeros_like(some)
-    known[2:] = some[2:] * some[1:-1] * some[:-2]
+    weight = seen[: count * block].reshape(count, block, uavs, 1)
+    is_seen = np.minimum(weight.sum(axis=1), 1).astype(np.float32)
+    total = (series[: count * block].reshape(count, block, uavs, width) * weight).sum(axis=1)
+    mean = total / weight.sum(axis=1).clip(1)
+    mean = (mean - (mean * is_seen).sum(axis=0) / is_seen.sum(axis=0).clip(1)) * is_seen
+    is_known = np.zeros_like(is_seen)
+    is_known[2:] = is_seen[2:] * is_seen[1:-1] * is_seen[:-2]
     past = np.zeros((2, *mean.shape), np.float32)
     past[0, 1:], past[1, 2:] = mean[:-1], mean[:-2]
-    gram = np.einsum("atnd,btnd->nab", past * known, past)
+    gram = np.einsum("atnd,btnd->nab", past * is_known, past)
     gram += (1e-2 * np.trace(gram, axis1=1, axis2=2) + 1e-12)[:, None, None] * np.eye(2)
-    law = np.linalg.solve(gram, np.einsum("atnd,tnd->na", past, mean * known)[..., None])[..., 0]
-    turn = (mean - np.einsum("na,atnd->tnd", law, past)) * known
+    coefficients = np.linalg.solve(gram, np.einsum("atnd,tnd->na", past, mean * is_known)[..., None])[..., 0]
+    turn = (mean - np.einsum("na,atnd->tnd", coefficients, past)) * is_known
     length = np.linalg.norm(turn, axis=2, keepdims=True)
-    usual = np.sqrt((length**2).sum(axis=0) / known.sum(axis=0).clip(1))
-    turn *= np.minimum(1.0, 3.0 * usual / length.clip(1e-12))
+    rms = np.sqrt((length**2).sum(axis=0) / is_known.sum(axis=0).clip(1))
+    turn *= np.minimum(1.0, 3.0 * rms / length.clip(1e-12))
     turn /= np.sqrt((turn**2).sum(axis=(0, 2), keepdims=True)).clip(1e-9)
     return np.ascontiguousarray(turn.transpose(1, 0, 2), np.float32)
 
 
-def link_alike(velocity: Singles, seen: Mask) -> tuple[Indices, Floats]:
+def link_similar(velocity: Singles, seen: Mask) -> tuple[Indices, Floats]:
     """Link each UAV to those that are most alike: ``(e, 2)`` pairs, ``(e,)`` weights.
 
     The weight is the largest correlation of the turns at any lag, in units of what chance reaches among all pairs,
@@ -111,34 +108,34 @@ def link_alike(velocity: Singles, seen: Mask) -> tuple[Indices, Floats]:
     """
     steps, uavs = seen.shape
     lags, block = min(_LAST_LAG, steps // 3), 1
-    while uavs**2 * 3 * (steps // block) * (lags // block + 1) > _WORK:
+    while uavs**2 * 3 * (steps // block) * (lags // block + 1) > _MOST_PRODUCTS:
         block += 1
     turns = find_turns(velocity, seen, block).reshape(uavs, -1)
     width = turns.shape[1]
     shifts = [3 * lag for lag in range(1, lags // block + 1)]
-    most = min(_LINKS, uavs - 1)
-    nearest, likeness = np.empty((uavs, most), np.int64), np.empty((uavs, most), np.float32)
+    links = min(_LINKS, uavs - 1)
+    nearest, strength = np.empty((uavs, links), np.int64), np.empty((uavs, links), np.float32)
     for first in range(0, uavs, _CHUNK):
         rows = turns[first : first + _CHUNK]
-        alike = rows @ turns.T
+        similarity = rows @ turns.T
         for shift in shifts:
-            np.maximum(alike, rows[:, shift:] @ turns[:, : width - shift].T, out=alike)
-            np.maximum(alike, rows[:, : width - shift] @ turns[:, shift:].T, out=alike)
-        alike[np.arange(len(rows)), np.arange(first, first + len(rows))] = -1.0
-        best = np.argpartition(alike, uavs - most, axis=1)[:, uavs - most :]
-        nearest[first : first + _CHUNK] = best
-        likeness[first : first + _CHUNK] = np.take_along_axis(alike, best, axis=1)
-    row, column = np.repeat(np.arange(uavs), most), nearest.ravel()
-    ones = np.ones(uavs * (most + 1))
-    near = csr_array((ones, (np.append(row, np.arange(uavs)), np.append(column, np.arange(uavs)))), (uavs, uavs))
-    shared = np.asarray((near @ near.T)[row, column]).ravel()
+            np.maximum(similarity, rows[:, shift:] @ turns[:, : width - shift].T, out=similarity)
+            np.maximum(similarity, rows[:, : width - shift] @ turns[:, shift:].T, out=similarity)
+        similarity[np.arange(len(rows)), np.arange(first, first + len(rows))] = -1.0
+        columns = np.argpartition(similarity, uavs - links, axis=1)[:, uavs - links :]
+        nearest[first : first + _CHUNK] = columns
+        strength[first : first + _CHUNK] = np.take_along_axis(similarity, columns, axis=1)
+    row, column = np.repeat(np.arange(uavs), links), nearest.ravel()
+    ones = np.ones(uavs * (links + 1))
+    adjacency = csr_array((ones, (np.append(row, np.arange(uavs)), np.append(column, np.arange(uavs)))), (uavs, uavs))
+    shared = np.sqrt(np.asarray((adjacency @ adjacency.T)[row, column]).ravel())
     chance = np.sqrt(2.0 * np.log(uavs * (2 * len(shifts) + 1)) / width)
-    fade = np.minimum(likeness.ravel() / np.maximum(likeness.min(axis=1)[column], 1e-9), 1.0)
-    return np.stack([row, column], axis=1), likeness.ravel() / chance * np.sqrt(shared) * np.sign(fade) * fade**2
+    fade = np.minimum(strength.ravel() / np.maximum(strength.min(axis=1)[column], 1e-9), 1.0)
+    return np.stack([row, column], axis=1), strength.ravel() / chance * shared * np.sign(fade) * fade**2
 
 
 def _merge_links(links: Indices, weight: Floats, uavs: int) -> Indices:
-    """Merge linked UAVs, the strongest links first, to sets of at most ``_MERGED``; labels ``(n,)`` are indices."""
+    """Merge linked UAVs, strongest links first, to sets of at most ``_COMMUNITY_SIZE``; labels ``(n,)`` are indices."""
     parent, size = list(range(uavs)), [1] * uavs
 
     def find(uav: int) -> int:
@@ -146,28 +143,28 @@ def _merge_links(links: Indices, weight: Floats, uavs: int) -> Indices:
             parent[uav] = uav = parent[parent[uav]]
         return uav
 
-    for one, other in links[np.argsort(-weight, kind="stable")].tolist():
-        one, other = find(one), find(other)
-        if one != other and size[one] + size[other] <= _MERGED:
-            parent[other] = one
-            size[one] += size[other]
+    for first, second in links[np.argsort(-weight, kind="stable")].tolist():
+        first, second = find(first), find(second)
+        if first != second and size[first] + size[second] <= _COMMUNITY_SIZE:
+            parent[second] = first
+            size[first] += size[second]
     return np.array([find(uav) for uav in range(uavs)])
 
 
 def _find_guests(
-    velocity: Singles, seen: Mask, community: Indices, groups: Indices, possible: Indices
+    velocity: Singles, seen: Mask, community: Indices, groups: Indices, candidates: Indices
 ) -> list[tuple[int, int]]:
     """Pairs of a possible head and a community that it may lead, those that explain least first."""
-    if not (len(groups) and len(possible) and len(seen) > 3):
+    if not (len(groups) and len(candidates) and len(seen) > 3):
         return []
     turns = find_turns(velocity, seen)
     target = np.stack([turns[community == group].mean(axis=0) for group in groups])
-    turns = turns[possible]
-    share = _explain_turns(velocity[:, possible], seen[:, possible], turns, target)
-    share[community[possible][:, None] == groups] = -1.0
+    turns = turns[candidates]
+    share = _explain_turns(velocity[:, candidates], seen[:, candidates], turns, target)
+    share[community[candidates][:, None] == groups] = -1.0
     pairs = [(uav, group) for group in range(len(groups)) for uav in _choose_first(share[:, group], turns)]
     pairs.sort(key=lambda pair: share[pair])
-    return [(int(possible[uav]), int(groups[group])) for uav, group in pairs]
+    return [(int(candidates[uav]), int(groups[group])) for uav, group in pairs]
 
 
 def _explain_turns(velocity: Singles, seen: Mask, turns: Singles, target: Singles) -> Floats:
@@ -186,11 +183,11 @@ def _explain_turns(velocity: Singles, seen: Mask, turns: Singles, target: Single
     share, reverse = np.zeros((2, len(turns), len(target)))
     for lag in range(1, min(_LAST_LAG, steps // 3) + 1):
         later = target[:, lag:].transpose(1, 0, 2).reshape(steps - lag, -1)
-        sooner = target[:, :-lag].transpose(1, 0, 2).reshape(steps - lag, -1)
+        earlier = target[:, :-lag].transpose(1, 0, 2).reshape(steps - lag, -1)
         for first in range(0, len(turns), _CHUNK):
-            at = slice(first, first + _CHUNK)
-            np.maximum(share[at], _squares(white[at, :, :-lag], later), out=share[at])
-            np.maximum(reverse[at], _squares(white[at, :3, lag:], sooner), out=reverse[at])
+            chunk = slice(first, first + _CHUNK)
+            np.maximum(share[chunk], _squares(white[chunk, :, :-lag], later), out=share[chunk])
+            np.maximum(reverse[chunk], _squares(white[chunk, :3, lag:], earlier), out=reverse[chunk])
     return share - reverse
 
 
@@ -203,26 +200,25 @@ def _squares(white: Singles, target: Singles) -> Singles:
 def _choose_first(share: Floats, turns: Singles) -> Indices:
     """The UAVs with the largest shares, and of those with half of it the ones whose turns ``(p, T, 3)`` come first."""
     best = np.argsort(-share, kind="stable")[:_RIVALS]
-    good = best[share[best] >= 0.5 * abs(share[best[0]])]
-    some = turns[good].reshape(len(good), 3 * turns.shape[1])
-    ahead = np.zeros((len(good), len(good)), np.float32)
+    rivals = best[share[best] >= 0.5 * abs(share[best[0]])]
+    rival_turns = turns[rivals].reshape(len(rivals), 3 * turns.shape[1])
+    precedence = np.zeros((len(rivals), len(rivals)), np.float32)
     for shift in range(3, 3 * min(_LAST_LAG, turns.shape[1] // 3) + 1, 3):
-        np.maximum(ahead, some[:, :-shift] @ some[:, shift:].T, out=ahead)  # of i before j
-    first = np.argsort((ahead.T - ahead).sum(axis=1), kind="stable")
-    return np.union1d(best[:_JOINING], good[first[:_JOINING]])
+        np.maximum(precedence, rival_turns[:, :-shift] @ rival_turns[:, shift:].T, out=precedence)  # of i before j
+    first = np.argsort((precedence.T - precedence).sum(axis=1), kind="stable")
+    return np.union1d(best[:_GUESTS], rivals[first[:_GUESTS]])
 
 
 def _pack_pieces(piece: Indices, guests: dict[int, set[int]]) -> list[tuple[Indices, Mask]]:
     """Fill neighbourhoods with whole pieces and their guests, the largest first."""
-    sets = [(set(np.flatnonzero(piece == label).tolist()), guests.get(label, set())) for label in np.unique(piece)]
+    pieces = [(set(np.flatnonzero(piece == label).tolist()), guests.get(label, set())) for label in np.unique(piece)]
     bins: list[tuple[set[int], set[int]]] = []
-    for own, more in sorted(sets, key=lambda each: -len(each[0] | each[1])):
-        for all_own, everyone in bins:
-            if len(everyone | own | more) <= SIZE:
-                all_own |= own
-                everyone |= own | more
+    for piece_uavs, guest_uavs in sorted(pieces, key=lambda each: -len(each[0] | each[1])):
+        for core, members in bins:
+            if len(members | piece_uavs | guest_uavs) <= SIZE:
+                core |= piece_uavs
+                members |= piece_uavs | guest_uavs
                 break
         else:
-            bins.append((set(own), own | more))
-    members = [np.array(sorted(everyone)) for _, everyone in bins]
-    return [(uavs, np.isin(uavs, list(own))) for uavs, (own, _) in zip(members, bins, strict=True)]
+            bins.append((set(piece_uavs), piece_uavs | guest_uavs))
+    return [(uavs := np.array(sorted(members)), np.isin(uavs, list(core))) for core, members in bins]

@@ -27,8 +27,8 @@ class NetworkSizes(Config):
     blocks: Annotated[int, Field(ge=1, le=16)] = 3
 
 
-def _stack_layers(given: int, hidden: int, made: int) -> nn.Sequential:
-    return nn.Sequential(nn.Linear(given, hidden), nn.GELU("tanh"), nn.Linear(hidden, made))
+def _stack_layers(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
+    return nn.Sequential(nn.Linear(inputs, hidden), nn.GELU("tanh"), nn.Linear(hidden, outputs))
 
 
 class _Block(nn.Module):
@@ -48,22 +48,22 @@ class _Block(nn.Module):
         """Return the updated ``pair`` ``(B, n, n, w)`` and ``uav`` ``(B, n, w)``."""
         (batch, n, width), heads = uav.shape, len(self.attention.weight)
         normed, state = layer_norm(pair, (width,)), layer_norm(uav, (width,))
-        turned = normed.transpose(1, 2).contiguous()
-        given = torch.softmax(torch.matmul(self.attention.weight, normed.transpose(2, 3)), dim=3)  # (B, i, heads, j)
-        taken = given.permute(0, 3, 2, 1).contiguous()  # (B, j, heads, i)
-        gathered = torch.matmul(given, normed), torch.matmul(taken, turned)  # (B, n, heads, w)
-        own = zip(gathered, self.gathered.weight.view(heads, -1, 2, width).unbind(dim=2), strict=True)
-        chosen, received = (torch.einsum("bihc,hdc->bihd", *each).flatten(2) for each in own)
+        transposed = normed.transpose(1, 2).contiguous()
+        attention = torch.softmax(torch.matmul(self.attention.weight, normed.transpose(2, 3)), dim=3)  # (B, i, h, j)
+        attention_to = attention.permute(0, 3, 2, 1).contiguous()  # (B, j, heads, i)
+        gathered = torch.matmul(attention, normed), torch.matmul(attention_to, transposed)  # (B, n, heads, w)
+        head_inputs = zip(gathered, self.gathered.weight.view(heads, -1, 2, width).unbind(dim=2), strict=True)
+        chosen, received = (torch.einsum("bihc,hdc->bihd", *each).flatten(2) for each in head_inputs)
         received = torch.sign(received) * torch.log1p(received.abs())  # it grows with the number of followers
-        seen = torch.einsum("bihj,bjhd->bihd", given, state.view(batch, n, heads, -1)).flatten(2)
-        whole = uav.mean(dim=1, keepdim=True).expand(batch, n, width)
-        known = [state, chosen, received, seen, whole, torch.log1p(taken.sum(dim=3))]
-        uav = uav + self.uav(torch.cat(known, dim=2))
+        attended = torch.einsum("bihj,bjhd->bihd", attention, state.view(batch, n, heads, -1)).flatten(2)
+        mean_state = uav.mean(dim=1, keepdim=True).expand(batch, n, width)
+        inputs = [state, chosen, received, attended, mean_state, torch.log1p(attention_to.sum(dim=3))]
+        uav = uav + self.uav(torch.cat(inputs, dim=2))
         row, column = self.ends(layer_norm(uav, (width,))).chunk(2, dim=2)
         ends = (row + self.mix.bias)[:, :, None] + column[:, None]
-        forth, back = self.mix.weight.chunk(2, dim=1)
-        mixed = torch.addmm(ends.view(-1, width), normed.view(-1, width), forth.t())
-        mixed = gelu(torch.addmm(mixed, turned.view(-1, width), back.t()), approximate="tanh")
+        direct, reverse = self.mix.weight.chunk(2, dim=1)
+        mixed = torch.addmm(ends.view(-1, width), normed.view(-1, width), direct.t())
+        mixed = gelu(torch.addmm(mixed, transposed.view(-1, width), reverse.t()), approximate="tanh")
         return torch.addmm(pair.view(-1, width), mixed, self.out.weight.t()).view_as(pair), uav
 
 
@@ -111,21 +111,21 @@ class ReaderNetwork(nn.Module):
         leader, root, link = self.links(layer_norm(pair, (width,))).unbind(dim=3)
         state = layer_norm(state, (width,))
         head, delay = self.head(state).unbind(dim=2)
-        silent = self.silent(torch.cat([state.mean(dim=1), state.amax(dim=1)], dim=1))
-        return Answer(head, leader, root, link, silent[:, 0], delay)
+        no_leader = self.silent(torch.cat([state.mean(dim=1), state.amax(dim=1)], dim=1))
+        return Answer(head, leader, root, link, no_leader[:, 0], delay)
 
     def _enter_pairs(self, pair: Tensor, state: Tensor, context: Tensor) -> Tensor:
         """The first vectors of pairs ``(B, n, n, w)``: also relative to the other pairs of their row."""
         batch, n, width = state.shape
-        forth, back = self.enter(pair).chunk(2, dim=3)
+        direct, reverse = self.enter(pair).chunk(2, dim=3)
         row, column = self.ends(state).chunk(2, dim=2)
-        both = forth + back.transpose(1, 2) + (row + context[:, None])[:, :, None] + column[:, None]
-        entered = gelu(both + torch.eye(n, device=pair.device)[..., None] * self.itself, approximate="tanh")
+        sums = direct + reverse.transpose(1, 2) + (row + context[:, None])[:, :, None] + column[:, None]
+        entered = gelu(sums + torch.eye(n, device=pair.device)[..., None] * self.itself, approximate="tanh")
         relative = entered - entered.mean(dim=2, keepdim=True)
         relative = relative * torch.rsqrt(relative.square().mean(dim=2, keepdim=True) + float(ROW_NOISE))
-        plain, ranked = self.rows.weight.chunk(2, dim=1)
-        made = torch.addmm(self.rows.bias, entered.view(-1, width), plain.t())
-        return torch.addmm(made, relative.view(-1, width), ranked.t()).view(batch, n, n, width)
+        absolute, relative_weight = self.rows.weight.chunk(2, dim=1)
+        absolute_part = torch.addmm(self.rows.bias, entered.view(-1, width), absolute.t())
+        return torch.addmm(absolute_part, relative.view(-1, width), relative_weight.t()).view(batch, n, n, width)
 
 
 def draw_network(sizes: NetworkSizes, seed: int) -> ReaderNetwork:

@@ -69,29 +69,29 @@ def find_responses(v: Singles, complete: Singles) -> tuple[Singles, Singles]:
     steps, _, n = v.shape
     mask = complete[:, None]
     course: Singles = np.float32(0.5) * (delay_series(v, 1) + delay_series(v, 2))
-    itself = np.zeros((steps, 3, 8, n), np.float32)
-    itself[:, :, 0], itself[:, :, 1] = course, delay_series(course, 2)
+    predictors = np.zeros((steps, 3, 8, n), np.float32)
+    predictors[:, :, 0], predictors[:, :, 1] = course, delay_series(course, 2)
     for axis in range(3):
         unit = np.zeros((1, 3, 1), np.float32)
         unit[:, axis] = 1
-        itself[:, :, 2 + axis], itself[:, :, 5 + axis] = np.cross(unit, course, axis=1), unit
-    itself *= mask[:, None]
+        predictors[:, :, 2 + axis], predictors[:, :, 5 + axis] = np.cross(unit, course, axis=1), unit
+    predictors *= mask[:, None]
     response = (v - course) * mask
-    flat, right = itself.reshape(3 * steps, 8, n), response.reshape(3 * steps, 1, n)
-    part = solve_ridges(multiply_columns(flat, flat), multiply_columns(flat, right), 1e-3, 1e-3)
+    flat, right = predictors.reshape(3 * steps, 8, n), response.reshape(3 * steps, 1, n)
+    coefficients = solve_ridges(multiply_columns(flat, flat), multiply_columns(flat, right), 1e-3, 1e-3)
     for k in range(8):
-        response -= itself[:, :, k] * part[k]
+        response -= predictors[:, :, k] * coefficients[k]
     return course, response
 
 
 def find_turns(v: Singles, m: Singles, back: int) -> tuple[Singles, Singles]:
     """A UAV's turns in ``back`` steps, as vectors along their axes, and its changes of direction: (T, 3, n) each."""
-    mean, enough = (delay_series(x, 1) for x in average_series(v, m, 2))
-    direction = mean / np.maximum(np.sqrt((mean**2).sum(1, keepdims=True)), np.float32(1e-6))
-    before = delay_series(direction, back)
-    both = enough * delay_series(enough, back)
-    turn = np.cross(before, direction, axis=1) * both[:, None]
-    return centre_series(turn, both), centre_series((direction - before) * both[:, None], both)
+    mean_velocity, enough = (delay_series(x, 1) for x in average_series(v, m, 2))
+    direction = mean_velocity / np.maximum(np.sqrt((mean_velocity**2).sum(1, keepdims=True)), np.float32(1e-6))
+    past_direction = delay_series(direction, back)
+    known = enough * delay_series(enough, back)
+    turn, change = np.cross(past_direction, direction, axis=1), direction - past_direction
+    return centre_series(turn * known[:, None], known), centre_series(change * known[:, None], known)
 
 
 def average_series(x: Singles, m: Singles, width: int) -> tuple[Singles, Singles]:
@@ -127,23 +127,23 @@ def regress_jointly(
     for each model and ridge, and for i and j, the t statistic of j's column, and its coefficient in the units of the
     data, (n, n) each. All i have one inverse, which the column of their own extends (Frisch and Waugh 1933).
     """
-    (rows, _, n), scale, found = series.shape, np.sqrt((series**2).sum(0)) + 1e-9, []
+    (rows, _, n), scale, results = series.shape, np.sqrt((series**2).sum(0)) + 1e-9, []
     flat = (series / scale).reshape(rows, -1)
     products = (flat.T @ flat).reshape(*scale.shape, *scale.shape)
     for first, second, ridges in models:
         gram, across, target = (np.ascontiguousarray(products[first, :, k]) for k in (first, second, -1))
         fitted = products[second, :, -1].diagonal()
-        free = max(rows - int((scale[first] > 1e-8).sum()) - 1, rows / 4)
+        freedom = max(rows - int((scale[first] > 1e-8).sum()) - 1, rows / 4)
         for ridge in ridges:
             half = np.tril(linalg.lapack.dpotri(linalg.lapack.dpotrf(gram + ridge * np.eye(n))[0])[0].T)
             inverse = half + np.tril(half, -1).T
-            turned, plain = inverse @ across, inverse @ target
-            left = np.maximum(1.0 + ridge - (across * turned).sum(0), 1e-9)
-            drag = (fitted - (across * plain).sum(0)) / left
-            part = plain - turned * drag
+            solved, solution = inverse @ across, inverse @ target
+            pivot = np.maximum(1.0 + ridge - (across * solved).sum(0), 1e-9)
+            second_b = (fitted - (across * solution).sum(0)) / pivot  # coefficients of the second series
+            b = solution - solved * second_b
             # what is left of y'y = 1, by the normal equations of a ridge regression
-            errors = 1.0 - (part * target).sum(0) - drag * fitted - ridge * ((part**2).sum(0) + drag**2)
-            rest = np.maximum(errors, 0.0) / free + 1e-12
-            spread = np.diag(inverse)[:, None] + turned**2 / left
-            found.append(((part / np.sqrt(rest * spread)).T, (part * scale[-1] / scale[first][:, None]).T))
-    return found
+            errors = 1.0 - (b * target).sum(0) - second_b * fitted - ridge * ((b**2).sum(0) + second_b**2)
+            variance = np.maximum(errors, 0.0) / freedom + 1e-12
+            spread = np.diag(inverse)[:, None] + solved**2 / pivot
+            results.append(((b / np.sqrt(variance * spread)).T, (b * scale[-1] / scale[first][:, None]).T))
+    return results

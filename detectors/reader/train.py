@@ -85,37 +85,38 @@ def compute_loss(
     heads = binary_cross_entropy_with_logits(answer.head, truth, reduction="none").sum(dim=1).mean()
     leaders = cross_entropy(answer.leader.flatten(0, 1), leader.flatten())
     roots = cross_entropy(answer.root.flatten(0, 1), root.flatten())
-    silent = binary_cross_entropy_with_logits(answer.silent, 1.0 - truth.amax(dim=1))
-    known = delay.isfinite()
-    late = huber_loss(answer.delay[known], torch.log1p(delay[known]), reduction="sum") / known.sum().clamp(min=1)
+    no_leader = binary_cross_entropy_with_logits(answer.silent, 1.0 - truth.amax(dim=1))
+    delayed = delay.isfinite()
+    delays = huber_loss(answer.delay[delayed], torch.log1p(delay[delayed]), reduction="sum")
+    delays = delays / delayed.sum().clamp(min=1)
     defined = link.isfinite()
-    linked = binary_cross_entropy_with_logits(answer.link[defined], link[defined], reduction="sum") / head.numel()
-    links = 0.6 * leaders + 0.3 * roots + 0.2 * linked
-    return heads / math.sqrt(head.shape[1]) + links + 0.3 * silent + 0.1 * late
+    links = binary_cross_entropy_with_logits(answer.link[defined], link[defined], reduction="sum") / head.numel()
+    pairs = 0.6 * leaders + 0.3 * roots + 0.2 * links
+    return heads / math.sqrt(head.shape[1]) + pairs + 0.3 * no_leader + 0.1 * delays
 
 
 def _load_start(network: nn.Module, path: str) -> int:
     """Load a weights file, whose number of features of pairs is returned; later ones have no influence at first."""
     arrays, state = {name: torch.tensor(array) for name, array in read_arrays(path).items()}, network.state_dict()
-    known = len(arrays.get("pair_mean", ()))
+    known_pairs = len(arrays.get("pair_mean", ()))
     for name in ("pair_mean", "pair_scale", "enter.weight"):
-        if name in arrays and known < state[name].shape[-1]:
-            arrays[name] = nn.functional.pad(arrays[name], (0, state[name].shape[-1] - known))
+        if name in arrays and known_pairs < state[name].shape[-1]:
+            arrays[name] = nn.functional.pad(arrays[name], (0, state[name].shape[-1] - known_pairs))
     for name in ("links.weight", "links.bias"):
         if name in arrays and len(arrays[name]) == 2:  # the first edition had no links
             arrays[name] = torch.cat([arrays[name], arrays[name][:1]])
     if {name: value.shape for name, value in arrays.items()} != {name: value.shape for name, value in state.items()}:
         raise ArgumentError(f"start must hold a network of these sizes, got {quote(path)}.")
     network.load_state_dict(arrays)
-    return known
+    return known_pairs
 
 
 def _group_batches(shard: list[Batch], together: int) -> list[list[Batch]]:
     """The batches in groups, each of at most so many with the same number of UAVs."""
-    alike = dict[int, list[Batch]]()
+    by_uavs = dict[int, list[Batch]]()
     for batch in shard:
-        alike.setdefault(batch[1].head.shape[1], []).append(batch)
-    return [batches[k : k + together] for batches in alike.values() for k in range(0, len(batches), together)]
+        by_uavs.setdefault(batch[1].head.shape[1], []).append(batch)
+    return [batches[k : k + together] for batches in by_uavs.values() for k in range(0, len(batches), together)]
 
 
 class _Trainer:
@@ -141,20 +142,20 @@ class _Trainer:
         for number in range(_PASSES):
             order = rng.permutation(len(groups))
             steps = np.split(order, range(_GROUPED, len(order), _GROUPED))
-            for k, chosen in enumerate(steps, start=(len(self.rows) * _PASSES + number) * len(steps)):
-                windows = sum(len(truth.head) for index in chosen for _, truth in groups[index])
-                for group in (groups[index] for index in chosen):
+            for k, indices in enumerate(steps, start=(len(self.rows) * _PASSES + number) * len(steps)):
+                windows = sum(len(truth.head) for index in indices for _, truth in groups[index])
+                for group in (groups[index] for index in indices):
                     dropped = _GROUPS[rng.integers(len(_GROUPS))] if rng.random() < _DROPPED else None
-                    loss, right = self._add_gradients(group, dropped, windows)
+                    loss, exact_counts = self._add_gradients(group, dropped, windows)
                     if number == 0 and dropped is None:
                         losses.append(loss)
-                        exact.append((group, right))
+                        exact.append((group, exact_counts))
                 self._step(k, self.shards * _PASSES * len(steps))
         families = dict[str, list[int]]()
-        for group, right in exact:
-            for (_, truth), part in zip(group, right.tolist(), strict=True):
-                known, count = families.get(truth.family, (0, 0))
-                families[truth.family] = [known + part, count + len(truth.head)]
+        for group, exact_counts in exact:
+            for (_, truth), part in zip(group, exact_counts.tolist(), strict=True):
+                exact_count, count = families.get(truth.family, (0, 0))
+                families[truth.family] = [exact_count + part, count + len(truth.head)]
         share = np.divide(*np.sum([[0, 0], *families.values()], axis=0))
         mean = float(torch.stack(losses).mean()) if losses else math.nan
         self.rows.append({"shard": len(self.rows) + 1, "loss": mean, "exact": float(share), "families": families})
@@ -172,13 +173,13 @@ class _Trainer:
         truth = (np.concatenate(parts) for parts in zip(*(truth[3:8] for _, truth in group), strict=True))
         head, leader, root, link, delay = (torch.tensor(array, device=device) for array in truth)
         if dropped is not None:
-            name, part = dropped
-            inputs[name][..., part] = self.network.get_buffer(f"{name}_mean")[part]
+            name, columns = dropped
+            inputs[name][..., columns] = self.network.get_buffer(f"{name}_mean")[columns]
         answer = self.network(**inputs)
         loss = compute_loss(answer, head, leader, root, link, delay)
         (loss * (len(head) / windows)).backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
-        right = ((answer.head > 0) == head).all(dim=1)
-        return loss.detach(), right.view(len(group), -1).sum(dim=1)
+        is_exact = ((answer.head > 0) == head).all(dim=1)
+        return loss.detach(), is_exact.view(len(group), -1).sum(dim=1)
 
     def _step(self, step: int, total: int) -> None:
         """Take a step at a rate that rises at first and falls along a cosine."""
@@ -189,8 +190,8 @@ class _Trainer:
         self.optimiser.zero_grad()
         decay = min(_MOST_DECAY, (1 + step) / (10 + step))
         with torch.no_grad():
-            for mean, now in zip(self.both["average"].parameters(), self.network.parameters(), strict=True):
-                mean.lerp_(now, 1.0 - decay)
+            for average, parameter in zip(self.both["average"].parameters(), self.network.parameters(), strict=True):
+                average.lerp_(parameter, 1.0 - decay)
 
     def _standardise(self, shard: list[Batch]) -> None:
         """Set means and scales of the inputs that are new to those of a shard; a seventh of the pairs is enough."""

@@ -68,16 +68,16 @@ def _draw_sampled(
     rng: np.random.Generator, family: str, windows: int, steps: int, most_uavs: int, without: Collection[str]
 ) -> Examples:
     """Draw windows of a model or world, of which 8 % are sampled slowly, 8 % fast, and 8 % seen on a plane."""
-    pace, times, instants = rng.random(), int(rng.integers(2, 6)), np.arange(steps + 1.0)
-    if pace < 0.08:
+    case, times, instants = rng.random(), int(rng.integers(2, 6)), np.arange(steps + 1.0)
+    if case < 0.08:
         instants *= min(times, 400 // steps)
-    elif pace > 0.92:
+    elif case > 0.92:
         instants /= max(1, min(times, steps // 16))
-    flown = int(np.ceil(instants[-1]))
+    flown_steps = int(np.ceil(instants[-1]))
     if family in WORLDS:
-        drawn = fly_world(rng, family, windows, flown, most_uavs)
+        drawn = fly_world(rng, family, windows, flown_steps, most_uavs)
     else:
-        drawn = fly_swarms(draw_model_swarm(rng, family, flown, most_uavs, without=without), rng, windows)
+        drawn = fly_swarms(draw_model_swarm(rng, family, flown_steps, most_uavs, without=without), rng, windows)
     if instants[1] != 1:
         drawn = resample(drawn, instants, int(rng.choice([1, 3])))
     if rng.random() < 0.08:

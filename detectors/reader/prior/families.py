@@ -52,8 +52,8 @@ SHARES = (0.17, MODELS), (0.16, LAWS), (0.13, FAULTS), (0.42, WORLDS), (0.12, {"
 
 def draw_name(rng: np.random.Generator, weights: Mapping[str, float], without: Collection[str] = ()) -> str:
     """Draw a name by its weight, but none of ``without``."""
-    left = {name: weight for name, weight in weights.items() if name not in without}
-    return list(left)[int(rng.choice(len(left), p=np.array(list(left.values())) / sum(left.values())))]
+    shares = {name: weight for name, weight in weights.items() if name not in without}
+    return list(shares)[int(rng.choice(len(shares), p=np.array(list(shares.values())) / sum(shares.values())))]
 
 
 def draw_log(rng: np.random.Generator, low: float, high: float, *shape: int) -> Floats:
@@ -68,5 +68,5 @@ def draw_whole(rng: np.random.Generator, low: int, high: int) -> int:
 
 def draw_steps(rng: np.random.Generator, family: str) -> int:
     """Draw T, the steps of a window of a family."""
-    often, least, most = (0.3, 18.0, 110.0) if family in _SHORT else (0.55, 20.0, 200.0)
-    return 100 if rng.random() < often else round(float(draw_log(rng, least, most)))
+    p_usual, shortest, longest = (0.3, 18.0, 110.0) if family in _SHORT else (0.55, 20.0, 200.0)
+    return 100 if rng.random() < p_usual else round(float(draw_log(rng, shortest, longest)))

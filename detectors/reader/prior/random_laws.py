@@ -30,9 +30,9 @@ _ACTIVATIONS: dict[str, Callable[[Floats], Floats]] = {
     "step": lambda x: (x > 0).astype(float),
     "threshold": lambda x: x * (np.abs(x) > 0.4),
 }
-_OFTEN = (0.5, 0.45, 0.4, 0.35, 0.55, 0.3)  # how often a law has each input
-_SIZES = (1.0, 2.0, 1.0, 1.0, 2.5, 1.0)  # typical weights, as changes and turns are small
-_OF_HEAD = (0, 1, 3, 4)  # inputs that depend on the head
+_INPUT_RATES = (0.5, 0.45, 0.4, 0.35, 0.55, 0.3)  # how often a law has each input
+_INPUT_SIZES = (1.0, 2.0, 1.0, 1.0, 2.5, 1.0)  # typical weights, as changes and turns are small
+_HEAD_INPUTS = (0, 1, 3, 4)  # inputs that depend on the head
 _SAMPLES = 400  # moments at which a drawn law is tried
 
 
@@ -40,10 +40,10 @@ def _unit(x: Floats) -> Floats:
     return np.asarray(x / np.maximum(np.linalg.norm(x, axis=-1, keepdims=True), 1e-9))
 
 
-def list_inputs(heard: Floats, before: Floats, own: Floats, earlier: Floats, way: Floats) -> Floats:
+def list_inputs(heard: Floats, heard_before: Floats, course: Floats, course_before: Floats, offset: Floats) -> Floats:
     """The inputs ``(n, 18)`` of a law: from courses of the head and of the follower, now and earlier, and the way."""
-    turned = np.cross(np.cross(_unit(before), _unit(heard)), own)
-    return np.concatenate([heard, heard - before, own, way, turned, own - earlier], axis=1)
+    turned = np.cross(np.cross(_unit(heard_before), _unit(heard)), course)
+    return np.concatenate([heard, heard - heard_before, course, offset, turned, course - course_before], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,11 +108,11 @@ class RandomLaw(FollowStrategy):
 
     def aim(self, inputs: Floats) -> Floats:
         """The direction ``(n, 3)`` without noise."""
-        own, output = inputs[:, 6:9], self.answer(inputs)
-        wanted = _unit(own + output if self.steers else output) @ self.bend
-        gain = self.gain if self.favoured is None else self.gain * (0.55 + 0.45 * np.tanh(2.0 * wanted @ self.favoured))
-        gain = np.broadcast_to(gain, len(own))[:, None]
-        return np.asarray((1.0 - gain) * own + gain * wanted)
+        course, output = inputs[:, 6:9], self.answer(inputs)
+        goal = _unit(course + output if self.steers else output) @ self.bend
+        gain = self.gain if self.favoured is None else self.gain * (0.55 + 0.45 * np.tanh(2.0 * goal @ self.favoured))
+        gain = np.broadcast_to(gain, len(course))[:, None]
+        return np.asarray((1.0 - gain) * course + gain * goal)
 
     def fly(self, flight: TrajectoryBatch) -> None:
         """Simulate all followers of all swarms, step by step."""
@@ -120,30 +120,26 @@ class RandomLaw(FollowStrategy):
         row, follower = np.nonzero(flight.motion == kernels.FOLLOWS)
         head = flight.source[row, follower]
         number = np.cumsum(flight.source != np.arange(position.shape[2]), axis=1)[row, follower] - 1
-        late = self.find_delays(flight.parameters[row, number]) - 1
-        age = np.arange(start - self.back) - late[:, None]
+        delay = self.find_delays(flight.parameters[row, number]) - 1
+        age = np.arange(start - self.back) - delay[:, None]
         weight = np.where(age >= 0, self.forgetting ** np.maximum(age, 0), 0.0) if self.forgetting else (age == 0)
         weight = weight / weight.sum(axis=1, keepdims=True)
         for s in range(flight.steps):
             t = start + s
             if self.forgetting:
-                heard, before = (
-                    np.einsum(
-                        "na,nac->nc",
-                        weight,
-                        velocity[row[:, None], t - 1 - shift - np.arange(weight.shape[1]), head[:, None]],
-                    )
+                past = t - 1 - np.arange(weight.shape[1])
+                heard, heard_before = (
+                    np.einsum("na,nac->nc", weight, velocity[row[:, None], past - shift, head[:, None]])
                     for shift in (0, self.back)
                 )
             else:
-                heard, before = (velocity[row, t - 1 - late - shift, head].astype(float) for shift in (0, self.back))
-            own, earlier = (velocity[row, t - 1 - shift, follower].astype(float) for shift in (0, self.back))
-            way = (position[row, t, head] - position[row, t, follower]).astype(float)
-            way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), self.reach)
-            wanted = (
-                self.aim(list_inputs(heard, before, own, earlier, way)) + self.noise * flight.noise[row, s, follower]
-            )
-            velocity[row, t, follower] = _unit(wanted)
+                past = t - 1 - delay
+                heard, heard_before = (velocity[row, past - shift, head].astype(float) for shift in (0, self.back))
+            course, course_before = (velocity[row, t - 1 - shift, follower].astype(float) for shift in (0, self.back))
+            offset = (position[row, t, head] - position[row, t, follower]).astype(float)
+            offset /= np.maximum(np.linalg.norm(offset, axis=1, keepdims=True), self.reach)
+            goal = self.aim(list_inputs(heard, heard_before, course, course_before, offset))
+            velocity[row, t, follower] = _unit(goal + self.noise * flight.noise[row, s, follower])
             position[:, t + 1] = position[:, t] + velocity[:, t]
 
 
@@ -171,11 +167,11 @@ def _draw_map(rng: np.random.Generator) -> Floats:
 
 def _draw_network(rng: np.random.Generator) -> dict[str, Any]:
     """Weights: in half of the draws a sum of mapped inputs, else a hidden layer."""
-    has = rng.random(6) < _OFTEN
-    if not has[list(_OF_HEAD)].any():
-        has[rng.choice(_OF_HEAD)] = True
-    size = has * np.exp(rng.uniform(np.log(0.25), np.log(1.5), 6)) * _SIZES
-    if has[4] and rng.random() < 0.6:
+    is_used = rng.random(6) < _INPUT_RATES
+    if not is_used[list(_HEAD_INPUTS)].any():
+        is_used[rng.choice(_HEAD_INPUTS)] = True
+    size = is_used * np.exp(rng.uniform(np.log(0.25), np.log(1.5), 6)) * _INPUT_SIZES
+    if is_used[4] and rng.random() < 0.6:
         size[[0, 1, 3]] *= rng.choice([0.0, 0.3])  # mostly turns
     if rng.random() < 0.5:
         activation = str(rng.choice(["plain", "plain", "tanh", "sign", "sine", "threshold"]))
@@ -191,14 +187,14 @@ def _draw_network(rng: np.random.Generator) -> dict[str, Any]:
 
 def _try_law(rng: np.random.Generator, law: RandomLaw) -> tuple[Floats, float]:
     """Outputs ``(n, 3)`` of a law at random moments, and the share of their variance that is due to the head."""
-    heard, own = (_unit(rng.standard_normal((_SAMPLES, 3))) for _ in range(2))
-    before, earlier = (_unit(x + 0.25 * rng.standard_normal((_SAMPLES, 3))) for x in (heard, own))
-    way = _unit(rng.standard_normal((_SAMPLES, 3))) * rng.uniform(0.3, 1.0, (_SAMPLES, 1))
-    mixed = rng.permutation(_SAMPLES)
-    output, other = (
-        law.answer(list_inputs(heard[k], before[k], own, earlier, way[k])) for k in (np.arange(_SAMPLES), mixed)
+    heard, course = (_unit(rng.standard_normal((_SAMPLES, 3))) for _ in range(2))
+    heard_before, course_before = (_unit(x + 0.25 * rng.standard_normal((_SAMPLES, 3))) for x in (heard, course))
+    offset = _unit(rng.standard_normal((_SAMPLES, 3))) * rng.uniform(0.3, 1.0, (_SAMPLES, 1))
+    orders = np.arange(_SAMPLES), rng.permutation(_SAMPLES)
+    output, other_output = (
+        law.answer(list_inputs(heard[k], heard_before[k], course, course_before, offset[k])) for k in orders
     )
-    return output, 0.5 * float(((output - other) ** 2).sum(1).mean() / max(output.var(0).sum(), 1e-9))
+    return output, 0.5 * float(((output - other_output) ** 2).sum(1).mean() / max(output.var(0).sum(), 1e-9))
 
 
 def draw_law(rng: np.random.Generator, steps: int) -> RandomLaw:
@@ -216,12 +212,12 @@ def draw_law(rng: np.random.Generator, steps: int) -> RandomLaw:
         if due_to_head > 0.15:
             break
     centre, deviation = output.mean(0) * rng.choice([1.0, 1.0, 0.5]), max(float(output.std(0).mean()), 1e-3)
-    bends = rng.random() < 0.35
+    is_bent = rng.random() < 0.35
     return replace(
         law,
         centre=centre,
         size=float(rng.uniform(0.2, 0.9)) / deviation if law.steers else 1.0,
-        bend=np.eye(3) if not bends else _turn_level(rng.uniform(-1.2, 1.2)) if law.steers else _draw_map(rng),
+        bend=np.eye(3) if not is_bent else _turn_level(rng.uniform(-1.2, 1.2)) if law.steers else _draw_map(rng),
         depth=1 if rng.random() < 0.65 else int(rng.integers(2, 5)),
         favoured=_unit(rng.standard_normal(3)) if rng.random() < 0.2 else None,
         grain=float(rng.uniform(0.5, 1.5)) * deviation if rng.random() < 0.12 else 0.0,

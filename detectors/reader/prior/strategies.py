@@ -16,10 +16,10 @@ MEMORY = 12  # T_0, steps that a strategy may use
 
 def _draw_random(rng: np.random.Generator) -> RandomFollowStrategy:
     """Draw a random strategy; of a third all terms are linear, and half of these turn nothing."""
-    linear, alike, drawn = rng.random() < 1 / 3, rng.random() < 0.5, random_follow_strategy(rng)
+    linear, unturned, drawn = rng.random() < 1 / 3, rng.random() < 0.5, random_follow_strategy(rng)
     while linear and any(term.kind != "linear" or (term.lag == 0 and term.weight > 0) for term in drawn.terms):
         drawn = random_follow_strategy(rng)  # without the second condition f1, f2 and f3 could be drawn
-    rotation = None if linear and alike else drawn.rotation
+    rotation = None if linear and unturned else drawn.rotation
     return replace(drawn, rotation=rotation, noise=drawn.noise * float(2.0 ** rng.integers(-1, 3)))
 
 

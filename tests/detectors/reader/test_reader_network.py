@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from detectors.reader.features import CONTEXT_FEATURES, PAIR_FEATURES, UAV_FEATURES, Features
-from detectors.reader.forward import load_reader, read
+from detectors.reader.forward import load_reader, predict
 from detectors.reader.network import NetworkSizes, draw_network
 from detectors.weights import write_weights
 from usnet_env.config import ArgumentError
@@ -43,7 +43,7 @@ def test_answers_without_torch_are_those_of_torch(tmp_path, n, sizes):
     wanted, weights = answer(network, *windows), load_reader(str(path))
     assert n == 1 or np.ptp(wanted.leader.numpy()) > 0.5
     for k, features in enumerate(windows):
-        for name, got in read(weights, features)._asdict().items():
+        for name, got in predict(weights, features)._asdict().items():
             assert got.dtype == np.float32
             want = getattr(wanted, name)[k].numpy()
             assert got.shape == want.shape
@@ -54,7 +54,7 @@ def test_a_permutation_of_uavs_permutes_the_answer():
     weights = {name: array.numpy() for name, array in draw_trained_network(SMALL).state_dict().items()}
     features, order = draw_features(9), np.random.default_rng(3).permutation(9)
     mixed = Features(features.pair[np.ix_(order, order)], features.uav[order], features.context)
-    whole, turned = read(weights, features), read(weights, mixed)
+    whole, turned = predict(weights, features), predict(weights, mixed)
     for name in ("head", "delay"):
         np.testing.assert_allclose(getattr(turned, name), getattr(whole, name)[order], atol=1e-5)
     for name in ("leader", "root", "link"):

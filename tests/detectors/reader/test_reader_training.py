@@ -10,7 +10,7 @@ from interrupted_training import Interrupted, read_losses, same_files, stop_at, 
 
 from detectors.reader import draws, train
 from detectors.reader.features import CONTEXT_FEATURES, PAIR_FEATURES, UAV_FEATURES, Features
-from detectors.reader.forward import Answer, load_reader, read
+from detectors.reader.forward import Answer, load_reader, predict
 from detectors.reader.prior import FAMILIES, PRIOR_VERSION
 from detectors.reader.train import ReaderTraining, compute_loss, train_reader
 from usnet_env.config import ArgumentError
@@ -80,9 +80,9 @@ def test_a_blind_network_reads_nothing_of_pairs(tmp_path):
     shapes = (6, 6, PAIR_FEATURES), (6, UAV_FEATURES), (CONTEXT_FEATURES,)
     features = Features(*(rng.standard_normal(shape, np.float32) for shape in shapes))
     other = features._replace(pair=rng.standard_normal(shapes[0], np.float32))
-    np.testing.assert_array_equal(read(weights, features).head, read(weights, other).head)
+    np.testing.assert_array_equal(predict(weights, features).head, predict(weights, other).head)
     alone = features._replace(uav=features.uav + np.eye(UAV_FEATURES, dtype=np.float32)[0])
-    assert (read(weights, features).head != read(weights, alone).head).any()
+    assert (predict(weights, features).head != predict(weights, alone).head).any()
 
 
 def test_processes_draw_the_shards_in_order(monkeypatch):

@@ -1,4 +1,4 @@
-"""Worlds that the simulator doesn't have: other laws of following, and many in which nobody leads."""
+"""Worlds that the simulator doesn't have: other laws of following, and many in which no UAV leads."""
 
 from collections.abc import Callable
 
@@ -11,7 +11,7 @@ from detectors.reader.prior.worlds.stage import Flight, Stage, finish
 
 
 def _hide_first(rng: np.random.Generator, stage: Stage, law: Callable[..., Flight], *groups: int) -> Flight:
-    """What remains to see of a flight whose leader nobody sees: nobody leads."""
+    """What remains to see of a flight whose leader is unseen: no UAV leads."""
     flight = law(rng, stage._replace(uavs=stage.uavs + 1), *groups)
     link = flight.link[:, 1:, 1:] if isinstance(flight.link, np.ndarray) else None
     return Flight(flight.position[:, :, 1:], np.arange(stage.uavs), link=link)
@@ -57,10 +57,10 @@ _SAMPLED = ("star", "path", "driver", "route", "factions", "herd")
 
 def fly_world(rng: np.random.Generator, name: str, windows: int, steps: int, most_uavs: int) -> Examples:
     """Draw windows of a world with equally many UAVs."""
-    law, least, most, flat = _LAWS[name]
-    uavs = draw_whole(rng, least, max(least, min(most, most_uavs * 3 // 4)))  # a quarter is left for lone UAVs
-    stage = Stage(windows, steps, uavs, np.array([1.0, 1.0, 0.0 if rng.random() < flat else 1.0]))
+    law, smallest, largest, p_plane = _LAWS[name]
+    uavs = draw_whole(rng, smallest, max(smallest, min(largest, most_uavs * 3 // 4)))  # a quarter is left for lone UAVs
+    stage = Stage(windows, steps, uavs, np.array([1.0, 1.0, 0.0 if rng.random() < p_plane else 1.0]))
     finer = int(rng.integers(2, 5)) if name in _SAMPLED and rng.random() < 0.4 else 1
     flight = law(rng, stage._replace(steps=finer * steps))
-    late = np.asarray(flight.delay) / finer
-    return finish(rng, stage, flight._replace(position=flight.position[:, ::finer], delay=late))
+    delay = np.asarray(flight.delay) / finer
+    return finish(rng, stage, flight._replace(position=flight.position[:, ::finer], delay=delay))

@@ -9,58 +9,59 @@ from detectors.reader.prior.worlds.stage import Flight, Stage, draw_ways, place_
 from usnet_env.arrays import Floats
 
 
-def _sum_neighbours(place: Floats, velocity: Floats, weight: Floats, radius: Floats) -> tuple[Floats, Floats, Floats]:
+def _sum_neighbours(p: Floats, velocity: Floats, weight: Floats, radius: Floats) -> tuple[Floats, Floats, Floats]:
     """The push, mean velocity and mean direction of each UAV's neighbours within ``radius (B, 3)``, ``(B, n, 3)`` each.
 
     ``weight`` ``(B, n, n)`` is the influence of UAV j on UAV i, 0 on the diagonal. A push falls with the distance.
     """
-    square = (place * place).sum(-1)
-    distance = np.sqrt(np.maximum(square[:, :, None] + square[:, None] - 2.0 * place @ place.swapaxes(1, 2), 1e-12))
-    close, near, far = (weight * (distance < radius[:, k, None, None]) for k in range(3))
-    size_near, size_far = (np.abs(part).sum(-1, keepdims=True) + 1e-9 for part in (near, far))
-    close, far = np.abs(close) * (1.0 / radius[:, :1, None] - 1.0 / distance), far / distance
-    push, pull = (part @ place - part.sum(-1, keepdims=True) * place for part in (close, far))
-    return push, near @ velocity / size_near, pull / size_far
+    square = (p * p).sum(-1)
+    distance = np.sqrt(np.maximum(square[:, :, None] + square[:, None] - 2.0 * p @ p.swapaxes(1, 2), 1e-12))
+    repulsion, alignment, attraction = (weight * (distance < radius[:, k, None, None]) for k in range(3))
+    size_near, size_far = (np.abs(part).sum(-1, keepdims=True) + 1e-9 for part in (alignment, attraction))
+    repulsion, attraction = np.abs(repulsion) * (1.0 / radius[:, :1, None] - 1.0 / distance), attraction / distance
+    push, pull = (part @ p - part.sum(-1, keepdims=True) * p for part in (repulsion, attraction))
+    return push, alignment @ velocity / size_near, pull / size_far
 
 
 def draw_walkers(rng: np.random.Generator, stage: Stage) -> Flight:
-    """UAVs that fly on their own: nobody leads."""
-    place, ways = 30.0 * stage.draw_normals(rng, stage.uavs), draw_ways(rng, stage, stage.steps, stage.uavs)
-    return Flight(travel(draw_log(rng, 0.03, 3.0) * place, ways), np.arange(stage.uavs))
+    """UAVs that fly on their own: no UAV leads."""
+    start, ways = 30.0 * stage.draw_normals(rng, stage.uavs), draw_ways(rng, stage, stage.steps, stage.uavs)
+    return Flight(travel(draw_log(rng, 0.03, 3.0) * start, ways), np.arange(stage.uavs))
 
 
-def _fly(rng: np.random.Generator, stage: Stage, place: Floats, turn: Floats, wish: Callable[..., Floats]) -> Floats:
+def _fly(rng: np.random.Generator, stage: Stage, start: Floats, turn: Floats, wish: Callable[..., Floats]) -> Floats:
     """Positions ``(B, T + 1, n, 3)`` of UAVs, the part ``turn`` of whose velocities becomes their wish in a step."""
-    position = np.empty((stage.windows, stage.steps + 31, *place.shape[1:]))
+    position = np.empty((stage.windows, stage.steps + 31, *start.shape[1:]))
     velocity = np.zeros_like(position)
-    position[:, 0], shake = place, draw_log(rng, 0.02, 0.4)
+    position[:, 0], shake = start, draw_log(rng, 0.02, 0.4)
     for t in range(stage.steps + 30):
-        wanted = wish(t, position, velocity) + shake * stage.draw_normals(rng, place.shape[1])
-        velocity[:, t + 1] = (1.0 - turn) * velocity[:, t] + turn * wanted
+        goal = wish(t, position, velocity) + shake * stage.draw_normals(rng, start.shape[1])
+        velocity[:, t + 1] = (1.0 - turn) * velocity[:, t] + turn * goal
         position[:, t + 1] = position[:, t] + velocity[:, t + 1]
     return position[:, 30:]
 
 
 def _fly_flock(rng: np.random.Generator, stage: Stage, weight: Floats, drive: Floats) -> Floats:
     """Positions of a flock with influences ``weight (B, n, n)``; a part ``drive (n,)`` of velocity is an own way."""
-    near, windows, uavs, part = draw_log(rng, 1.0, 6.0, stage.windows, 1), stage.windows, stage.uavs, drive[:, None]
-    radius = near * np.sort(draw_log(rng, 1.0, 20.0, windows, 3), axis=1)
+    windows, uavs, own_part = stage.windows, stage.uavs, drive[:, None]
+    spacing = draw_log(rng, 1.0, 6.0, windows, 1)
+    radius = spacing * np.sort(draw_log(rng, 1.0, 20.0, windows, 3), axis=1)
     push, align, pull = (draw_log(rng, low, high, windows, 1, 1) for low, high in ((1, 3), (0.2, 1.5), (0.05, 0.6)))
     ways, fixed = draw_ways(rng, stage, stage.steps + 30, uavs), rng.random() < 0.5
-    late = max(0, int(rng.integers(-7, 9)))  # steps, in half of the draws
+    delay = max(0, int(rng.integers(-7, 9)))  # steps, in half of the draws
 
     def wish(t: int, position: Floats, velocity: Floats) -> Floats:
-        acts = _sum_neighbours(position[:, t], velocity[:, max(t - late, 0)], weight, radius)
-        wanted = (1.0 - part) * (push * acts[0] + align * acts[1] + pull * acts[2]) + part * ways[:, t]
-        size = np.linalg.norm(wanted, axis=-1, keepdims=True) + 1e-9
-        return wanted / size if fixed else wanted * np.minimum(1.0, 2.0 / size)
+        acts = _sum_neighbours(position[:, t], velocity[:, max(t - delay, 0)], weight, radius)
+        velocity_goal = (1.0 - own_part) * (push * acts[0] + align * acts[1] + pull * acts[2]) + own_part * ways[:, t]
+        size = np.linalg.norm(velocity_goal, axis=-1, keepdims=True) + 1e-9
+        return velocity_goal / size if fixed else velocity_goal * np.minimum(1.0, 2.0 / size)
 
-    place = 0.6 * near[..., None] * uavs ** (1.0 / stage.axes.sum()) * stage.draw_normals(rng, uavs)
-    return _fly(rng, stage, place, draw_log(rng, 0.15, 1.0, windows, 1, 1), wish)
+    start = 0.6 * spacing[..., None] * uavs ** (1.0 / stage.axes.sum()) * stage.draw_normals(rng, uavs)
+    return _fly(rng, stage, start, draw_log(rng, 0.15, 1.0, windows, 1, 1), wish)
 
 
 def draw_leaderless(rng: np.random.Generator, stage: Stage) -> Flight:
-    """A flock of equals: nobody leads."""
+    """A flock of equals: no UAV leads."""
     weight, drive = 1.0 - np.eye(stage.uavs), np.full(stage.uavs, rng.choice([0.0, 0.0, 0.2]))
     flown = _fly_flock(rng, stage, np.tile(weight, (stage.windows, 1, 1)), drive)
     return Flight(flown, np.arange(stage.uavs), link=np.nan)
@@ -87,23 +88,24 @@ def draw_herd(rng: np.random.Generator, stage: Stage) -> Flight:
     weight, radius = np.tile(1.0 - np.eye(stage.uavs), (stage.windows, 1, 1)), reach[:, 0] * [0.15, 0.5, 3.0]
     weight[:, :, 0] = 0.0
     align, pull = (draw_log(rng, 0.1, 0.8, *shape) for _ in range(2))
-    goal = draw_ways(rng, stage, stage.steps + 30, 1, 0.1 / finer)
-    goal /= np.linalg.norm(goal, axis=-1, keepdims=True) + 1e-9
+    course = draw_ways(rng, stage, stage.steps + 30, 1, 0.1 / finer)
+    course /= np.linalg.norm(course, axis=-1, keepdims=True) + 1e-9
 
     def wish(t: int, position: Floats, velocity: Floats) -> Floats:
-        place, herd = position[:, t], position[:, t, 1:]
-        acts = _sum_neighbours(place, velocity[:, t], weight, radius)
-        away = place - place[:, :1]
-        distance = np.linalg.norm(away, axis=-1, keepdims=True) + 1e-9
-        wanted = 1.5 * np.exp(-distance / reach) * away / distance + acts[0] + align * acts[1] + pull * acts[2]
-        behind = herd.mean(1, keepdims=True) - goal[:, t] * (reach + herd.std((1, 2), keepdims=True)) - place[:, :1]
-        wanted[:, :1] = 1.2 * behind / np.maximum(np.linalg.norm(behind, axis=-1, keepdims=True), 3.0)
-        return wanted
+        current, herd = position[:, t], position[:, t, 1:]
+        acts = _sum_neighbours(current, velocity[:, t], weight, radius)
+        offset = current - current[:, :1]
+        distance = np.linalg.norm(offset, axis=-1, keepdims=True) + 1e-9
+        goal_velocity = 1.5 * np.exp(-distance / reach) * offset / distance + acts[0] + align * acts[1] + pull * acts[2]
+        post = herd.mean(1, keepdims=True) - course[:, t] * (reach + herd.std((1, 2), keepdims=True))
+        way = post - current[:, :1]
+        goal_velocity[:, :1] = 1.2 * way / np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 3.0)
+        return goal_velocity
 
-    place = 0.15 * reach * np.sqrt(stage.uavs) * stage.draw_normals(rng, stage.uavs)
-    place[:, :1] -= 1.5 * reach * goal[:, 0]
-    seen = _fly(rng, stage, place, draw_log(rng, 0.2, 0.9, *shape) / finer, wish)[:, :, int(rng.integers(2)) :]
-    return Flight(seen, np.arange(seen.shape[2]), link=np.nan)
+    start = 0.15 * reach * np.sqrt(stage.uavs) * stage.draw_normals(rng, stage.uavs)
+    start[:, :1] -= 1.5 * reach * course[:, 0]
+    shown = _fly(rng, stage, start, draw_log(rng, 0.2, 0.9, *shape) / finer, wish)[:, :, int(rng.integers(2)) :]
+    return Flight(shown, np.arange(shown.shape[2]), link=np.nan)
 
 
 def draw_people(rng: np.random.Generator, stage: Stage) -> Flight:
@@ -115,17 +117,17 @@ def draw_people(rng: np.random.Generator, stage: Stage) -> Flight:
     slot[:, :groups] = 0.0
     weight = np.tile(np.where(leader[:, None] == leader, 1.0, 0.2) - np.eye(stage.uavs), (stage.windows, 1, 1))
     weight[:, :groups] *= rng.uniform(0.0, 0.4)
-    copies, keeps, turn = (draw_log(rng, low, 1.0, stage.windows, 1, 1) for low in (0.3, 0.05, 0.2))
+    velocity_gain, slot_gain, turn = (draw_log(rng, low, 1.0, stage.windows, 1, 1) for low in (0.3, 0.05, 0.2))
 
     def wish(t: int, position: Floats, velocity: Floats) -> Floats:
-        late = np.maximum(t - delay, 0)
-        wanted = keeps * (position[window, late, leader] + slot - position[:, t])
-        wanted += copies * velocity[window, late, leader]
-        wanted[:, :groups] = ways[:, t]
-        return wanted + _sum_neighbours(position[:, t], velocity[:, t], weight, np.full((len(weight), 3), 1.5))[0]
+        past = np.maximum(t - delay, 0)
+        goal = slot_gain * (position[window, past, leader] + slot - position[:, t])
+        goal += velocity_gain * velocity[window, past, leader]
+        goal[:, :groups] = ways[:, t]
+        return goal + _sum_neighbours(position[:, t], velocity[:, t], weight, np.full((len(weight), 3), 1.5))[0]
 
-    place = 3.0 * place_groups(rng, stage, np.arange(groups))[:, leader] + slot
-    return Flight(_fly(rng, stage, place, turn, wish), leader, delay)
+    start = 3.0 * place_groups(rng, stage, np.arange(groups))[:, leader] + slot
+    return Flight(_fly(rng, stage, start, turn, wish), leader, delay)
 
 
 def draw_springs(rng: np.random.Generator, stage: Stage) -> Flight:
@@ -144,11 +146,11 @@ def draw_springs(rng: np.random.Generator, stage: Stage) -> Flight:
     push = pushed * stage.draw_normals(rng, stage.steps, uavs)
     push[:, :, 0] *= rng.uniform(0.0, 3.0)
     drag = float(draw_log(rng, 0.005, 0.3)) if pushed else 0.0
-    places, velocity = [stage.draw_normals(rng, uavs)], draw_log(rng, 0.03, 0.5) * stage.draw_normals(rng, uavs)
-    for part in range(4 * stage.steps):  # four parts of each step
-        force = spring @ places[-1] - spring.sum(-1, keepdims=True) * places[-1]
-        velocity = velocity + (push[:, part // 4] - drag * velocity + force) / 4.0
-        places.append(places[-1] + velocity / 4.0)
-        velocity = np.where(np.abs(places[-1]) > wall, -np.sign(places[-1]) * np.abs(velocity), velocity)
+    positions, velocity = [stage.draw_normals(rng, uavs)], draw_log(rng, 0.03, 0.5) * stage.draw_normals(rng, uavs)
+    for substep in range(4 * stage.steps):  # four parts of each step
+        force = spring @ positions[-1] - spring.sum(-1, keepdims=True) * positions[-1]
+        velocity = velocity + (push[:, substep // 4] - drag * velocity + force) / 4.0
+        positions.append(positions[-1] + velocity / 4.0)
+        velocity = np.where(np.abs(positions[-1]) > wall, -np.sign(positions[-1]) * np.abs(velocity), velocity)
     link = (spring > 0) & ~np.eye(uavs, dtype=bool)
-    return Flight(np.stack(places[::4], axis=1), np.zeros(uavs, np.int64), link=link)
+    return Flight(np.stack(positions[::4], axis=1), np.zeros(uavs, np.int64), link=link)

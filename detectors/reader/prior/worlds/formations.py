@@ -24,18 +24,18 @@ def _draw_headings(rng: np.random.Generator, stage: Stage, paths: int, stream: b
 
 
 def _draw_paths(rng: np.random.Generator, stage: Stage, paths: int, stream: bool = False) -> tuple[Floats, Floats]:
-    """Places ``(B, S + T + 1, m, 3)`` and velocities of m walkers on calm ways, S the longest delay."""
-    shape, each = (stage.windows, stage.steps + _LONGEST + 1, paths), (stage.windows, 1, paths)
+    """Positions ``(B, S + T + 1, m, 3)`` and velocities of m walkers on calm ways, S the longest delay."""
+    shape, per_path = (stage.windows, stage.steps + _LONGEST + 1, paths), (stage.windows, 1, paths)
     calm, size = rng.uniform(0.7, 0.99, stage.windows), draw_log(rng, 0.0005, 0.1, stage.windows, 1, 1)
     heading = np.cumsum(size * keep_noise(rng.standard_normal(shape), calm), axis=1)
     heading += _draw_headings(rng, stage, paths, stream)
-    vary = keep_noise(rng.standard_normal(shape), rng.uniform(0.8, 0.99, stage.windows))
-    pace = np.exp(rng.uniform(0.0, 0.3) * vary + draw_log(rng, 0.01, 0.3) * rng.standard_normal(each))
-    climb = np.broadcast_to(0.2 * stage.axes[2] * rng.standard_normal(each), shape)
+    variation = keep_noise(rng.standard_normal(shape), rng.uniform(0.8, 0.99, stage.windows))
+    pace = np.exp(rng.uniform(0.0, 0.3) * variation + draw_log(rng, 0.01, 0.3) * rng.standard_normal(per_path))
+    climb = np.broadcast_to(0.2 * stage.axes[2] * rng.standard_normal(per_path), shape)
     velocity = pace[..., None] * np.stack([np.cos(heading), np.sin(heading), climb], axis=-1)
-    place, met = np.cumsum(velocity, axis=1), int(rng.integers(_LONGEST, shape[1]))
+    position, meeting = np.cumsum(velocity, axis=1), int(rng.integers(_LONGEST, shape[1]))
     middle = draw_log(rng, 1.0, 60.0, stage.windows, 1, 1) * stage.draw_normals(rng, paths)
-    return place - place[:, met : met + 1] + middle[:, None], velocity
+    return position - position[:, meeting : meeting + 1] + middle[:, None], velocity
 
 
 def _orient(slot: Floats, course: Floats) -> Floats:
@@ -55,19 +55,19 @@ def _keep_places(
     width, window = int(rng.choice([1, 5, 9, 15])), np.arange(stage.windows)[:, None, None]
     mean = np.cumsum(np.pad(velocity, ((0, 0), (width, 0), (0, 0), (0, 0)), mode="edge"), axis=1)
     course = mean[:, width:] - mean[:, :-width]
-    then = np.arange(-stage.steps - 1, 0)[:, None] - late[:, None]
+    past = np.arange(-stage.steps - 1, 0)[:, None] - late[:, None]
     slot = slot.copy()
     slot[..., 0] += late * np.linalg.norm(velocity, axis=-1).mean(axis=1)[:, column]
-    return path[window, then, column] + _orient(slot[:, None], course[window, then, column])
+    return path[window, past, column] + _orient(slot[:, None], course[window, past, column])
 
 
 def _copy_courses(stage: Stage, path: Floats, column: Indices, slot: Floats, late: Indices) -> Floats:
     """Positions ``(B, T + 1, n, 3)`` of UAVs that fly parallel to a path, late; their formation doesn't turn."""
     window, last, middle = np.arange(stage.windows)[:, None, None], -stage.steps - 1, stage.steps // 2
-    moved = path[window, np.arange(last, 0)[:, None] - late[:, None], column]
-    moved -= moved[:, middle : middle + 1]
-    begin = path[:, last + middle, column] + _orient(slot, (path[:, -1] - path[:, last])[:, column])
-    return np.asarray(moved + begin[:, None])
+    position = path[window, np.arange(last, 0)[:, None] - late[:, None], column]
+    position -= position[:, middle : middle + 1]
+    start = path[:, last + middle, column] + _orient(slot, (path[:, -1] - path[:, last])[:, column])
+    return np.asarray(position + start[:, None])
 
 
 def _draw_sway(rng: np.random.Generator, stage: Stage, uavs: int, memory: Floats) -> Floats:
@@ -81,14 +81,14 @@ def _draw_sway(rng: np.random.Generator, stage: Stage, uavs: int, memory: Floats
 
 def _draw_own_motion(rng: np.random.Generator, stage: Stage, uavs: int, longest: float = 60.0) -> Floats:
     """Offsets ``(B, T + 1, n, 3)`` of UAVs: a sway with a memory up to ``longest`` steps, a fast shake, and a gait."""
-    one, memory = (stage.windows, 1, 1, 1), draw_log(rng, 5.0, longest, stage.windows)
-    each = np.exp(rng.uniform(0.0, 0.5) * rng.standard_normal((stage.windows, 1, uavs, 1)))
-    slow = np.sqrt(memory / 2.0).reshape(one) * _draw_sway(rng, stage, uavs, memory)
+    shape, memory = (stage.windows, 1, 1, 1), draw_log(rng, 5.0, longest, stage.windows)
+    scale = np.exp(rng.uniform(0.0, 0.5) * rng.standard_normal((stage.windows, 1, uavs, 1)))
+    slow = np.sqrt(memory / 2.0).reshape(shape) * _draw_sway(rng, stage, uavs, memory)
     fast = keep_noise(stage.draw_normals(rng, stage.steps + 1, uavs), rng.uniform(0.0, 0.7, stage.windows))
     beat = rng.uniform(3.0, 12.0, (stage.windows, 1, uavs, 1)), rng.random((stage.windows, 1, uavs, 1))
     gait = np.sin(2.0 * np.pi * (np.arange(stage.steps + 1.0)[:, None, None] / beat[0] + beat[1]))
-    gait = gait * rng.integers(2) * draw_log(rng, 0.02, 0.4, *one) * stage.draw_normals(rng, 1, 1)
-    return each * (draw_log(rng, 0.06, 0.9, *one) * slow + draw_log(rng, 0.005, 0.5, *one) * fast) + gait
+    gait = gait * rng.integers(2) * draw_log(rng, 0.02, 0.4, *shape) * stage.draw_normals(rng, 1, 1)
+    return scale * (draw_log(rng, 0.06, 0.9, *shape) * slow + draw_log(rng, 0.005, 0.5, *shape) * fast) + gait
 
 
 def _draw_slots(rng: np.random.Generator, stage: Stage, uavs: int, least: float, most: float) -> Floats:
@@ -101,10 +101,10 @@ def _draw_slots(rng: np.random.Generator, stage: Stage, uavs: int, least: float,
 def _draw_companies(rng: np.random.Generator, uavs: int) -> Indices:
     """The leader ``(n,)`` of each UAV in groups of 2 to about 8, leaders first, and of lone ones, last."""
     lone = int(rng.integers(uavs - 1)) if rng.random() < 0.4 else 0
-    walking = uavs - lone
-    groups = draw_whole(rng, -(-walking // 8), walking // 2)
-    own = np.arange(groups)
-    return np.concatenate([own, own, rng.integers(groups, size=walking - 2 * groups), walking + np.arange(lone)])
+    grouped = uavs - lone
+    groups = draw_whole(rng, -(-grouped // 8), grouped // 2)
+    heads = np.arange(groups)
+    return np.concatenate([heads, heads, rng.integers(groups, size=grouped - 2 * groups), grouped + np.arange(lone)])
 
 
 def draw_formation(rng: np.random.Generator, stage: Stage) -> Flight:
@@ -112,20 +112,20 @@ def draw_formation(rng: np.random.Generator, stage: Stage) -> Flight:
 
     They turn with it, go to the same places, or copy its course some steps late.
     """
-    leader, own = _draw_companies(rng, stage.uavs), np.arange(stage.uavs)
+    leader, index = _draw_companies(rng, stage.uavs), np.arange(stage.uavs)
     column = np.unique(leader, return_inverse=True)[1]
     path, velocity = _draw_paths(rng, stage, int(column.max()) + 1)
     slot = _draw_slots(rng, stage, stage.uavs, 0.5, 16.0)
-    same = column[:, None] == column
-    top = np.where(same & (own != leader), slot[:, None, :, 0], -np.inf).max(axis=2)
+    is_same_group = column[:, None] == column
+    top = np.where(is_same_group & (index != leader), slot[:, None, :, 0], -np.inf).max(axis=2)
     gap = np.abs(draw_log(rng, 0.2, 1.5) * slot[..., 1].std(axis=1, keepdims=True) * rng.standard_normal(top.shape))
-    front = np.isfinite(top) & (rng.random(top.shape) < 0.85)
-    slot[..., 0] = np.where(front & (own == leader), np.where(front, top, 0.0) + gap, slot[..., 0])
+    is_front = np.isfinite(top) & (rng.random(top.shape) < 0.85)
+    slot[..., 0] = np.where(is_front & (index == leader), np.where(is_front, top, 0.0) + gap, slot[..., 0])
     slot -= slot[:, leader]
     slot[..., 0] = np.clip(slot[..., 0], -_LONGEST, _LONGEST)
     kind, late = rng.choice(["turn", "follow", "copy"], p=[0.4, 0.4, 0.2]), np.zeros(top.shape, np.int64)
     if kind == "copy":
-        late = np.where(own == leader, 0, stage.draw_delays(rng, 12))
+        late = np.where(index == leader, 0, stage.draw_delays(rng, 12))
         position = _copy_courses(stage, path, column, slot, late)
     else:
         if kind == "follow":
@@ -170,5 +170,5 @@ def draw_driven(rng: np.random.Generator, stage: Stage) -> Flight:
     position += _draw_own_motion(rng, stage, stage.uavs, 200.0)
     zigzag = _draw_sway(rng, stage, 1, rng.uniform(20.0, 100.0, stage.windows))[:, :, 0]
     position[:, :, 0] += extent[..., None] * rng.uniform(0.2, 2.0) * zigzag
-    seen = position[:, :, int(rng.integers(2)) :]
-    return Flight(seen, np.arange(seen.shape[2]), link=np.nan)
+    shown = position[:, :, int(rng.integers(2)) :]
+    return Flight(shown, np.arange(shown.shape[2]), link=np.nan)

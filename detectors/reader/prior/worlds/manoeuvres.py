@@ -14,9 +14,9 @@ def _draw_trips(rng: np.random.Generator, stage: Stage, steps: int, leaders: int
     if rng.random() < 0.4:
         heading = heading[..., :1] + draw_log(rng, 0.05, 0.6) * rng.standard_normal(heading.shape)
     for _ in range(int(rng.integers(4))):
-        since = time - rng.uniform(0.0, steps, (stage.windows, 1, leaders))
+        elapsed = time - rng.uniform(0.0, steps, (stage.windows, 1, leaders))
         turn = rng.uniform(-2.5, 2.5, (stage.windows, 1, leaders))
-        heading = heading + turn * np.clip(since / rng.uniform(1.0, 10.0), 0.0, 1.0)
+        heading = heading + turn * np.clip(elapsed / rng.uniform(1.0, 10.0), 0.0, 1.0)
     heading = heading + np.cumsum(rng.choice([0.0, 0.0, 0.01, 0.04]) * rng.standard_normal(shape), axis=1)
     climb = np.broadcast_to(0.3 * stage.axes[2] * rng.standard_normal((stage.windows, 1, leaders)), shape)
     pace = np.exp(rng.choice([0.0, 0.15]) * rng.standard_normal((stage.windows, 1, leaders)))
@@ -29,19 +29,19 @@ def _draw_factions(rng: np.random.Generator, uavs: int) -> Indices:
     """The leader ``(n,)`` of each UAV, one to four leaders first; in some draws a part of the UAVs never follows."""
     groups = int(rng.integers(min(4, uavs // 2))) + 1
     leader = np.concatenate([np.arange(groups), np.arange(groups), rng.integers(groups, size=uavs - 2 * groups)])
-    stays = (rng.random(uavs) < rng.choice([0.0, 0.0, 0.3, 0.6])) & (np.arange(uavs) >= 2 * groups)
-    return np.where(stays, np.arange(uavs), leader)
+    is_alone = (rng.random(uavs) < rng.choice([0.0, 0.0, 0.3, 0.6])) & (np.arange(uavs) >= 2 * groups)
+    return np.where(is_alone, np.arange(uavs), leader)
 
 
 def _draw_sources(rng: np.random.Generator, leader: Indices, steps: int, shown: int) -> Indices:
     """The leader of each UAV at each step ``(S, n)``: some UAVs join another leader early in the window, or late."""
-    source, own = np.tile(leader, (steps, 1)), np.arange(len(leader))
-    groups = int(leader[leader != own].max()) + 1
+    source, index = np.tile(leader, (steps, 1)), np.arange(len(leader))
+    groups = int(leader[leader != index].max()) + 1
     if groups > 1 and rng.random() < 0.3:
-        moves = (rng.random(len(own)) < 0.5) & (leader != own) & (own >= 2 * groups)
-        part = int(shown * rng.uniform(0.1, 0.35))
-        span = slice(0, steps - shown + part) if rng.random() < 0.5 else slice(steps - part, steps)
-        source[span] = np.where(moves, (leader + 1) % groups, leader)
+        is_mover = (rng.random(len(index)) < 0.5) & (leader != index) & (index >= 2 * groups)
+        length = int(shown * rng.uniform(0.1, 0.35))
+        span = slice(0, steps - shown + length) if rng.random() < 0.5 else slice(steps - length, steps)
+        source[span] = np.where(is_mover, (leader + 1) % groups, leader)
     return source
 
 
@@ -51,27 +51,27 @@ def draw_factions(rng: np.random.Generator, stage: Stage) -> Flight:
     A window begins before that, or so long after that all go straight: only who is in front tells.
     """
     windows, leader = stage.windows, _draw_factions(rng, stage.uavs)
-    before = int(rng.choice([0.0, rng.uniform(0.2, 1.5)]) * min(stage.steps, 200))
-    steps, groups = before + stage.steps, int(leader[leader != np.arange(stage.uavs)].max()) + 1
-    begin = rng.uniform(0.0, 0.4 * (before or stage.steps), (windows, groups if rng.random() < 0.5 else 1))
-    begin = np.broadcast_to(begin, (windows, groups))
+    warm_up = int(rng.choice([0.0, rng.uniform(0.2, 1.5)]) * min(stage.steps, 200))
+    steps, groups = warm_up + stage.steps, int(leader[leader != np.arange(stage.uavs)].max()) + 1
+    start = rng.uniform(0.0, 0.4 * (warm_up or stage.steps), (windows, groups if rng.random() < 0.5 else 1))
+    start = np.broadcast_to(start, (windows, groups))
     delay = rng.integers(2, max(4, min(int(rng.choice([12, 45])), stage.steps // 4)), (windows, stage.uavs))
-    ways, source = _draw_trips(rng, stage, steps, groups, begin), _draw_sources(rng, leader, steps, stage.steps)
+    ways, source = _draw_trips(rng, stage, steps, groups, start), _draw_sources(rng, leader, steps, stage.steps)
     shake = keep_noise(stage.draw_normals(rng, steps, stage.uavs), rng.uniform(0.0, 0.9, windows))
     shake *= rng.choice([0.0, 0.02, 0.1, 0.3])
     position = np.empty((windows, steps + 1, stage.uavs, 3))
     position[:, 0] = draw_log(rng, 1.0, 20.0, windows, 1, 1) * stage.draw_normals(rng, stage.uavs)
-    fast, far = rng.uniform(1.0, 1.5), draw_log(rng, 0.5, 6.0)
-    keep, velocity = rng.choice([0.0, rng.uniform(0.0, 0.8)]), np.zeros((windows, stage.uavs, 3))
+    top_speed, brake_distance = rng.uniform(1.0, 1.5), draw_log(rng, 0.5, 6.0)
+    memory, velocity = rng.choice([0.0, rng.uniform(0.0, 0.8)]), np.zeros((windows, stage.uavs, 3))
     window, follows = np.arange(windows)[:, None], leader != np.arange(stage.uavs)
     for t in range(steps):
-        way = position[window, np.maximum(t - delay, 0), source[t]] - position[:, t]
-        way *= fast / np.maximum(np.sqrt((way * way).sum(axis=-1, keepdims=True)), far)
-        gone = (t >= begin[:, np.where(follows, source[t], 0)] + delay) & follows
-        velocity = keep * velocity + (1.0 - keep) * gone[..., None] * way
+        pull = position[window, np.maximum(t - delay, 0), source[t]] - position[:, t]
+        pull *= top_speed / np.maximum(np.sqrt((pull * pull).sum(axis=-1, keepdims=True)), brake_distance)
+        is_off = (t >= start[:, np.where(follows, source[t], 0)] + delay) & follows
+        velocity = memory * velocity + (1.0 - memory) * is_off[..., None] * pull
         velocity[:, :groups] = ways[:, t]
         position[:, t + 1] = position[:, t] + velocity + shake[:, t]
-    return Flight(position[:, before:], leader, delay)
+    return Flight(position[:, warm_up:], leader, delay)
 
 
 def _draw_banks(rng: np.random.Generator, stage: Stage, steps: int) -> Floats:
@@ -80,20 +80,20 @@ def _draw_banks(rng: np.random.Generator, stage: Stage, steps: int) -> Floats:
     if rng.random() < 0.5:
         return keep_noise(rng.standard_normal(shape), 1.0 - draw_log(rng, 0.02, 0.5, stage.windows))
     rows = np.arange(steps)[:, None]
-    held = np.maximum.accumulate(np.where(rng.random(shape) < draw_log(rng, 0.02, 0.2), rows, 0), axis=1)
-    return np.take_along_axis(rng.standard_normal(shape) * rng.choice([1.0, 0.0], shape, p=[0.7, 0.3]), held, axis=1)
+    since = np.maximum.accumulate(np.where(rng.random(shape) < draw_log(rng, 0.02, 0.2), rows, 0), axis=1)
+    return np.take_along_axis(rng.standard_normal(shape) * rng.choice([1.0, 0.0], shape, p=[0.7, 0.3]), since, axis=1)
 
 
 def _follow_banks(
-    rng: np.random.Generator, stage: Stage, own: Floats, leader: Indices, delay: Indices, lag: Floats
+    rng: np.random.Generator, stage: Stage, own_bank: Floats, leader: Indices, delay: Indices, lag: Floats
 ) -> Floats:
     """Angles ``(B, S, n)`` of UAVs that tend to their leader's late one, or to their own, with a lag of first order."""
     gain, follows = stage.draw_each(rng, 0.6, 1.4), leader != np.arange(stage.uavs)
-    stray = draw_log(rng, 0.01, 0.4, stage.windows, 1) * follows
-    bank, window = own.copy(), np.arange(stage.windows)[:, None]
-    for t in range(1, own.shape[1]):
-        heard = gain * bank[window, np.maximum(t - delay, 0), leader] + stray * own[:, t]
-        bank[:, t] = bank[:, t - 1] + (np.where(follows, heard, own[:, t]) - bank[:, t - 1]) / lag
+    own_gain = draw_log(rng, 0.01, 0.4, stage.windows, 1) * follows
+    bank, window = own_bank.copy(), np.arange(stage.windows)[:, None]
+    for t in range(1, own_bank.shape[1]):
+        leader_bank = gain * bank[window, np.maximum(t - delay, 0), leader] + own_gain * own_bank[:, t]
+        bank[:, t] = bank[:, t - 1] + (np.where(follows, leader_bank, own_bank[:, t]) - bank[:, t - 1]) / lag
     return bank
 
 
@@ -106,19 +106,19 @@ def draw_turn_rate(rng: np.random.Generator, stage: Stage) -> Flight:
     leader, uavs = draw_groups(rng, stage.uavs, 4), stage.uavs
     if rng.random() < 0.25:
         leader = np.append(0, rng.integers(np.arange(1, uavs)))
-    alone = (rng.random(uavs) < rng.choice([0.0, 0.3])) & (np.arange(uavs) >= 2 * (leader.max() + 1))
-    leader = np.where(alone & ~np.isin(np.arange(uavs), leader), np.arange(uavs), leader)
+    is_alone = (rng.random(uavs) < rng.choice([0.0, 0.3])) & (np.arange(uavs) >= 2 * (leader.max() + 1))
+    leader = np.where(is_alone & ~np.isin(np.arange(uavs), leader), np.arange(uavs), leader)
     delay, lag = stage.draw_delays(rng, 12), stage.draw_each(rng, 1.0, 8.0)
     steps = stage.steps + 60
-    speed, tight = stage.draw_each(rng, 0.6, 1.6), draw_log(rng, 0.01, 0.3, stage.windows, 1, 1)
+    speed, turn_gain = stage.draw_each(rng, 0.6, 1.6), draw_log(rng, 0.01, 0.3, stage.windows, 1, 1)
     bank = _follow_banks(rng, stage, _draw_banks(rng, stage, steps), leader, delay, lag)
-    course = np.cumsum(tight * np.tan(np.clip(0.6 * bank, -1.2, 1.2)) / speed[:, None], axis=1)
+    course = np.cumsum(turn_gain * np.tan(np.clip(0.6 * bank, -1.2, 1.2)) / speed[:, None], axis=1)
     course += rng.uniform(0.0, 2.0 * np.pi, (stage.windows, 1, uavs))
     climb = np.zeros_like(course)
     if stage.axes[2]:
         climb = _follow_banks(rng, stage, _draw_banks(rng, stage, steps), leader, delay, lag) * rng.uniform(0.0, 0.4)
         climb = np.clip(climb, -1.2, 1.2) + 0.1 * rng.standard_normal((stage.windows, 1, uavs))
-    way = np.stack([np.cos(climb) * np.cos(course), np.cos(climb) * np.sin(course), np.sin(climb)], axis=-1)
-    way = (speed[:, None, :, None] * way)[:, -stage.steps :]
-    position = travel(place_groups(rng, stage, leader), way)
+    velocity = np.stack([np.cos(climb) * np.cos(course), np.cos(climb) * np.sin(course), np.sin(climb)], axis=-1)
+    velocity = (speed[:, None, :, None] * velocity)[:, -stage.steps :]
+    position = travel(place_groups(rng, stage, leader), velocity)
     return Flight(position, leader, delay + lag - 1.0)

@@ -51,29 +51,29 @@ class Flight(NamedTuple):
 
 def link_leaders(leader: Indices) -> Singles:
     """1 for the leader ``(..., n)`` of each UAV and 0 for others: ``(..., n, n)``."""
-    own = np.arange(leader.shape[-1])
-    return ((leader[..., None] == own) & (leader != own)[..., None]).astype(np.float32)
+    index = np.arange(leader.shape[-1])
+    return ((leader[..., None] == index) & (leader != index)[..., None]).astype(np.float32)
 
 
-def keep_noise(noise: Floats, keep: Floats) -> Floats:
-    """Autoregressive noise of order 1 with the variance of ``noise (B, S, ...)``, and ``keep (B,)``."""
-    rest = np.sqrt(1.0 - keep**2)
-    noise[:, 0] /= rest.reshape(-1, *[1] * (noise.ndim - 2))
-    return np.stack([lfilter([r], [1.0, -k], row, axis=0) for row, k, r in zip(noise, keep, rest, strict=True)])
+def keep_noise(noise: Floats, phi: Floats) -> Floats:
+    """Autoregressive noise of order 1 with the variance of ``noise (B, S, ...)``, and ``phi (B,)``."""
+    sigma = np.sqrt(1.0 - phi**2)
+    noise[:, 0] /= sigma.reshape(-1, *[1] * (noise.ndim - 2))
+    return np.stack([lfilter([r], [1.0, -k], row, axis=0) for row, k, r in zip(noise, phi, sigma, strict=True)])
 
 
 def draw_ways(rng: np.random.Generator, stage: Stage, steps: int, uavs: int, calm: float = 1.0) -> Floats:
     """Velocities ``(B, steps, uavs, 3)`` of lone UAVs; in a step they forget ``calm`` of a velocity at most."""
-    keep = 1.0 - draw_log(rng, 0.01, calm, stage.windows)
-    way = keep_noise(stage.draw_normals(rng, steps, uavs), keep)
+    phi = 1.0 - draw_log(rng, 0.01, calm, stage.windows)
+    velocity = keep_noise(stage.draw_normals(rng, steps, uavs), phi)
     if rng.random() < 0.5:  # smooth turns
-        way = keep_noise(way, keep)
-        way /= np.sqrt((way**2).mean((1, 2, 3), keepdims=True)) + 1e-9
-    way = way + rng.uniform(0.0, 2.0, (stage.windows, 1, 1, 1)) * stage.draw_normals(rng, 1, uavs)
+        velocity = keep_noise(velocity, phi)
+        velocity /= np.sqrt((velocity**2).mean((1, 2, 3), keepdims=True)) + 1e-9
+    velocity = velocity + rng.uniform(0.0, 2.0, (stage.windows, 1, 1, 1)) * stage.draw_normals(rng, 1, uavs)
     if stage.axes.sum() > 1 and rng.random() < 0.6:
         speed = keep_noise(rng.standard_normal((stage.windows, steps, uavs, 1)), np.full(stage.windows, 0.95))
-        way *= np.exp(rng.uniform(0.0, 0.5) * speed) / (np.linalg.norm(way, axis=-1, keepdims=True) + 1e-9)
-    return way
+        velocity *= np.exp(rng.uniform(0.0, 0.5) * speed) / (np.linalg.norm(velocity, axis=-1, keepdims=True) + 1e-9)
+    return velocity
 
 
 def draw_groups(rng: np.random.Generator, uavs: int, most: int) -> Indices:
@@ -83,15 +83,15 @@ def draw_groups(rng: np.random.Generator, uavs: int, most: int) -> Indices:
 
 
 def place_groups(rng: np.random.Generator, stage: Stage, leader: Indices) -> Floats:
-    """Start places ``(B, n, 3)``: groups apart, or in each other; UAVs of a group spread about its middle."""
-    near, apart = draw_log(rng, 1.0, 60.0, stage.windows, 1, 1), draw_log(rng, 0.1, 10.0, stage.windows, 1, 1)
-    middle = apart * stage.draw_normals(rng, int(leader.max()) + 1)
-    return np.asarray(near * (middle[:, leader] + stage.draw_normals(rng, len(leader))))
+    """Start positions ``(B, n, 3)``: groups apart, or in each other; UAVs of a group spread about its middle."""
+    scale, separation = draw_log(rng, 1.0, 60.0, stage.windows, 1, 1), draw_log(rng, 0.1, 10.0, stage.windows, 1, 1)
+    middle = separation * stage.draw_normals(rng, int(leader.max()) + 1)
+    return np.asarray(scale * (middle[:, leader] + stage.draw_normals(rng, len(leader))))
 
 
-def travel(place: Floats, velocity: Floats) -> Floats:
+def travel(start: Floats, velocity: Floats) -> Floats:
     """The positions ``(B, S + 1, n, 3)`` from a start ``(B, n, 3)`` on."""
-    return np.cumsum(np.concatenate([place[:, None], velocity], axis=1), axis=1)
+    return np.cumsum(np.concatenate([start[:, None], velocity], axis=1), axis=1)
 
 
 def finish(rng: np.random.Generator, stage: Stage, flight: Flight) -> Examples:
@@ -110,13 +110,13 @@ def finish(rng: np.random.Generator, stage: Stage, flight: Flight) -> Examples:
         position, leader = np.concatenate([position, ways], axis=2), np.append(leader, uavs + np.arange(lone))
         delay = np.concatenate([delay, np.full((windows, lone), np.nan, np.float32)], axis=1)
         link = np.pad(link, ((0, 0), (0, lone), (0, lone)))
-    order = rng.permuted(np.tile(np.arange(len(leader)), (windows, 1)), axis=1)  # who stands at a place
-    own, leads = np.arange(len(leader)), np.argsort(order, axis=1)[row, leader[order]]
-    root = leads
-    for _ in range(len(own).bit_length()):
+    order = rng.permuted(np.tile(np.arange(len(leader)), (windows, 1)), axis=1)  # the UAV at each index
+    index, new_leader = np.arange(len(leader)), np.argsort(order, axis=1)[row, leader[order]]
+    root = new_leader
+    for _ in range(len(index).bit_length()):
         root = root[row, root]
-    head = np.stack([np.isin(own, roots[roots != own]) for roots in root])
-    late = np.where(leads == own, np.float32(np.nan), delay[row, order])
+    head = np.stack([np.isin(index, roots[roots != index]) for roots in root])
+    new_delay = np.where(new_leader == index, np.float32(np.nan), delay[row, order])
     mixed = np.take_along_axis(position, order[:, None, :, None], axis=2)
     link = link[row[..., None], order[:, :, None], order[:, None]]
-    return make_examples(mixed, np.ones(mixed.shape[:3], bool), (head, leads, root, link, late, ""))
+    return make_examples(mixed, np.ones(mixed.shape[:3], bool), (head, new_leader, root, link, new_delay, ""))
