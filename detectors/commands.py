@@ -21,7 +21,7 @@ def train() -> None:
     """Retrain the models that are part of the package."""
 
 
-def _number(option: str, least: int, most: int, default: int, text: str) -> click.Option:
+def _make_number(option: str, least: int, most: int, default: int, text: str) -> click.Option:
     return click.Option([option], type=click.IntRange(least, most), default=default, show_default=True, help=text)
 
 
@@ -32,14 +32,14 @@ def _add_training(name: str, made: str, module: str, settings: str, run: str, *o
         reserve_folder(Path(out))  # before libraries that take seconds are imported
         training = import_module(module)
         with progress_bar("steps") as progress:
-            given = getattr(training, settings)(**values)
-            path = getattr(training, run)(out, given, progress, resume, workers=workers, backend=backend)
+            arguments = getattr(training, settings)(**values)
+            path = getattr(training, run)(out, arguments, progress, resume, workers=workers, backend=backend)
         click.echo(str(path))
 
     shared = [
         click.Option(["--out"], default=f"runs/{name}", show_default=True, metavar="DIR", help="Folder for its files."),
-        _number("--seed", 0, 2**63 - 1, 0, "Seed of the training."),
-        _number("--workers", 1, 10**4, 1, "Processes that draw swarms; the result does not depend on it."),
+        _make_number("--seed", 0, 2**63 - 1, 0, "Seed of the training."),
+        _make_number("--workers", 1, 10**4, 1, "Processes that draw swarms; the result does not depend on it."),
         click.Option(
             ["--backend"],
             type=click.Choice(["serial", "processes", "ray"]),
@@ -61,8 +61,8 @@ _add_training(
     click.Option(
         ["--method"], type=click.Choice(["meta", "joint"]), default="meta", show_default=True, help="Training method."
     ),
-    _number("--strategies", 1, 10**7, 100, "F, number of random follow strategies."),
-    _number("--episodes", 1, 10**7, 10_000, "Number of episodes."),
+    _make_number("--strategies", 1, 10**7, 100, "F, number of random follow strategies."),
+    _make_number("--episodes", 1, 10**7, 10_000, "Number of episodes."),
 )
 _add_training(
     "reader",
@@ -96,10 +96,10 @@ def check_detector(ctx: click.Context, name: str, expected: tuple[str, ...]) -> 
     from usnet_env.evaluation.tasks import become_worker
 
     reasons = {check.strip(): reason.strip() for check, _, reason in (text.partition("=") for text in expected)}
-    shows = {"PYTHONFAULTHANDLER": os.environ.get("USNET_TRACEBACK", "")}  # the line of a crash
-    executor = get_reusable_executor(max_workers=1, initializer=become_worker, env=shows)
+    environment = {"PYTHONFAULTHANDLER": os.environ.get("USNET_TRACEBACK", "")}  # the line of a crash
+    executor = get_reusable_executor(max_workers=1, initializer=become_worker, env=environment)
     try:
-        table, failures, failed = executor.submit(_check, name, reasons).result()
+        table, failures, failed = executor.submit(_run_checks, name, reasons).result()
     except TerminatedWorkerError as error:
         status = str(error).rpartition("{")[2].rpartition("}")[0]
         raise ArgumentError(f"detector {quote(name)} ended the process of its checks: {status}.") from None
@@ -111,7 +111,7 @@ def check_detector(ctx: click.Context, name: str, expected: tuple[str, ...]) -> 
     ctx.exit(int(failed))
 
 
-def _check(name: str, reasons: dict[str, str]) -> tuple[str, str, bool]:
+def _run_checks(name: str, reasons: dict[str, str]) -> tuple[str, str, bool]:
     """The results of a detector's checks as a table, the tracebacks of what failed, and whether any did."""
     from detectors import checks
 

@@ -81,10 +81,10 @@ class LaggedCorrelation(EvidenceDetector):
         max_lag = min(self.max_lag, steps - _LEAST_ROWS)
         if uavs < 2 or max_lag < 1:
             return None
-        flight = scale_to_unit(centre_columns(velocity.astype(np.float64), seen))
+        unit = scale_to_unit(centre_columns(velocity.astype(np.float64), seen))
         pairs, surrogate = (
-            correlate_over_lags(voter, flight, max_lag) - correlate_over_lags(flight, voter, max_lag).T
-            for voter in (flight, shift_in_time(flight))
+            correlate_over_lags(voter, unit, max_lag) - correlate_over_lags(unit, voter, max_lag).T
+            for voter in (unit, shift_in_time(unit))
         )
         return Evidence(pairs, surrogate, 1.0 / float(np.sqrt(3.0 * steps)))
 
@@ -112,14 +112,14 @@ class LaggedRegression(EvidenceDetector):
     def evidence(self, velocity: NDArray[np.floating], seen: Mask) -> Evidence | None:
         """Compute the adjusted R² of the regression of i's velocity on j's past for every pair."""
         steps, uavs = velocity.shape[:2]
-        rich = count_lags(steps, self.lags, 6, _ROWS_PER_FEATURE) if self.squares else 0
-        lags = rich or max(1, count_lags(steps, self.lags, 3, _ROWS_PER_FEATURE))
+        square_lags = count_lags(steps, self.lags, 6, _ROWS_PER_FEATURE) if self.squares else 0
+        lags = square_lags or max(1, count_lags(steps, self.lags, 3, _ROWS_PER_FEATURE))
         rows = steps - lags
         if uavs < 2 or rows < _LEAST_ROWS:
             return None
         values = velocity.astype(np.float64)
         target = centre_columns(values[lags:], seen[lags:])
-        past = centre_past(np.concatenate([values, values**2], axis=2) if rich else values, seen, lags)
+        past = centre_past(np.concatenate([values, values**2], axis=2) if square_lags else values, seen, lags)
         shares, freedom = explain_pairs(past, (target, shift_in_time(target)), self.ridge)
         return adjust_shares(shares, rows, freedom)
 
@@ -152,11 +152,11 @@ class Granger(EvidenceDetector):
         values = velocity.astype(np.float64)
         target = centre_columns(values[lags:], seen[lags:]).transpose(1, 0, 2)
         past = centre_past(values, seen, lags)
-        theirs, _ = whiten(past)
-        own = whiten(past[:, :, : 3 * own_lags])[0] if own_lags else past[:, :, :0]
+        other_past, _ = whiten(past)
+        own_past = whiten(past[:, :, : 3 * own_lags])[0] if own_lags else past[:, :, :0]
         shares = [
-            explain_beyond_own_past(target, own, theirs),
-            explain_beyond_own_past(shift_in_time(target, axis=1), shift_in_time(own, axis=1), theirs),
+            explain_beyond_own_past(target, own_past, other_past),
+            explain_beyond_own_past(shift_in_time(target, axis=1), shift_in_time(own_past, axis=1), other_past),
         ]
         return adjust_shares(np.array(shares), rows, np.full(uavs, 3.0 * lags), 3.0 * own_lags)
 
@@ -171,6 +171,6 @@ class OnePerRound(Detector):
 
     def detect(self, window: Window) -> Detection:
         """Name the UAV with the highest score of :class:`LaggedRegression`; scores and attention are from there."""
-        whole = LaggedRegression().detect(window)
-        candidates = np.isin(np.arange(window.uavs), rank_uavs(whole.scores, window.alive, self.rng)[:1])
-        return Detection(candidates=candidates, scores=whole.scores, attention=whole.attention)
+        detection = LaggedRegression().detect(window)
+        candidates = np.isin(np.arange(window.uavs), rank_uavs(detection.scores, window.alive, self.rng)[:1])
+        return Detection(candidates=candidates, scores=detection.scores, attention=detection.attention)

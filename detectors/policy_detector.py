@@ -105,36 +105,36 @@ class PolicyDetector(Detector):
 
     def _read_probabilities(self, observation: Any, uavs: int) -> Floats | None:
         """Probability per UAV from Stable-Baselines3's action distribution; ``None`` if the policy offers none."""
-        policy, ask = self.policy, getattr(self.policy, "get_distribution", None)
-        if ask is None or not hasattr(policy, "obs_to_tensor") or "lstm_states" in inspect.signature(ask).parameters:
+        policy, get = self.policy, getattr(self.policy, "get_distribution", None)
+        if get is None or not hasattr(policy, "obs_to_tensor") or "lstm_states" in inspect.signature(get).parameters:
             return None  # a recurrent policy needs more than one observation
         torch = import_module("torch")
         with torch.no_grad():
-            distribution = ask(policy.obs_to_tensor(observation)[0])
-        inner = getattr(distribution, "distribution", None) or getattr(distribution, "distributions", None)
-        if isinstance(inner, list) and all(part.probs.shape == (1, 2) for part in inner):
-            return _to_scores(torch.cat([part.probs[:, 1] for part in inner]), uavs)  # MultiDiscrete([2] * N), masked
-        probabilities = getattr(inner, "probs", None)
+            distribution = get(policy.obs_to_tensor(observation)[0])
+        base = getattr(distribution, "distribution", None) or getattr(distribution, "distributions", None)
+        if isinstance(base, list) and all(part.probs.shape == (1, 2) for part in base):
+            return _to_scores(torch.cat([part.probs[:, 1] for part in base]), uavs)  # MultiDiscrete([2] * N), masked
+        probabilities = getattr(base, "probs", None)
         return None if probabilities is None or probabilities.numel() != uavs else _to_scores(probabilities, uavs)
 
     def _act_by_tensordict(self, observation: Any, window: Window) -> tuple[Mask, Floats]:
         tensordict = import_module("tensordict")  # installed wherever such a policy exists
-        asked = tensordict.TensorDict(_to_tensors(observation, self.policy), batch_size=[1])
+        inputs = tensordict.TensorDict(_to_tensors(observation, self.policy), batch_size=[1])
         with import_module("tensordict.nn").set_interaction_type("deterministic"):
-            given = self._call_policy(asked)
-        candidates = _to_candidates(given.get("action"), window.uavs)
-        found = (given.get(key, None) for key in _SCORES)
-        scores = next((value for value in found if value is not None and value.numel() == window.uavs), candidates)
+            outputs = self._call_policy(inputs)
+        candidates = _to_candidates(outputs.get("action"), window.uavs)
+        values = (outputs.get(key, None) for key in _SCORES)
+        scores = next((value for value in values if value is not None and value.numel() == window.uavs), candidates)
         return candidates, _to_scores(scores, window.uavs)
 
-    def _call_policy(self, given: Any) -> Any:
+    def _call_policy(self, inputs: Any) -> Any:
         """Call the policy without gradients and in evaluation mode; restore the training mode at the end."""
         training = [module for module in getattr(self.policy, "modules", list)() if module.training]
         for module in training:
             module.training = False
         try:
             with import_module("torch").no_grad():
-                return self.policy(given)
+                return self.policy(inputs)
         finally:
             for module in training:
                 module.training = True

@@ -46,7 +46,7 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
         raise ArgumentError(f"path must be a safetensors file, got {quote(str(path))}: {reason}.") from None
 
 
-def packaged_arrays(package: str, name: str) -> dict[str, NDArray[Any]]:
+def read_packaged_arrays(package: str, name: str) -> dict[str, NDArray[Any]]:
     """Read the arrays of ``data/<name>.safetensors`` in a package such as ``"detectors.mc_gassl"``."""
     return load((files(package) / "data" / f"{name}.safetensors").read_bytes())
 

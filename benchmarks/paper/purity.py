@@ -51,10 +51,10 @@ def make_features(name: str) -> Any:
     """The argument ``features`` of a clusterer."""
     if name != "gru-single":
         return name
-    from detectors.mc_gassl.features import gru_features  # they need PyTorch
+    from detectors.mc_gassl.features import compute_gru_features  # they need PyTorch
     from detectors.mc_gassl.gru import load_meta_weights
 
-    return partial(gru_features, parameters=load_meta_weights())
+    return partial(compute_gru_features, parameters=load_meta_weights())
 
 
 def play(game: Game, seed: int) -> list[dict[str, Any]]:
@@ -65,13 +65,13 @@ def play(game: Game, seed: int) -> list[dict[str, Any]]:
     window, truth = Window.from_observation(observation), env.swarm
     count = game["clusters"] if game["count"] == "given" else game["count"]
     clusterer = make_clusterer(game["clusterer"], count=count, features=make_features(game["features"]))
-    begun = time.perf_counter()
-    found = clusterer.cluster(window, np.random.default_rng(detector_seed))
-    seconds = time.perf_counter() - begun
+    start = time.perf_counter()
+    clustering = clusterer.cluster(window, np.random.default_rng(detector_seed))
+    seconds = time.perf_counter() - start
     values = {
-        "found": found.count,
-        "purity": purity(truth.root, found.labels),
-        "head_in_cluster": head_in_cluster(truth.head, truth.root, found.labels),
+        "found": clustering.count,
+        "purity": purity(truth.root, clustering.labels),
+        "head_in_cluster": head_in_cluster(truth.head, truth.root, clustering.labels),
     }
     return [{**game, **values, "seconds": seconds}]
 
@@ -79,12 +79,12 @@ def play(game: Game, seed: int) -> list[dict[str, Any]]:
 def draw(rows: pd.DataFrame, folder: Path) -> None:
     """Draw the paper's picture: purity of its four algorithms for each follow strategy, M given."""
     rows, styles = rows[rows["count"] == "given"], {}
-    named = {(clusterer, features): label for clusterer, features, label, _ in PICTURED}
-    rows = rows.assign(detector=[named.get(key, "") for key in zip(rows.clusterer, rows.features, strict=True)])
+    labels = {(clusterer, features): label for clusterer, features, label, _ in PICTURED}
+    rows = rows.assign(detector=[labels.get(key, "") for key in zip(rows.clusterer, rows.features, strict=True)])
     for number, (_, features, label, marker) in enumerate(PICTURED):
         color = shared.COLORS[number // 2] if marker != "*" else shared.COLORS[-1]
-        fill = "white" if features == "raw" else color
-        styles[label] = {"marker": marker, "mfc": fill, "ms": 11 if marker == "*" else 6, "color": color}
+        face = "white" if features == "raw" else color
+        styles[label] = {"marker": marker, "mfc": face, "ms": 11 if marker == "*" else 6, "color": color}
     figure, ((axes,),) = shared.panels(11, 5.4)
     shared.draw_intervals(
         axes, pd.concat([rows, rows.assign(follow="all")]), "follow", [*FOLLOW, "all"], "purity", styles

@@ -20,7 +20,7 @@ from usnet_env.arrays import Floats, Indices
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
-_EQUAL = 1e-5  # smaller differences of features are rounding errors
+_ROUNDING = 1e-5  # smaller differences of features are rounding errors
 
 
 class CentralMost(Detector):
@@ -41,23 +41,23 @@ class CentralMost(Detector):
         reach = self.check_arguments().reach
         scores, clusters = np.zeros(window.uavs), np.full(window.uavs, -1, np.int64)
         candidates, seen = np.zeros(window.uavs, bool), window.alive & window.seen.any(axis=0)
-        place = fill_gaps(window).position[0].astype(np.float64)
+        position = fill_gaps(window).position[0].astype(np.float64)
         if seen.sum() > 1:
-            clusters[seen] = group_by_distance(place[seen], reach)
+            clusters[seen] = group_by_distance(position[seen], reach)
         for group in range(clusters.max() + 1):
             members = np.flatnonzero(clusters == group)
-            far = np.linalg.norm(place[members] - place[members].mean(axis=0), axis=1)
-            scores[members] = 1.0 / (1.0 + far / max(float(far.mean()), 1e-9))
-            candidates[members[far.argmin()]] = True
+            distance = np.linalg.norm(position[members] - position[members].mean(axis=0), axis=1)
+            scores[members] = 1.0 / (1.0 + distance / max(float(distance.mean()), 1e-9))
+            candidates[members[distance.argmin()]] = True
         return Detection(candidates=candidates, scores=scores, clusters=clusters)
 
 
-def group_by_distance(place: Floats, reach: float) -> Indices:
+def group_by_distance(position: Floats, reach: float) -> Indices:
     """Groups ``(n,)`` of at least 3 points ``(n, 3)``, by links up to ``reach`` median distances; -1: in no group."""
-    tree = KDTree(place)
-    nearest = np.median(tree.query(place, 2)[0][:, 1])
+    tree = KDTree(position)
+    nearest = np.median(tree.query(position, 2)[0][:, 1])
     pairs = tree.query_pairs(reach * float(nearest), output_type="ndarray")
-    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(place),) * 2)
+    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(position),) * 2)
     group = connected_components(links, directed=False)[1]
     large = np.bincount(group) >= 3
     return np.where(large[group], np.cumsum(large)[group] - 1, -1).astype(np.int64)
@@ -83,10 +83,10 @@ class TrackOutlier(Detector):
         scores, alive = np.zeros(window.uavs), window.alive
         if alive.any():
             features = describe_tracks(fill_gaps(window).velocity[:, alive].astype(np.float64))
-            away = np.abs(features - np.median(features, axis=0))
-            spread = np.median(away, axis=0)
-            away = np.where(spread > _EQUAL, away / np.maximum(spread, _EQUAL), 0.0)
-            scores[alive] = np.sqrt((away**2).mean(axis=1))
+            distance = np.abs(features - np.median(features, axis=0))
+            spread = np.median(distance, axis=0)
+            distance = np.where(spread > _ROUNDING, distance / np.maximum(spread, _ROUNDING), 0.0)
+            scores[alive] = np.sqrt((distance**2).mean(axis=1))
         least = min(threshold, scores.max(initial=0.0))
         return Detection(candidates=alive & (scores >= least) & (scores > 0), scores=scores)
 

@@ -16,7 +16,7 @@ from usnet_env.detection import Tags
 from usnet_env.series import centre_columns, correlate_at_lag, correlate_over_lags, scale_to_unit
 
 
-def _directions(velocity: Floats) -> Floats:
+def _compute_directions(velocity: Floats) -> Floats:
     speed = np.sqrt((velocity**2).sum(axis=-1, keepdims=True))
     return np.where(speed > 0, velocity / np.where(speed > 0, speed, 1.0), 0.0)
 
@@ -31,13 +31,13 @@ class DirectionalDelays(NetworkDetector):
 
     def pairs(self, flight: Flight, lags: int, needed: Mask | None = None) -> Pairs:
         """Correlate the directions of flight."""
-        direction = _directions(flight.velocity)
-        behind, delay = correlate_flights(direction, flight.seen, lags)
+        direction = _compute_directions(flight.velocity)
+        lagged, delay = correlate_flights(direction, flight.seen, lags)
         unit = scale_to_unit(centre_columns(direction, flight.seen))
-        together = correlate_at_lag(unit, unit, 0)
-        peak = np.maximum(behind, together) > np.maximum(together, behind.T)  # the highest value lies at a positive lag
-        net = behind - behind.T
-        return Pairs(behind, np.where(peak | peak.T, net, 0.0), delay)
+        unlagged = correlate_at_lag(unit, unit, 0)
+        delayed = np.maximum(lagged, unlagged) > np.maximum(unlagged, lagged.T)  # the highest is at a positive lag
+        net = lagged - lagged.T
+        return Pairs(lagged, np.where(delayed | delayed.T, net, 0.0), delay)
 
 
 class LaggedNetwork(NetworkDetector):
@@ -50,14 +50,14 @@ class LaggedNetwork(NetworkDetector):
 
     def pairs(self, flight: Flight, lags: int, needed: Mask | None = None) -> Pairs:
         """Correlate velocities, accelerations and directions."""
-        later = flight.seen.copy()
-        later[1:] &= flight.seen[:-1]
-        later[0] = False
+        both_seen = flight.seen.copy()
+        both_seen[1:] &= flight.seen[:-1]
+        both_seen[0] = False
         change = np.zeros_like(flight.velocity)
         change[1:] = np.diff(flight.velocity, axis=0)
         strength, delay = correlate_flights(flight.velocity, flight.seen, lags)
-        accelerations, _ = correlate_flights(np.where(later[..., None], change, 0.0), later, lags)
-        directions, _ = correlate_flights(_directions(flight.velocity), flight.seen, lags)
+        accelerations, _ = correlate_flights(np.where(both_seen[..., None], change, 0.0), both_seen, lags)
+        directions, _ = correlate_flights(_compute_directions(flight.velocity), flight.seen, lags)
         mean = np.mean([strength, accelerations, directions], axis=0)
         return Pairs(mean, mean - mean.T, delay)
 
@@ -96,17 +96,17 @@ class FrontMost(NetworkDetector):
 
     def pairs(self, flight: Flight, lags: int, needed: Mask | None = None) -> Pairs:
         """Compare the places of all pairs along their common velocity."""
-        course = scale_to_unit(_directions(flight.velocity))
-        alike = correlate_over_lags(course, course, lags, least=-lags)
+        course = scale_to_unit(_compute_directions(flight.velocity))
+        correlation = correlate_over_lags(course, course, lags, least=-lags)
         by_uav = (values.swapaxes(0, 1).copy() for values in (flight.place, flight.velocity, flight.seen))
-        return Pairs(alike, np.where(alike >= self.alike, _compare_places(*by_uav), 0.0))
+        return Pairs(correlation, np.where(correlation >= self.alike, _compare_positions(*by_uav), 0.0))
 
 
 @compiled()
-def _compare_places(place: Floats, velocity: Floats, seen: Mask) -> Floats:
+def _compare_positions(position: Floats, velocity: Floats, seen: Mask) -> Floats:
     """How far UAV j is ahead of UAV i, ``(n, n)``, from place and velocity ``(n, T, d)`` and seen ``(n, T)``."""
-    uavs, steps, axes = place.shape
-    ahead = np.zeros((uavs, uavs))
+    uavs, steps, axes = position.shape
+    lead = np.zeros((uavs, uavs))
     for i in range(uavs):
         for j in range(i + 1, uavs):
             cosines, count = 0.0, 0
@@ -114,15 +114,15 @@ def _compare_places(place: Floats, velocity: Floats, seen: Mask) -> Floats:
                 if not (seen[i, t] and seen[j, t]):
                     continue
                 count += 1
-                product = way = common = 0.0
+                product = offset_power = course_power = 0.0
                 for k in range(axes):
-                    apart, together = place[j, t, k] - place[i, t, k], velocity[j, t, k] + velocity[i, t, k]
-                    product += apart * together
-                    way += apart**2
-                    common += together**2
-                if way > 0 and common > 0:
-                    cosines += product / (np.sqrt(way) * np.sqrt(common))
+                    offset, course = position[j, t, k] - position[i, t, k], velocity[j, t, k] + velocity[i, t, k]
+                    product += offset * course
+                    offset_power += offset**2
+                    course_power += course**2
+                if offset_power > 0 and course_power > 0:
+                    cosines += product / (np.sqrt(offset_power) * np.sqrt(course_power))
             if count:
-                ahead[i, j] = cosines / count
-                ahead[j, i] = -ahead[i, j]
-    return ahead
+                lead[i, j] = cosines / count
+                lead[j, i] = -lead[i, j]
+    return lead

@@ -52,19 +52,19 @@ class Factions(Detector):
         candidates = np.zeros(window.uavs, bool)
         if len(living):
             velocity, seen = window.velocity[:, living].astype(np.float64), window.velocity_seen[:, living]
-            flight = scale_to_unit(centre_columns(velocity, seen))
-            best = correlate_over_lags(flight, flight, min(self.max_lag, len(velocity) - 2))
+            unit = scale_to_unit(centre_columns(velocity, seen))
+            best = correlate_over_lags(unit, unit, min(self.max_lag, len(velocity) - 2))
             network = np.where((best >= self.threshold) & (best > best.T), best, 0.0)  # (i, j): i follows j
             scores[living] = compute_pagerank(network)
             follows = network > 0
             leads = np.flatnonzero(follows.any(axis=0) & ~follows.any(axis=1))
             candidates[living[leads]] = True
             if len(leads):
-                backwards = dijkstra(network.T, indices=leads, unweighted=True)
-                reached = np.isfinite(backwards).T
-                member = reached.any(axis=1)
-                clusters[living[member]] = reached[member].argmax(axis=1)
-                leader[living[member]] = living[leads[clusters[living[member]]]]
+                distance = dijkstra(network.T, indices=leads, unweighted=True)
+                reached = np.isfinite(distance).T
+                in_faction = reached.any(axis=1)
+                clusters[living[in_faction]] = reached[in_faction].argmax(axis=1)
+                leader[living[in_faction]] = living[leads[clusters[living[in_faction]]]]
             else:
                 candidates[rank_uavs(scores, window.alive, self.rng)[:1]] = True
         return Detection(candidates=candidates, scores=scores, clusters=clusters, leader=leader)
@@ -74,8 +74,8 @@ def compute_pagerank(network: Floats) -> Floats:
     """Compute the PageRank ``(n,)`` of the nodes of a network ``(n, n)`` (Page et al., 1999)."""
     uavs = len(network)
     out = network.sum(axis=1, keepdims=True)
-    step, ends = network / np.where(out > 0, out, 1.0), ~(out[:, 0] > 0)
+    transition, is_dangling = network / np.where(out > 0, out, 1.0), ~(out[:, 0] > 0)
     rank = np.full(uavs, 1.0 / uavs)
     for _ in range(_ITERATIONS):  # a node without links has one to every node; summed apart, equal ranks stay equal
-        rank = (1.0 - _DAMPING) / uavs + _DAMPING * (rank @ step + rank[ends].sum() / uavs)
+        rank = (1.0 - _DAMPING) / uavs + _DAMPING * (rank @ transition + rank[is_dangling].sum() / uavs)
     return rank

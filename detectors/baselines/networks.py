@@ -16,7 +16,7 @@ from pydantic import Field
 from detectors.base import Detector
 from detectors.parameters import Lags
 from detectors.series.designs import check_pairs, check_steps
-from detectors.series.votes import find_trees, spread
+from detectors.series.votes import find_trees, scatter_to_swarm
 from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.detection import Detection, Tags
 from usnet_env.series import bound_maximum, centre_columns, correlate_at_lag, reverse_blocks, scale_to_unit
@@ -96,16 +96,16 @@ class NetworkDetector(Detector):
         flight = _read_flight(window, living)
         pairs, n = self._measure(flight, lags), len(living)
         count = int(np.clip(math.ceil(_ROW_MAXIMA / n), *_SURROGATES))
-        related = self._relate(flight, pairs, lags, count) if self._gated else np.isfinite(pairs.strength)
-        either = related | related.T
-        rows = either.any(axis=1)
+        is_related = self._relate(flight, pairs, lags, count) if self._gated else np.isfinite(pairs.strength)
+        is_compared = is_related | is_related.T
+        rows = is_compared.any(axis=1)
         if not rows.any():
             return _describe(window, living, pairs, np.inf)
         maxima = [
-            np.where(either, self._measure(each, lags, either).lead, -np.inf).max(axis=1)[rows]
+            np.where(is_compared, self._measure(each, lags, is_compared).lead, -np.inf).max(axis=1)[rows]
             for each in reverse_flight(flight, lags, count)
         ]
-        lead = np.where(related, pairs.lead, -np.inf)
+        lead = np.where(is_related, pairs.lead, -np.inf)
         threshold = _find_threshold(lead[rows].max(axis=1), maxima, self.level)
         return _describe(window, living, replace(pairs, lead=lead), threshold)
 
@@ -113,14 +113,14 @@ class NetworkDetector(Detector):
         """Pairs ``(n, n)`` that are closer than in ``count`` / 2 surrogates with half of the UAVs shifted in time."""
         changes = (np.diff(flight.velocity, axis=0) ** 2).sum(axis=(0, 2))
         half = np.argsort(np.argsort(changes, kind="stable")) % 2 == 0  # does not depend on indices
-        apart, maxima = half[:, None] != half, list[Floats]()
-        for late in len(flight.velocity) * np.arange(1, count // 2 + 1) // (count // 2 + 1):
+        is_mixed, maxima = half[:, None] != half, list[Floats]()
+        for shift in len(flight.velocity) * np.arange(1, count // 2 + 1) // (count // 2 + 1):
             shifted = (
-                np.where(half[:, None] if values.ndim == 3 else half, np.roll(values, late, axis=0), values)
+                np.where(half[:, None] if values.ndim == 3 else half, np.roll(values, shift, axis=0), values)
                 for values in (flight.velocity, flight.place, flight.seen)
             )
-            strength = self._measure(Flight(*shifted), lags, apart).strength
-            maxima.append(np.where(apart, strength, -np.inf).max(axis=1))
+            strength = self._measure(Flight(*shifted), lags, is_mixed).strength
+            maxima.append(np.where(is_mixed, strength, -np.inf).max(axis=1))
         return pairs.strength > _find_threshold(pairs.strength.max(axis=1), maxima, self.level)
 
     def _measure(self, flight: Flight, lags: int, needed: Mask | None = None) -> Pairs:
@@ -133,10 +133,10 @@ class NetworkDetector(Detector):
 def _read_flight(window: Window, living: Indices) -> Flight:
     seen = window.velocity_seen[:, living]
     position = window.position[:, living].astype(np.float64)
-    place = np.where(seen[..., None], (position[1:] + position[:-1]) / 2, 0.0)
-    middle = place.sum(axis=(0, 1)) / max(int(seen.sum()), 1)
+    midpoint = np.where(seen[..., None], (position[1:] + position[:-1]) / 2, 0.0)
+    centroid = midpoint.sum(axis=(0, 1)) / max(int(seen.sum()), 1)
     velocity = np.where(seen[..., None], window.velocity[:, living], 0.0).astype(np.float64)
-    return Flight(velocity, np.where(seen[..., None], place - middle, 0.0), seen)
+    return Flight(velocity, np.where(seen[..., None], midpoint - centroid, 0.0), seen)
 
 
 def reverse_flight(flight: Flight, lags: int, count: int) -> Iterator[Flight]:
@@ -154,9 +154,9 @@ def _find_threshold(values: Floats, maxima: list[Floats], level: float) -> float
 
     By chance they have the Gumbel distribution with the mean and variance of ``maxima``, those of surrogates.
     """
-    allowed = bound_maximum(np.concatenate(maxima), level * np.arange(1, len(values) + 1) / len(values))
-    passed = np.flatnonzero(np.sort(values)[::-1] > allowed)
-    return float(allowed[passed[-1]]) if len(passed) else math.inf
+    bounds = bound_maximum(np.concatenate(maxima), level * np.arange(1, len(values) + 1) / len(values))
+    accepted = np.flatnonzero(np.sort(values)[::-1] > bounds)
+    return float(bounds[accepted[-1]]) if len(accepted) else math.inf
 
 
 def correlate_flights(series: Floats, seen: Mask, lags: int) -> tuple[Floats, Indices]:
@@ -174,25 +174,25 @@ def _describe(window: Window, living: Indices, pairs: Pairs, threshold: float) -
     n, follows = len(living), leader >= 0
     leads = np.bincount(leader[follows], minlength=n) > 0
     heads = np.flatnonzero(leads & ~follows)
-    own = np.where(follows, pairs.lead.max(axis=1, initial=-np.inf), 0.0)
-    others = np.where(np.isfinite(pairs.lead), pairs.lead, 0.0)
-    support = np.bincount(root, np.where(follows, own - threshold, 0.0), n)
-    scores = np.where(follows, -own, support + others.sum(axis=0) / max(n - 1, 1))
+    own_lead = np.where(follows, pairs.lead.max(axis=1, initial=-np.inf), 0.0)
+    lead = np.where(np.isfinite(pairs.lead), pairs.lead, 0.0)
+    excess = np.bincount(root, np.where(follows, own_lead - threshold, 0.0), n)
+    scores = np.where(follows, -own_lead, excess + lead.sum(axis=0) / max(n - 1, 1))
     in_tree = follows | leads
     delay = np.full(n, -1)
     if pairs.delay is not None:
         delay[follows] = pairs.delay[np.flatnonzero(follows), leader[follows]]
-    widen = partial(spread, members=living, uavs=window.uavs)
+    scatter = partial(scatter_to_swarm, members=living, uavs=window.uavs)
     return Detection(
-        candidates=widen(leads & ~follows),
-        scores=widen(scores),
-        clusters=widen(np.where(in_tree, np.searchsorted(heads, root), -1), fill=-1),
-        leader=widen(np.where(follows, living[leader], np.where(in_tree, living, -1)), fill=-1),
-        attention=widen(np.maximum(others, 0.0), pairs=True),
+        candidates=scatter(leads & ~follows),
+        scores=scatter(scores),
+        clusters=scatter(np.where(in_tree, np.searchsorted(heads, root), -1), fill=-1),
+        leader=scatter(np.where(follows, living[leader], np.where(in_tree, living, -1)), fill=-1),
+        attention=scatter(np.maximum(lead, 0.0), pairs=True),
         extras={
-            "root": widen(np.where(in_tree, living[root], -1), fill=-1),
-            "relay": widen(leads & follows),
-            "delay": widen(delay, fill=-1),
+            "root": scatter(np.where(in_tree, living[root], -1), fill=-1),
+            "relay": scatter(leads & follows),
+            "delay": scatter(delay, fill=-1),
             "threshold": threshold,
             "heads": living[heads],
             "reasons": [_explain(int(head), leader, root, delay, window.step, pairs.what) for head in heads],
@@ -201,10 +201,10 @@ def _describe(window: Window, living: Indices, pairs: Pairs, threshold: float) -
 
 
 def _explain(head: int, leader: Indices, root: Indices, delay: Indices, step: float | None, what: str) -> str:
-    direct, led = leader == head, (root == head) & (leader >= 0)
-    relayed = int((led & ~direct).sum())
+    direct, in_tree = leader == head, (root == head) & (leader >= 0)
+    relayed = int((in_tree & ~direct).sum())
     text = f"Leads {int(direct.sum())} directly" + (f" and {relayed} through others" if relayed else "")
-    if (known := delay[direct & (delay > 0)]).size:
-        late = float(np.median(known))
-        text += f", {what} after {late * step:g} s" if step is not None else f", {what} after {late:g} steps"
+    if (known_delays := delay[direct & (delay > 0)]).size:
+        steps = float(np.median(known_delays))
+        text += f", {what} after {steps * step:g} s" if step is not None else f", {what} after {steps:g} steps"
     return f"{text}; no UAV leads it."

@@ -51,62 +51,62 @@ def estimate_transfer_entropy(
     rows = np.unique(np.linspace(first, len(velocity) - 1, min(_MOST_ROWS, len(velocity) - first)).astype(np.int64))
     entropy = np.zeros(delay.shape)
     table = digamma(np.arange(len(rows) + 2).clip(1))
-    wanted = np.ones(delay.shape, bool) if needed is None else needed
-    _estimate(series, seen.T.copy(), delay, rows, neighbours, table, wanted, entropy)
-    moves = (series != 0).any(axis=(1, 2))
-    return np.where(moves[:, None] & moves, entropy, 0.0)
+    pairs = np.ones(delay.shape, bool) if needed is None else needed
+    _estimate(series, seen.T.copy(), delay, rows, neighbours, table, pairs, entropy)
+    is_moving = (series != 0).any(axis=(1, 2))
+    return np.where(is_moving[:, None] & is_moving, entropy, 0.0)
 
 
 @compiled(error_model="numpy")
 def _estimate(series, seen, delay, rows, neighbours, table, needed, entropy):
-    uavs, many = len(series), len(rows)
-    present, own = np.empty((many, many), np.float32), np.empty((many, many), np.float32)
-    past = np.empty((many, many), np.float32)
-    far, nearest = np.empty(many, np.float32), np.empty(neighbours, np.float32)
-    good = np.empty(many, np.bool_)
+    uavs, count = len(series), len(rows)
+    present, own_past = np.empty((count, count), np.float32), np.empty((count, count), np.float32)
+    past = np.empty((count, count), np.float32)
+    distance, nearest = np.empty(count, np.float32), np.empty(neighbours, np.float32)
+    is_usable = np.empty(count, np.bool_)
     unseen = np.float32(1e30)
     for i in range(uavs):
         if not needed[i].any():
             continue
         _measure_distances(series[i], rows, present)
-        _measure_distances(series[i], rows - 1, own)
+        _measure_distances(series[i], rows - 1, own_past)
         for j in range(uavs):
             if i == j or not needed[i, j]:
                 continue
-            late = delay[i, j]
-            for r in range(many):
-                good[r] = seen[i, rows[r]] and seen[i, rows[r] - 1] and seen[j, rows[r] - late]
-            used = good.sum()
-            if used <= neighbours + 1:
+            lag = delay[i, j]
+            for r in range(count):
+                is_usable[r] = seen[i, rows[r]] and seen[i, rows[r] - 1] and seen[j, rows[r] - lag]
+            usable = is_usable.sum()
+            if usable <= neighbours + 1:
                 continue
-            _measure_distances(series[j], rows - late, past)
-            for r in range(many):
-                if not good[r]:
+            _measure_distances(series[j], rows - lag, past)
+            for r in range(count):
+                if not is_usable[r]:
                     past[r, :] = past[:, r] = unseen
             total = 0.0
-            for r in range(many):
-                if not good[r]:
+            for r in range(count):
+                if not is_usable[r]:
                     continue
-                for s in range(many):
-                    far[s] = max(present[r, s], own[r, s], past[r, s])
-                far[r] = unseen
+                for s in range(count):
+                    distance[s] = max(present[r, s], own_past[r, s], past[r, s])
+                distance[r] = unseen
                 nearest[:] = unseen
-                for s in range(many):
-                    if far[s] < nearest[neighbours - 1]:
+                for s in range(count):
+                    if distance[s] < nearest[neighbours - 1]:
                         k = neighbours - 1
-                        while k > 0 and nearest[k - 1] > far[s]:
+                        while k > 0 and nearest[k - 1] > distance[s]:
                             nearest[k] = nearest[k - 1]
                             k -= 1
-                        nearest[k] = far[s]
+                        nearest[k] = distance[s]
                 limit = nearest[neighbours - 1]
-                alone = with_present = with_past = 0
-                for s in range(many):
-                    near = own[r, s] < limit
-                    alone += near & (past[r, s] < unseen)
-                    with_present += near & (present[r, s] < limit) & (past[r, s] < unseen)
-                    with_past += near & (past[r, s] < limit)
-                total += table[alone] - table[with_present] - table[with_past]  # the counts hold the row itself
-            entropy[i, j] = table[neighbours] + total / used
+                matches = with_present = with_past = 0
+                for s in range(count):
+                    is_near = own_past[r, s] < limit
+                    matches += is_near & (past[r, s] < unseen)
+                    with_present += is_near & (present[r, s] < limit) & (past[r, s] < unseen)
+                    with_past += is_near & (past[r, s] < limit)
+                total += table[matches] - table[with_present] - table[with_past]  # the counts hold the row itself
+            entropy[i, j] = table[neighbours] + total / usable
 
 
 @compiled()

@@ -33,8 +33,8 @@ class Mflica(NetworkDetector):
 
     def pairs(self, flight: Flight, lags: int, needed: Mask | None = None) -> Pairs:
         """Warp all pairs."""
-        place = np.ascontiguousarray(flight.place.swapaxes(0, 1))
-        lead, cost, delay = warp_pairs(place, flight.seen.T.copy(), lags)
+        position = np.ascontiguousarray(flight.place.swapaxes(0, 1))
+        lead, cost, delay = warp_pairs(position, flight.seen.T.copy(), lags)
         spread = (centre_columns(flight.place, flight.seen) ** 2).sum(axis=2).mean(axis=0)
         total = spread[:, None] + spread
         match = "whose places match its earlier ones"
@@ -51,14 +51,14 @@ class Flica(Mflica):
 
     def detect(self, window: Window) -> Detection:
         """Name the UAV with the highest PageRank in the network, or none if no UAV follows another one."""
-        whole = super().detect(window)
-        assert whole.attention is not None
-        network = np.where(whole.attention > whole.extras["threshold"], whole.attention, 0.0)
+        found = super().detect(window)
+        assert found.attention is not None
+        network = np.where(found.attention > found.extras["threshold"], found.attention, 0.0)
         scores = np.where(window.alive, compute_pagerank(network).round(12), 0.0)  # equal ranks are ties
-        led = network.any(axis=1) | network.any(axis=0)
-        head = int(np.where(led, scores, -1.0).argmax()) if led.any() else -1
+        linked = network.any(axis=1) | network.any(axis=0)
+        head = int(np.where(linked, scores, -1.0).argmax()) if linked.any() else -1
         candidates = np.arange(window.uavs) == head
-        return Detection(candidates, scores, np.where(led, 0, -1), np.where(led, head, -1), whole.attention)
+        return Detection(candidates, scores, np.where(linked, 0, -1), np.where(linked, head, -1), found.attention)
 
 
 @compiled()
@@ -72,7 +72,7 @@ def warp_pairs(values: Floats, seen: Mask, band: int) -> tuple[Floats, Floats, I
     lead, cost, delay = np.zeros((uavs, uavs)), np.zeros((uavs, uavs)), np.zeros((uavs, uavs), np.int64)
     width = 2 * band + 1
     total = np.empty((steps, width))
-    came = np.empty((steps, width), np.int8)  # from: 0 both earlier, 1 i earlier, 2 j earlier
+    step = np.empty((steps, width), np.int8)  # from: 0 both earlier, 1 i earlier, 2 j earlier
     counts = np.empty(width, np.int64)
     for i in range(uavs):
         for j in range(i + 1, uavs):
@@ -82,20 +82,20 @@ def warp_pairs(values: Floats, seen: Mask, band: int) -> tuple[Floats, Floats, I
                     total[a, c] = np.inf
                     if b < 0 or b >= steps:
                         continue
-                    best, source = np.inf, 0
+                    least, source = np.inf, 0
                     if a == 0 and b == 0:
-                        best = 0.0
+                        least = 0.0
                     if a > 0 and b > 0:
-                        best = total[a - 1, c]
-                    if a > 0 and c + 1 < width and total[a - 1, c + 1] < best:
-                        best, source = total[a - 1, c + 1], 1
-                    if b > 0 and c > 0 and total[a, c - 1] < best:
-                        best, source = total[a, c - 1], 2
+                        least = total[a - 1, c]
+                    if a > 0 and c + 1 < width and total[a - 1, c + 1] < least:
+                        least, source = total[a - 1, c + 1], 1
+                    if b > 0 and c > 0 and total[a, c - 1] < least:
+                        least, source = total[a, c - 1], 2
                     if seen[i, a] and seen[j, b]:
                         for k in range(axes):
-                            best += (values[i, a, k] - values[j, b, k]) ** 2
-                    total[a, c] = best
-                    came[a, c] = source
+                            least += (values[i, a, k] - values[j, b, k]) ** 2
+                    total[a, c] = least
+                    step[a, c] = source
             a, c, length, sign = steps - 1, band, 0, 0
             counts[:] = 0
             while True:
@@ -107,7 +107,7 @@ def warp_pairs(values: Floats, seen: Mask, band: int) -> tuple[Floats, Floats, I
                     sign -= 1
                 if a == 0 and c == band:
                     break
-                source = came[a, c]
+                source = step[a, c]
                 if source == 0:
                     a -= 1
                 elif source == 1:
@@ -118,10 +118,10 @@ def warp_pairs(values: Floats, seen: Mask, band: int) -> tuple[Floats, Floats, I
             lead[i, j] = sign / length
             lead[j, i] = -sign / length
             cost[i, j] = cost[j, i] = total[steps - 1, band] / length
-            passed, c = counts[0], 0
-            while 2 * passed < length:
+            cumulated, c = counts[0], 0
+            while 2 * cumulated < length:
                 c += 1
-                passed += counts[c]
+                cumulated += counts[c]
             delay[i, j] = band - c
             delay[j, i] = c - band
     return lead, cost, delay

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.stats import rankdata
 from sklearn.base import clone
 
-from detectors.checks.windows import draw_gaps, draw_two_rounds, draw_window, hover, pick_uavs
+from detectors.checks.windows import draw_gaps, draw_two_rounds, draw_window, pick_uavs, stop_uavs
 from usnet_env.arrays import Floats
 from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection
@@ -35,8 +35,8 @@ class CheckError(AssertionError):
     """A detector failed a check; the message is one sentence."""
 
 
-def _require(holds: bool, sentence: str) -> None:
-    if not holds:
+def _require(condition: bool, sentence: str) -> None:
+    if not condition:
         raise CheckError(sentence)
 
 
@@ -56,12 +56,11 @@ def _play(detector: Any, windows: Sequence[Window], seed: int = _SEED) -> list[D
     return [_validate(detector.detect(window), window) for window in windows]
 
 
-def _require_same(ones: Sequence[Detection], others: Sequence[Detection], sentence: str) -> None:
+def _require_same(detections: Sequence[Detection], expected: Sequence[Detection], sentence: str) -> None:
     """Require bitwise equal detections; the names of fields end the sentence."""
-    for one, other in zip(ones, others, strict=True):
-        different = [
-            name for name in _FIELDS if not np.array_equal(np.array(getattr(one, name)), np.array(getattr(other, name)))
-        ]
+    for answer, twin in zip(detections, expected, strict=True):
+        pairs = {name: (np.array(getattr(answer, name)), np.array(getattr(twin, name))) for name in _FIELDS}
+        different = [name for name, (value, other) in pairs.items() if not np.array_equal(value, other)]
         _require(not different, f"{sentence} {', '.join(different)}.")
 
 
@@ -75,19 +74,19 @@ def _list_arguments(detector: Any) -> list[str]:
 def check_constructor_only_stores(detector: Any) -> None:
     """The constructor only stores its arguments; ``get_params`` and ``clone`` match, and an episode changes none."""
     names, kind = _list_arguments(detector), type(detector)
-    given = {name: object() for name in names}  # no constructor can interpret these
-    stored = dict(vars(kind(**given)))
-    for name, value in given.items():
+    sentinels = {name: object() for name in names}  # no constructor can interpret these
+    stored = dict(vars(kind(**sentinels)))
+    for name, value in sentinels.items():
         same = stored.pop(name, None) is value
         _require(same, f"the constructor must store {name} unchanged as self.{name}; reset is the place to check it.")
     _require(not stored, f"the constructor must store its arguments only, also got {', '.join(sorted(stored))}.")
     player = copy.deepcopy(detector)
     params = player.get_params(deep=False)
     _require(sorted(params) == names, f"get_params must return {', '.join(names)}, got {quote(sorted(params))}.")
-    before = {name: repr(value) for name, value in params.items()}
+    old_values = {name: repr(value) for name, value in params.items()}
     _play(player, draw_two_rounds(detector))
     for name, value in player.get_params(deep=False).items():
-        same = value is params[name] and repr(value) == before[name]
+        same = value is params[name] and repr(value) == old_values[name]
         _require(same, f"an episode must leave the argument {name} unchanged, got {quote(value)}.")
     twin = clone(player)
     _require(type(twin) is kind, f"clone must return a {kind.__name__}, got a {type(twin).__name__}.")
@@ -103,13 +102,13 @@ def check_answers_with_a_detection(detector: Any) -> None:
 
 def check_same_seed_same_answer(detector: Any) -> None:
     """The same seed gives bitwise equal detections over an episode, also after another episode."""
-    player, other = copy.deepcopy(detector), copy.deepcopy(detector)
+    player, copied = copy.deepcopy(detector), copy.deepcopy(detector)
     first = _play(player, draw_two_rounds(detector))
-    twin = _play(other, draw_two_rounds(detector))
+    twin = _play(copied, draw_two_rounds(detector))
     _require_same(first, twin, "the same seed must give the same detection, got other")
     _play(player, [draw_window(detector, 20, 1, seed=7)], seed=_SEED + 1)
-    again = _play(player, draw_two_rounds(detector))
-    _require_same(first, again, "reset must clear the previous episode, got other")
+    repeated = _play(player, draw_two_rounds(detector))
+    _require_same(first, repeated, "reset must clear the previous episode, got other")
 
 
 def check_leaves_all_else_alone(detector: Any) -> None:
@@ -120,10 +119,10 @@ def check_leaves_all_else_alone(detector: Any) -> None:
     np.random.rand()  # noqa: NPY002  # the global generator is what is checked
     if torch := sys.modules.get("torch"):
         torch.rand(1)
-    before = _read_generators()
+    old_states = _read_generators()
     _play(player, [window])  # its arrays are read-only
-    after = _read_generators()
-    changed = [name for name in before if before[name] != after[name]]
+    new_states = _read_generators()
+    changed = [name for name in old_states if old_states[name] != new_states[name]]
     _require(not changed, f"a detector must leave global generators alone, got a change of {', '.join(changed)}.")
 
 
@@ -139,7 +138,7 @@ def check_any_window(detector: Any) -> None:
     """``detect`` answers any swarm and missing samples, or raises an ``ArgumentError`` for fewer than 3 UAVs."""
     player, small = copy.deepcopy(detector), draw_window(detector, 3, 1)
     large, single = draw_window(detector, 60, 7), draw_window(detector, 16, 1)
-    for window in (small, large, single, draw_gaps(detector), hover(small)):
+    for window in (small, large, single, draw_gaps(detector), stop_uavs(small)):
         _play(player, [window])
     for uavs in (1, 2):
         with suppress(ArgumentError):
@@ -150,34 +149,34 @@ def check_order_of_uavs(detector: Any) -> None:
     """Permuting the UAVs permutes the detection, exactly or by a permutation test on mean candidates and mean ranks."""
     window = draw_window(detector)
     order = np.random.default_rng(_SEED).permutation(window.uavs)  # the reverse order would keep pairs of neighbours
-    back, shuffled = np.argsort(order), pick_uavs(window, order)
+    inverse, shuffled = np.argsort(order), pick_uavs(window, order)
 
     def summarise(seed: int, shuffle: bool) -> Floats:
         """``(2, N)``: candidates and scores in the order of the window, in units of the largest score."""
         (answer,) = _play(copy.deepcopy(detector), [shuffled if shuffle else window], seed)
         values = np.stack([answer.candidates, answer.scores / max(float(np.abs(answer.scores).max()), 1e-12)])
-        return values[:, back] if shuffle else values
+        return values[:, inverse] if shuffle else values
 
     if np.allclose(summarise(_SEED, False), summarise(_SEED, True), rtol=1e-4, atol=1e-4):
         return
-    drawn = np.stack([summarise(seed, seed >= _EPISODES) for seed in range(2 * _EPISODES)])
+    samples = np.stack([summarise(seed, seed >= _EPISODES) for seed in range(2 * _EPISODES)])
     # Scores that differ by rounding errors only must share a rank.
-    drawn[:, 1] = rankdata(np.round(drawn[:, 1], 4), axis=1) / window.uavs
-    p = compare_samples(drawn[:_EPISODES].reshape(_EPISODES, -1), drawn[_EPISODES:].reshape(_EPISODES, -1))
+    samples[:, 1] = rankdata(np.round(samples[:, 1], 4), axis=1) / window.uavs
+    p = compare_samples(samples[:_EPISODES].reshape(_EPISODES, -1), samples[_EPISODES:].reshape(_EPISODES, -1))
     _require(p >= _LEVEL, f"permuting the UAVs must permute the detection, got another (p = {p:.4f}).")
 
 
-def compare_samples(here: Floats, there: Floats) -> float:
+def compare_samples(first: Floats, second: Floats) -> float:
     """p-value of a permutation test for equal means of two samples, ``(k, d)`` each."""
-    pooled, rng = np.concatenate([here, there]), np.random.default_rng(0)
+    pooled, rng = np.concatenate([first, second]), np.random.default_rng(0)
     orders = np.stack([np.arange(len(pooled)), *(rng.permutation(len(pooled)) for _ in range(_RELABELLINGS))])
-    distance = ((np.where(orders < len(here), 1.0, -1.0) @ pooled) ** 2).sum(axis=1)
+    distance = ((np.where(orders < len(first), 1.0, -1.0) @ pooled) ** 2).sum(axis=1)
     return float((distance >= distance[0] * (1 - 1e-9) - 1e-9).mean())
 
 
 def check_later_rounds(detector: Any) -> None:
     """A destroyed UAV is never a candidate in later rounds, whether a few or nearly all UAVs are destroyed."""
-    windows = [draw_window(detector, 20, destroyed=gone, round=r) for r, gone in enumerate((0, 4, 17), start=1)]
+    windows = [draw_window(detector, 20, destroyed=losses, round=r) for r, losses in enumerate((0, 4, 17), start=1)]
     for seed in range(_SEED, _SEED + 3):
         _play(copy.deepcopy(detector), windows, seed)
 
@@ -185,19 +184,19 @@ def check_later_rounds(detector: Any) -> None:
 def check_label_and_pickle(detector: Any) -> None:
     """Its label makes an equal detector; a pickled copy gives the same detections, also within an episode."""
     player, windows = copy.deepcopy(detector), draw_two_rounds(detector)
-    there = pickle.loads(pickle.dumps(player))  # its own bytes, of no file
+    pickled = pickle.loads(pickle.dumps(player))  # its own bytes, of no file
     first = _play(player, windows[:1])
-    _require_same(first, _play(there, windows[:1]), "an unpickled detector must answer as before, got other")
-    there = pickle.loads(pickle.dumps(player))
-    here, same = ([_validate(copied.detect(windows[1]), windows[1])] for copied in (player, there))
-    _require_same(here, same, "a detector that is pickled within an episode must continue it, got other")
+    _require_same(first, _play(pickled, windows[:1]), "an unpickled detector must answer as before, got other")
+    pickled = pickle.loads(pickle.dumps(player))
+    expected, answers = ([_validate(copied.detect(windows[1]), windows[1])] for copied in (player, pickled))
+    _require_same(expected, answers, "a detector that is pickled within an episode must continue it, got other")
     names = _list_arguments(detector)
     try:
         name, arguments = parse_label(label := detector_label(detector), {})
     except ArgumentError:
         return  # an argument is no literal, such as a policy
-    made: Any = make_detector(label) if name in DETECTORS else type(detector)(**arguments)
-    different = [name for name in names if repr(getattr(made, name)) != repr(getattr(detector, name))]
+    twin: Any = make_detector(label) if name in DETECTORS else type(detector)(**arguments)
+    different = [name for name in names if repr(getattr(twin, name)) != repr(getattr(detector, name))]
     _require(not different, f"the label {label} must make an equal detector, got other {', '.join(different)}.")
 
 

@@ -33,9 +33,9 @@ def draw_window(
     rng = np.random.default_rng(seed)
     state = start(swarm, [rng])
     order = rng.permutation(np.setdiff1d(np.arange(uavs), np.flatnonzero(state.head[0])[:1]))
-    gone = np.zeros((1, uavs), bool)
-    gone[0, order[: min(destroyed, uavs - 3)]] = True
-    _, sighting = advance(swarm, destroy(state, gone), [rng])
+    is_destroyed = np.zeros((1, uavs), bool)
+    is_destroyed[0, order[: min(destroyed, uavs - 3)]] = True
+    _, sighting = advance(swarm, destroy(state, is_destroyed), [rng])
     return Window(sighting.position[0], sighting.velocity[0], sighting.seen[0], sighting.alive[0], round)
 
 
@@ -50,12 +50,13 @@ def draw_gaps(detector: Any) -> Window:
     seen = window.seen.copy()
     seen[:, np.flatnonzero(window.alive)[0]] = False
     seen[[0, 20, 21]] = False
-    both = seen[1:] & seen[:-1]
-    position, velocity = np.where(seen[..., None], window.position, 0), np.where(both[..., None], window.velocity, 0)
+    both_seen = seen[1:] & seen[:-1]
+    position = np.where(seen[..., None], window.position, 0)
+    velocity = np.where(both_seen[..., None], window.velocity, 0)
     return replace(window, position=position, velocity=velocity, seen=seen)
 
 
-def hover(window: Window) -> Window:
+def stop_uavs(window: Window) -> Window:
     """The window if no UAV moved."""
     position = np.broadcast_to(window.position[:1], window.position.shape)
     return replace(window, position=position, velocity=np.zeros_like(window.velocity))

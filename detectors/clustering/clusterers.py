@@ -24,12 +24,12 @@ from detectors.clustering.features import (
     regularise_affinity,
 )
 from detectors.parameters import Count, Lags, Parameters
-from detectors.series.votes import spread
+from detectors.series.votes import scatter_to_swarm
 from usnet_env.arrays import Floats, Indices
 from usnet_env.parts import Registry, check_call, check_factory
 from usnet_env.window import Window
 
-_LEAST = 1e-12  # entry of a factor: the multiplicative update would keep an entry of 0 forever
+_LEAST_ENTRY = 1e-12  # entry of a factor: the multiplicative update would keep an entry of 0 forever
 _TOLERANCE = 1e-5  # the factorisation stops when an update reduces the loss by at most this share
 
 
@@ -112,9 +112,9 @@ class Clusterer(Parameters):
         if n < 2:
             labels[living.index] = 0
             return Clustering(labels, n)
-        found = self.partition(living, min(self._estimate_count(living, rng), n), rng)
-        used, labels[living.index] = np.unique(found, return_inverse=True)
-        return Clustering(labels, len(used), spread(living.features, living.index, window.uavs))
+        partition = self.partition(living, min(self._estimate_count(living, rng), n), rng)
+        kept_labels, labels[living.index] = np.unique(partition, return_inverse=True)
+        return Clustering(labels, len(kept_labels), scatter_to_swarm(living.features, living.index, window.uavs))
 
     def _estimate_count(self, living: Living, rng: np.random.Generator) -> int:
         count = living.arguments.count
@@ -181,13 +181,13 @@ def factorise_affinity(affinity: Floats, rank: int, rng: np.random.Generator, st
         product, gram = affinity @ factor, factor.T @ factor
         return product, gram, max(size - 2.0 * float((factor * product).sum()) + float((gram**2).sum()), 0.0)
 
-    factor = 2.0 * np.sqrt(affinity.mean() / rank) * rng.random((len(affinity), rank)) + _LEAST
+    factor = 2.0 * np.sqrt(affinity.mean() / rank) * rng.random((len(affinity), rank)) + _LEAST_ENTRY
     product, gram, loss = measure(factor)
     losses = [loss]
     for _ in range(steps):
-        ratio = product / np.maximum(factor @ gram, _LEAST)
+        ratio = product / np.maximum(factor @ gram, _LEAST_ENTRY)
         for power in (0.5, 0.25):
-            trial = np.maximum(factor * ratio**power, _LEAST)
+            trial = np.maximum(factor * ratio**power, _LEAST_ENTRY)
             product, gram, loss = measure(trial)
             if loss <= losses[-1]:
                 break

@@ -48,19 +48,19 @@ def estimate_count_by_gap(features: Floats, rng: np.random.Generator) -> int:
     data = _rotate_to_principal_axes(features)
     low, high = data.min(axis=0), data.max(axis=0)
     sets = np.concatenate([data[None], low + (high - low) * rng.random((REFERENCES, *data.shape))])
-    least = _LEAST_DISPERSION * float((data**2).sum())
-    before = -np.inf
+    floor = _LEAST_DISPERSION * float((data**2).sum())
+    last_gap = -np.inf
     for k, dispersion in enumerate(_compute_dispersions(sets, rng), start=1):
         if k == distinct:  # W_k is 0: its logarithm is not finite
             break
-        log_w = np.log(np.maximum(dispersion, least))
+        log_w = np.log(np.maximum(dispersion, floor))
         gap = float(log_w[1:].mean() - log_w[0])
         deviation = float(log_w[1:].std() * np.sqrt(1.0 + 1.0 / REFERENCES))
-        if before >= gap - deviation:
+        if last_gap >= gap - deviation:
             return k - 1
         if k > max_count:
             break
-        before = gap
+        last_gap = gap
     return max_count
 
 
@@ -92,9 +92,9 @@ def _compute_dispersions(sets: Floats, rng: np.random.Generator) -> Iterator[Flo
             members = (nearest[:, :, None] == np.arange(k)).astype(np.float32).swapaxes(1, 2)
             size = members.sum(axis=2, keepdims=True)
             centres = np.where(size > 0, members @ chains / np.maximum(size, 1.0), centres)
-            before = distance.sum(axis=1)
+            last_distance = distance.sum(axis=1)
             distance, nearest = _find_nearest_centre(chains, squared_norm, centres)
-            if (distance.sum(axis=1) >= (1.0 - _TOLERANCE) * before).all():
+            if (distance.sum(axis=1) >= (1.0 - _TOLERANCE) * last_distance).all():
                 break
         yield distance.sum(axis=1, dtype=np.float64).reshape(-1, _CHAINS).min(axis=1)
 
@@ -103,15 +103,15 @@ def _find_nearest_centre(sets: Singles, squared_norm: Singles, centres: Singles)
     """The squared distance to the nearest centre and the index of that centre, each ``(S, n)``."""
     squared = (centres**2).sum(axis=2)[:, None] - 2.0 * sets @ centres.swapaxes(1, 2)
     nearest = squared.argmin(axis=2)
-    least = np.take_along_axis(squared, nearest[:, :, None], axis=2)[:, :, 0] + squared_norm
-    return np.maximum(least, 0.0), nearest
+    distance = np.take_along_axis(squared, nearest[:, :, None], axis=2)[:, :, 0] + squared_norm
+    return np.maximum(distance, 0.0), nearest
 
 
 def _draw_centre(sets: Singles, squared_norm: Singles, distance: Singles, rng: np.random.Generator) -> Singles:
     """The drawn point of each set, ``(S, 1, d)``, that reduces the sum of ``distance`` ``(S, n)`` most."""
     share = np.cumsum(distance, axis=1, dtype=np.float64)
     drawn = rng.random((len(sets), _TRIALS)) * share[:, -1:]
-    index = np.stack([np.searchsorted(row, at) for row, at in zip(share, drawn, strict=True)])
+    index = np.stack([np.searchsorted(row, values) for row, values in zip(share, drawn, strict=True)])
     trials = np.take_along_axis(sets, np.minimum(index, sets.shape[1] - 1)[:, :, None], axis=1)
     squared = (trials**2).sum(axis=2)[:, None] - 2.0 * sets @ trials.swapaxes(1, 2) + squared_norm[:, :, None]
     best = np.minimum(squared, distance[:, :, None]).sum(axis=1).argmin(axis=1)

@@ -31,8 +31,8 @@ def compute_raw_features(window: Window, memory: int) -> Floats:
     Metres and metres per step, sample by sample: x, y, z of the position, then of the velocity. T_0, the ``memory``, is
     lowered to T_ob.
     """
-    whole = fill_gaps(window)
-    samples = np.concatenate([whole.position[:-1][-memory:], whole.velocity[-memory:]], axis=2, dtype=np.float64)
+    filled = fill_gaps(window)
+    samples = np.concatenate([filled.position[:-1][-memory:], filled.velocity[-memory:]], axis=2, dtype=np.float64)
     return samples.swapaxes(0, 1).reshape(window.uavs, -1)
 
 
@@ -59,14 +59,14 @@ def correlate_both_ways(series: Floats, max_lag: int, surrogate: bool = False) -
     Each coordinate is centred; the sums run over time and coordinates. That with a constant series is 0. With
     ``surrogate``, the second series is shifted circularly by T/2, which leaves only correlation by chance.
     """
-    flight = scale_to_unit(centre_columns(series.swapaxes(0, 1), np.ones(series.shape[1::-1], bool)))
-    other = shift_in_time(flight) if surrogate else flight
-    lags = min(max_lag, len(flight) - 1)
-    best = correlate_over_lags(flight, other, lags, least=-lags)
-    best = np.maximum(best, best.T)
+    unit = scale_to_unit(centre_columns(series.swapaxes(0, 1), np.ones(series.shape[1::-1], bool)))
+    second = shift_in_time(unit) if surrogate else unit
+    lags = min(max_lag, len(unit) - 1)
+    correlation = correlate_over_lags(unit, second, lags, least=-lags)
+    correlation = np.maximum(correlation, correlation.T)
     if not surrogate:
-        np.fill_diagonal(best, 1.0)
-    return np.clip(best, -1.0, 1.0)
+        np.fill_diagonal(correlation, 1.0)
+    return np.clip(correlation, -1.0, 1.0)
 
 
 def compute_lag_affinity(features: Floats, max_lag: int) -> Floats:

@@ -22,7 +22,7 @@ from detectors.gassl.layers import (
     affine,
     affine_backward,
     exp_in_place,
-    products,
+    multiply_backward,
     tanh_backward,
     tanh_in_place,
 )
@@ -87,15 +87,15 @@ def draw_agat(sizes: AgatSizes, uavs: int, rng: np.random.Generator) -> Singles:
     similarity = {"key": 3, "first": sizes.query + sizes.key, "second": first, "last": second}
     parts = []
     for name, shape in sizes.shapes().items():
-        kind = name.removesuffix("_bias")
-        of_similarity = sizes.gain / similarity.get(kind.split("_")[0], 1) ** 0.5
-        bound = 1.0 / inputs[kind] ** 0.5 if kind in inputs else of_similarity
+        layer = name.removesuffix("_bias")
+        similarity_bound = sizes.gain / similarity.get(layer.split("_")[0], 1) ** 0.5
+        bound = 1.0 / inputs[layer] ** 0.5 if layer in inputs else similarity_bound
         parts.append(rng.uniform(-bound, bound, (uavs, int(np.prod(shape)))))
     return np.concatenate(parts, axis=1).astype(np.float32)
 
 
 @compiled(inner=True)
-def _layers(from_query, from_key, second, bias, value, begin, end, points, hidden, deep):
+def _run_layers(from_query, from_key, second, bias, value, begin, end, points, hidden, deep):
     """Both hidden layers of s_l for the UAVs begin to end, columns (UAV, time); ``points`` gets their values.
 
     Columns past the last UAV hold what they held before, and nothing reads them.
@@ -103,9 +103,9 @@ def _layers(from_query, from_key, second, bias, value, begin, end, points, hidde
     times = value.shape[2]
     for c in range(3):
         for j in range(begin, end):
-            columns, of_uav = points[c, (j - begin) * times : (j - begin + 1) * times], value[c, j]
+            columns, uav_values = points[c, (j - begin) * times : (j - begin + 1) * times], value[c, j]
             for t in range(times):
-                columns[t] = of_uav[t]
+                columns[t] = uav_values[t]
     for k in range(hidden.shape[0]):
         a, b, c, d = from_query[k], from_key[0, k], from_key[1, k], from_key[2, k]
         for j in range(begin, end):
@@ -141,7 +141,7 @@ def _weigh(from_query, from_key, second, bias, last, value, alpha, pooled):
     highest, total = np.full(times, -np.inf, np.float32), np.zeros(times, np.float32)
     for begin in range(0, uavs, step):
         end = min(begin + step, uavs)
-        _layers(from_query, from_key, second, bias, value, begin, end, points, hidden, deep)
+        _run_layers(from_query, from_key, second, bias, value, begin, end, points, hidden, deep)
         for j in range(begin, end):
             row = alpha[j]
             row[:] = _ZERO
@@ -160,9 +160,9 @@ def _weigh(from_query, from_key, second, bias, last, value, alpha, pooled):
         for t in range(times):
             total[t] += row[t]
         for c in range(3):
-            sums, of_uav = pooled[c], value[c, j]
+            sums, uav_values = pooled[c], value[c, j]
             for t in range(times):
-                sums[t] += row[t] * of_uav[t]
+                sums[t] += row[t] * uav_values[t]
     for t in range(times):
         total[t] = _ONE / total[t]
     for rows in (alpha, pooled):
@@ -184,12 +184,12 @@ def _weigh_backward(
     _, uavs, times = value.shape
     width, narrow = second.shape
     step, points, hidden, deep = _make_buffers(times, width, narrow)
-    above = np.empty(step * times, np.float32)
-    below = np.empty((width, step * times), np.float32)
+    d_similarity = np.empty(step * times, np.float32)
+    d_hidden = np.empty((width, step * times), np.float32)
     ones = np.ones(step * times, np.float32)
     mean = np.zeros(times, np.float32)
-    of_last, of_bias = np.empty(narrow, np.float32), np.empty(narrow, np.float32)
-    of_second, of_key = np.empty((width, narrow), np.float32), np.empty((width, 3), np.float32)
+    sum_last, sum_bias = np.empty(narrow, np.float32), np.empty(narrow, np.float32)
+    sum_second, sum_key = np.empty((width, narrow), np.float32), np.empty((width, 3), np.float32)
     d_query[:] = _ZERO
     d_key[:] = _ZERO
     d_second[:] = _ZERO
@@ -200,25 +200,25 @@ def _weigh_backward(
             mean[t] += d_pooled[c, t] * pooled[c, t]
     for begin in range(0, uavs, step):
         end = min(begin + step, uavs)
-        _layers(from_query, from_key, second, bias, value, begin, end, points, hidden, deep)
-        above[(end - begin) * times :] = _ZERO
+        _run_layers(from_query, from_key, second, bias, value, begin, end, points, hidden, deep)
+        d_similarity[(end - begin) * times :] = _ZERO
         dx, dy, dz = d_pooled[0], d_pooled[1], d_pooled[2]
         for j in range(begin, end):
             x, y, z, weights = value[0, j], value[1, j], value[2, j], alpha[j]
-            columns = above[(j - begin) * times : (j - begin + 1) * times]
+            columns = d_similarity[(j - begin) * times : (j - begin + 1) * times]
             for t in range(times):
                 columns[t] = weights[t] * (dx[t] * x[t] + dy[t] * y[t] + dz[t] * z[t] - mean[t])
-        np.dot(deep, above, of_last)
+        np.dot(deep, d_similarity, sum_last)
         for u in range(narrow):  # deep becomes the gradient of itself
             w, row = last[u], deep[u]
             for p in range(step * times):
-                g = w * above[p]
+                g = w * d_similarity[p]
                 row[p] = g if row[p] > _ZERO else _SLOPE * g
-        np.dot(deep, ones, of_bias)
-        np.dot(hidden, deep.T, of_second)
-        np.dot(second, deep, below)
+        np.dot(deep, ones, sum_bias)
+        np.dot(hidden, deep.T, sum_second)
+        np.dot(second, deep, d_hidden)
         for k in range(width):
-            row, gradients = hidden[k], below[k]
+            row, gradients = hidden[k], d_hidden[k]
             for p in range(step * times):
                 gradients[p] = gradients[p] if row[p] > _ZERO else _SLOPE * gradients[p]
             sums = d_query[k]
@@ -226,17 +226,17 @@ def _weigh_backward(
                 columns = gradients[j * times : (j + 1) * times]
                 for t in range(times):
                     sums[t] += columns[t]
-        np.dot(below, points.T, of_key)
-        add_in_place(d_last, of_last)
-        add_in_place(d_bias, of_bias)
+        np.dot(d_hidden, points.T, sum_key)
+        add_in_place(d_last, sum_last)
+        add_in_place(d_bias, sum_bias)
         for k in range(width):
-            add_in_place(d_second[k], of_second[k])
+            add_in_place(d_second[k], sum_second[k])
             for c in range(3):
-                d_key[c, k] += of_key[k, c]
+                d_key[c, k] += sum_key[k, c]
 
 
 @compiled(inner=True)
-def _query_arrays(phi, numbers):
+def _view_query_arrays(phi, numbers):
     """L's arrays, views of the flat vector."""
     _, inputs, width, outputs, _, _, _ = numbers
     a, b = inputs * width, inputs * width + width
@@ -245,7 +245,7 @@ def _query_arrays(phi, numbers):
 
 
 @compiled(inner=True)
-def _attn_head_arrays(phi, numbers, head):
+def _view_head_arrays(phi, numbers, head):
     """The arrays of attention head l, views of the flat vector."""
     _, inputs, width, outputs, key, first, second = numbers
     size = key * 3 + (outputs + key + 1) * first + (first + 2) * second
@@ -276,14 +276,14 @@ def attend(phi, numbers, history, value):
     """
     heads, _, uavs, times = value.shape
     alpha, pooled = np.empty((heads, uavs, times), np.float32), np.empty((heads, 3, times), np.float32)
-    query_in, query_in_bias, query_out, query_out_bias = _query_arrays(phi, numbers)
+    query_in, query_in_bias, query_out, query_out_bias = _view_query_arrays(phi, numbers)
     hidden, query = np.empty((times, numbers[2]), np.float32), np.empty((times, numbers[3]), np.float32)
     affine(history, query_in, query_in_bias, hidden)
     tanh_in_place(hidden)
     affine(hidden, query_out, query_out_bias, query)
     from_query, from_key = np.empty((times, numbers[5]), np.float32), np.empty((3, numbers[5]), np.float32)
     for head in range(numbers[0]):
-        key, first_query, first_key, first_bias, second, second_bias, last = _attn_head_arrays(phi, numbers, head)
+        key, first_query, first_key, first_bias, second, second_bias, last = _view_head_arrays(phi, numbers, head)
         affine(query, first_query, first_bias, from_query)
         np.dot(key.T, first_key, from_key)
         _weigh(from_query.T.copy(), from_key, second, second_bias, last, value[head], alpha[head], pooled[head])
@@ -294,32 +294,32 @@ def attend(phi, numbers, history, value):
 def attend_backward(phi, numbers, history, value, alpha, pooled, hidden, query, d_pooled, d_phi):
     """The gradient with respect to Φ_i, written to ``d_phi``, from that with respect to the pooled values."""
     times = history.shape[0]
-    _, _, query_out, _ = _query_arrays(phi, numbers)
-    d_query, of_query = np.zeros_like(query), np.empty_like(query)
+    _, _, query_out, _ = _view_query_arrays(phi, numbers)
+    d_query, d_query_part = np.zeros_like(query), np.empty_like(query)
     d_hidden = np.empty_like(hidden)
     from_query, from_key = np.empty((times, numbers[5]), np.float32), np.empty((3, numbers[5]), np.float32)
     d_from_query, d_from_key = np.empty_like(from_query), np.empty_like(from_key)
-    d_by_unit = np.empty((numbers[5], times), np.float32)
+    d_from_query_t = np.empty((numbers[5], times), np.float32)
     for head in range(numbers[0]):
-        key, first_query, first_key, first_bias, second, second_bias, last = _attn_head_arrays(phi, numbers, head)
-        d_key, d_first_query, d_first_key, d_first_bias, d_second, d_second_bias, d_last = _attn_head_arrays(
+        key, first_query, first_key, first_bias, second, second_bias, last = _view_head_arrays(phi, numbers, head)
+        d_key, d_first_query, d_first_key, d_first_bias, d_second, d_second_bias, d_last = _view_head_arrays(
             d_phi, numbers, head
         )
         affine(query, first_query, first_bias, from_query)
         np.dot(key.T, first_key, from_key)
         _weigh_backward(
             from_query.T.copy(), from_key, second, second_bias, last, value[head], alpha[head], pooled[head],
-            d_pooled[head], d_by_unit, d_from_key, d_second, d_second_bias, d_last,
+            d_pooled[head], d_from_query_t, d_from_key, d_second, d_second_bias, d_last,
         )  # fmt: skip
         for t in range(times):
             for k in range(numbers[5]):
-                d_from_query[t, k] = d_by_unit[k, t]
-        affine_backward(query, first_query, d_from_query, d_first_query, d_first_bias, of_query)
+                d_from_query[t, k] = d_from_query_t[k, t]
+        affine_backward(query, first_query, d_from_query, d_first_query, d_first_bias, d_query_part)
         np.dot(first_key, d_from_key.T, d_key)
         np.dot(key, d_from_key, d_first_key)
         for t in range(times):
-            add_in_place(d_query[t], of_query[t])
-    d_query_in, d_query_in_bias, d_query_out, d_query_out_bias = _query_arrays(d_phi, numbers)
+            add_in_place(d_query[t], d_query_part[t])
+    d_query_in, d_query_in_bias, d_query_out, d_query_out_bias = _view_query_arrays(d_phi, numbers)
     affine_backward(hidden, query_out, d_query, d_query_out, d_query_out_bias, d_hidden)
     tanh_backward(hidden, d_hidden)
-    products(history, d_hidden, d_query_in, d_query_in_bias)
+    multiply_backward(history, d_hidden, d_query_in, d_query_in_bias)

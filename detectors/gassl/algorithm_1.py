@@ -44,60 +44,62 @@ def algorithm_1(
         for step in range(steps):  # line 3
             phi_i.requires_grad_(True)
             gamma.requires_grad_(True)
-            loss, _ = batch_loss(inputs, i, phi_i, gamma, agat, ifsn)
+            loss, _ = compute_loss(inputs, i, phi_i, gamma, agat, ifsn)
             d_phi, d_gamma = torch.autograd.grad(loss, (phi_i, gamma))
             phi_i = phi_i.detach() - learning_rate * d_phi  # line 4, equation (24)
             gamma = gamma.detach() - learning_rate * d_gamma  # line 4, equation (25)
             losses[i, step] = loss.detach()
-        last, alpha = batch_loss(inputs, i, phi_i, gamma, agat, ifsn)  # alpha_{i,i',l} at all times, (T_0 + 1, R, n)
+        final, alpha = compute_loss(inputs, i, phi_i, gamma, agat, ifsn)  # alpha_{i,i',l} at all times, (T_0 + 1, R, n)
         attn_heads[i] = alpha.mean(dim=1)  # over the times: decision (t)
         weight = alpha.mean(dim=0)  # equation (12), (R, n)
         chosen = (weight == weight.amax(dim=1, keepdim=True)).float()  # line 6, equation (19) at each time
         votes[i] = (chosen / chosen.sum(dim=1, keepdim=True)).mean(dim=0)
         power = (inputs.weight[i] * (inputs.target[i] ** 2).sum(axis=1)).sum()
-        explained[i] = 1.0 - last / max(float(power), 1e-12)
+        explained[i] = 1.0 - final / max(float(power), 1e-12)
     return Fit(attn_heads.numpy(), votes.numpy(), gamma.numpy(), losses.numpy(), explained.numpy())
 
 
-def batch_loss(inputs: Inputs, i: int, phi: Tensor, gamma: Tensor, agat: AgatSizes, ifsn: int) -> tuple[Tensor, Tensor]:
+def compute_loss(
+    inputs: Inputs, i: int, phi: Tensor, gamma: Tensor, agat: AgatSizes, ifsn: int
+) -> tuple[Tensor, Tensor]:
     """L_B(Θ_i), equation (23), and alpha_{i,i',l} at all times, ``(T_0 + 1, R, n)``."""
-    network = _named(phi, agat.shapes())
+    network = _split_parameters(phi, agat.shapes())
     value = torch.from_numpy(inputs.value).to(phi.dtype).permute(0, 3, 1, 2)  # (T_0 + 1, R, 3, n)
     history = torch.from_numpy(inputs.history[i]).to(phi.dtype)  # (R, 3 (T_0 + 1)), V_{i,t} and p_{i,t-T_0+1}
-    query = _query(network, history)
+    query = _compute_query(network, history)
     alphas, pooled = [], []
     for head in range(agat.attn_heads):
         x = value[head].transpose(1, 2)  # (R, n, 3)
-        alpha = torch.softmax(_similarity(network, head, query, x), dim=1)  # equations (10), (11)
+        alpha = torch.softmax(_compare(network, head, query, x), dim=1)  # equations (10), (11)
         alphas.append(alpha)
         pooled.append((alpha[:, :, None] * x).sum(dim=1))  # equations (13), (14)
     own = torch.from_numpy(inputs.own[i]).to(phi.dtype)
     concatenation = torch.cat([own, *pooled], dim=1)  # (R, 6 (T_0 + 1)): P_{i,t+1}, V̂_{i,t}, p̂_{i,t-T_0+1}
     variance, mean = torch.var_mean(concatenation, dim=0, correction=0)
     standardised = (concatenation - mean) / torch.sqrt(variance + VARIANCE_FLOOR)
-    predicted = _ifsn(_named(gamma, list_ifsn_shapes(inputs.entries, ifsn)), standardised)
+    predicted = _run_ifsn(_split_parameters(gamma, list_ifsn_shapes(inputs.entries, ifsn)), standardised)
     target = torch.from_numpy(inputs.target[i]).to(phi.dtype)
     weight = torch.from_numpy(inputs.weight[i]).to(phi.dtype)
     return (weight * ((target - predicted) ** 2).sum(dim=1)).sum(), torch.stack(alphas)
 
 
-def _query(network: Parameters, history: Tensor) -> Tensor:
+def _compute_query(network: Parameters, history: Tensor) -> Tensor:
     """The query data L(V_{i,t}, p_{i,t-T_0+1}), ``(R, query)``: one hidden layer."""
     hidden = torch.tanh(history @ network["query_in"] + network["query_in_bias"])
     return hidden @ network["query_out"] + network["query_out_bias"]
 
 
-def _similarity(network: Parameters, head: int, query: Tensor, x: Tensor) -> Tensor:
+def _compare(network: Parameters, head: int, query: Tensor, x: Tensor) -> Tensor:
     """s_l of the query data and the key data K_l x of all UAVs, ``(R, n)``: two hidden layers."""
     key = x @ network[f"key_{head}"].T  # (R, n, K)
     first = torch.cat([network[f"first_query_{head}"], network[f"first_key_{head}"]])
-    both = torch.cat([query[:, None].expand(-1, x.shape[1], -1), key], dim=2)
-    hidden = torch.nn.functional.leaky_relu(both @ first + network[f"first_bias_{head}"], SLOPE)
+    query_and_key = torch.cat([query[:, None].expand(-1, x.shape[1], -1), key], dim=2)
+    hidden = torch.nn.functional.leaky_relu(query_and_key @ first + network[f"first_bias_{head}"], SLOPE)
     hidden = torch.nn.functional.leaky_relu(hidden @ network[f"second_{head}"] + network[f"second_bias_{head}"], SLOPE)
     return hidden @ network[f"last_{head}"]
 
 
-def _ifsn(network: Parameters, inputs: Tensor) -> Tensor:
+def _run_ifsn(network: Parameters, inputs: Tensor) -> Tensor:
     """v̂_{i,t+1} ``(R, 3)``: three hidden layers, no constraint layer."""
     hidden = inputs
     for layer in ("first", "second", "third"):
@@ -105,7 +107,7 @@ def _ifsn(network: Parameters, inputs: Tensor) -> Tensor:
     return hidden @ network["output"] + network["output_bias"]
 
 
-def _named(flat: Tensor, shapes: Mapping[str, tuple[int, ...]]) -> Parameters:
+def _split_parameters(flat: Tensor, shapes: Mapping[str, tuple[int, ...]]) -> Parameters:
     """The arrays of a network, by name, as views of one flat vector."""
     parts = torch.split(flat, [math.prod(shape) for shape in shapes.values()])
     return {name: part.view(shape) for (name, shape), part in zip(shapes.items(), parts, strict=True)}

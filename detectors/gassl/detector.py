@@ -16,7 +16,14 @@ from detectors.gassl.topology_matrix import build_batch
 from detectors.gassl.training import Fit, train
 from detectors.parameters import Count
 from detectors.series.designs import check_pairs, check_steps
-from detectors.series.votes import choose_heads, count_votes, name_at_random, select_top, shows_evidence, spread
+from detectors.series.votes import (
+    choose_heads,
+    count_votes,
+    name_at_random,
+    scatter_to_swarm,
+    select_top,
+    shows_evidence,
+)
 from usnet_env.arrays import Singles
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
@@ -61,8 +68,8 @@ class Gassl(Detector):
 
     def check_arguments(self) -> tuple[AgatSizes, Any]:
         """Check every argument; return the widths of the AGAT, and all arguments."""
-        plain = super().check_arguments()
-        return plain.part(AgatSizes), plain
+        arguments = super().check_arguments()
+        return arguments.part(AgatSizes), arguments
 
     def detect(self, window: Window) -> Detection:
         """Train on one window and name the candidates.
@@ -83,12 +90,12 @@ class Gassl(Detector):
             candidates = name_at_random(members, self.top_k, window.uavs, self.rng)
             return Detection(candidates=candidates, scores=np.zeros(window.uavs))
         fit = self.fit_cluster(window, members, None, self.rng)
-        return answer(window, members, fit, self, self.rng)
+        return answer_cluster(window, members, fit, self, self.rng)
 
     def draw_gamma(self, rng: np.random.Generator) -> Singles:
         """An initial Γ, ``(parameters,)``."""
-        agat, plain = self.check_arguments()
-        return draw_ifsn(6 * agat.attn_heads, plain.ifsn_hidden, rng)
+        agat, arguments = self.check_arguments()
+        return draw_ifsn(6 * agat.attn_heads, arguments.ifsn_hidden, rng)
 
     def fit_cluster(
         self, window: Window, members: NDArray[np.intp], gamma: Singles | None, rng: np.random.Generator
@@ -97,36 +104,39 @@ class Gassl(Detector):
 
         ``gamma`` is the Γ to begin with, such as the one that another cluster left; it is drawn for ``None``.
         """
-        agat, plain = self.check_arguments()
-        inputs, phi = build_batch(window, members, plain.memory), draw_agat(agat, len(members), rng)
+        agat, arguments = self.check_arguments()
+        inputs, phi = build_batch(window, members, arguments.memory), draw_agat(agat, len(members), rng)
         gamma = self.draw_gamma(rng) if gamma is None else gamma
-        training = plain.steps, plain.learning_rate
+        training = arguments.steps, arguments.learning_rate
         if self.implementation == "compiled":
             return train(inputs, phi, gamma, agat, *training)
         import torch  # an extra, which the compiled loops don't need
 
         from detectors.gassl.algorithm_1 import algorithm_1
 
-        return algorithm_1(inputs, torch.from_numpy(phi), torch.from_numpy(gamma), agat, plain.ifsn_hidden, *training)
+        tensors = torch.from_numpy(phi), torch.from_numpy(gamma)
+        return algorithm_1(inputs, *tensors, agat, arguments.ifsn_hidden, *training)
 
 
-def answer(window: Window, members: NDArray[np.intp], fit: Fit, settings: Gassl, rng: np.random.Generator) -> Detection:
+def answer_cluster(
+    window: Window, members: NDArray[np.intp], fit: Fit, settings: Gassl, rng: np.random.Generator
+) -> Detection:
     """Lines 6 to 8 of Algorithm 1: votes of the n UAVs of a cluster, written out for all N of the window."""
     attention = fit.attention.astype(np.float64)
-    own = choose_heads(attention, True, rng)
+    other_choice = choose_heads(attention, True, rng)
     choice = choose_heads(attention, False, rng)
     c = count_votes(choice)
     if settings.times == "votes":
         choice = choose_heads(fit.votes, False, rng)
         c = np.where(np.eye(len(members), dtype=bool), 0.0, fit.votes).sum(axis=0) / len(members)
-    named = np.zeros(len(members), bool)
-    named[select_top(c, settings.top_k, rng)] = True
-    wide = partial(spread, members=members, uavs=window.uavs)
+    is_named = np.zeros(len(members), bool)
+    is_named[select_top(c, settings.top_k, rng)] = True
+    wide = partial(scatter_to_swarm, members=members, uavs=window.uavs)
     extras = {
         "choice": wide(members[choice], fill=-1),
         "attention_heads": wide(fit.attn_heads.swapaxes(0, 1), pairs=True),
         "explained": wide(fit.explained),
         "loss": wide(fit.loss),
     }
-    leader = wide(members[own], fill=-1)
-    return Detection(wide(named), wide(c), leader=leader, attention=wide(attention, pairs=True), extras=extras)
+    leader = wide(members[other_choice], fill=-1)
+    return Detection(wide(is_named), wide(c), leader=leader, attention=wide(attention, pairs=True), extras=extras)

@@ -42,7 +42,7 @@ def draw_ifsn(inputs: int, width: int, rng: np.random.Generator) -> Singles:
 
 
 @compiled(inner=True)
-def _arrays(gamma, inputs):
+def _view_layers(gamma, inputs):
     """Γ's arrays, views of the flat vector; the width follows from its length."""
     width = 1
     while width * (inputs + 2 * width + 6) + 3 < gamma.shape[0]:
@@ -83,56 +83,57 @@ def standardise(values):
 
 
 @compiled(inner=True)
-def _finish(one, second, second_bias, third, third_bias, output, output_bias, two, three, predicted):
+def _run_hidden_layers(h1, second, second_bias, third, third_bias, output, output_bias, h2, h3, predicted):
     """All layers after the first affine one, in place."""
-    tanh_in_place(one)
-    affine(one, second, second_bias, two)
-    tanh_in_place(two)
-    affine(two, third, third_bias, three)
-    tanh_in_place(three)
-    affine(three, output, output_bias, predicted)
+    tanh_in_place(h1)
+    affine(h1, second, second_bias, h2)
+    tanh_in_place(h2)
+    affine(h2, third, third_bias, h3)
+    tanh_in_place(h3)
+    affine(h3, output, output_bias, predicted)
 
 
 @compiled()
 def predict(gamma, inputs):
     """v̂_{i,t+1} ``(R, 3)`` of standardised inputs ``(R, d)``, and the three hidden layers."""
-    first, first_bias, second, second_bias, third, third_bias, output, output_bias = _arrays(gamma, inputs.shape[1])
-    times, width = inputs.shape[0], second.shape[0]
-    one = np.empty((times, width), np.float32)
-    two, three, predicted = np.empty_like(one), np.empty_like(one), np.empty((times, 3), np.float32)
-    affine(inputs, first, first_bias, one)
-    _finish(one, second, second_bias, third, third_bias, output, output_bias, two, three, predicted)
-    return predicted, one, two, three
+    times, entries = inputs.shape
+    first, first_bias, second, second_bias, third, third_bias, output, output_bias = _view_layers(gamma, entries)
+    width = second.shape[0]
+    h1 = np.empty((times, width), np.float32)
+    h2, h3, predicted = np.empty_like(h1), np.empty_like(h1), np.empty((times, 3), np.float32)
+    affine(inputs, first, first_bias, h1)
+    _run_hidden_layers(h1, second, second_bias, third, third_bias, output, output_bias, h2, h3, predicted)
+    return predicted, h1, h2, h3
 
 
 @compiled(error_model="numpy")
-def predict_backward(gamma, inputs, scale, one, two, three, d_output, d_gamma):
+def predict_backward(gamma, inputs, scale, h1, h2, h3, d_predicted, d_gamma):
     """The gradient with respect to Γ, written to ``d_gamma``; returns that of the inputs before standardisation."""
     times, entries = inputs.shape
-    first, _, second, _, third, _, output, _ = _arrays(gamma, entries)
-    d_first, d_first_bias, d_second, d_second_bias, d_third, d_third_bias, d_out, d_out_bias = _arrays(d_gamma, entries)
-    d_one, d_two, d_three, d_inputs = np.empty_like(one), np.empty_like(one), np.empty_like(one), np.empty_like(inputs)
-    affine_backward(three, output, d_output, d_out, d_out_bias, d_three)
-    tanh_backward(three, d_three)
-    affine_backward(two, third, d_three, d_third, d_third_bias, d_two)
-    tanh_backward(two, d_two)
-    affine_backward(one, second, d_two, d_second, d_second_bias, d_one)
-    tanh_backward(one, d_one)
-    affine_backward(inputs, first, d_one, d_first, d_first_bias, d_inputs)
+    first, _, second, _, third, _, output, _ = _view_layers(gamma, entries)
+    d_first, d_bias_1, d_second, d_bias_2, d_third, d_bias_3, d_output, d_output_bias = _view_layers(d_gamma, entries)
+    d_h1, d_h2, d_h3, d_inputs = np.empty_like(h1), np.empty_like(h1), np.empty_like(h1), np.empty_like(inputs)
+    affine_backward(h3, output, d_predicted, d_output, d_output_bias, d_h3)
+    tanh_backward(h3, d_h3)
+    affine_backward(h2, third, d_h3, d_third, d_bias_3, d_h2)
+    tanh_backward(h2, d_h2)
+    affine_backward(h1, second, d_h2, d_second, d_bias_2, d_h1)
+    tanh_backward(h1, d_h1)
+    affine_backward(inputs, first, d_h1, d_first, d_bias_1, d_inputs)
     for f in range(entries):
-        mean, along = _ZERO, _ZERO
+        mean, projection = _ZERO, _ZERO
         for t in range(times):
             mean += d_inputs[t, f]
-            along += d_inputs[t, f] * inputs[t, f]
+            projection += d_inputs[t, f] * inputs[t, f]
         mean /= np.float32(times)
-        along /= np.float32(times)
+        projection /= np.float32(times)
         for t in range(times):
-            d_inputs[t, f] = (d_inputs[t, f] - mean - inputs[t, f] * along) * scale[f]
+            d_inputs[t, f] = (d_inputs[t, f] - mean - inputs[t, f] * projection) * scale[f]
     return d_inputs
 
 
 @compiled()
-def pair_losses(gamma, own, source, target, weight):
+def compute_pair_losses(gamma, own, source, target, weight):
     """The squared error of Γ for every pair of UAVs, summed over the times: the sum of equation (37).
 
     The input for UAV i and source i' is the concatenation of P_i, V_{i'} and p_{i'}; each entry is standardised over
@@ -140,23 +141,23 @@ def pair_losses(gamma, own, source, target, weight):
     layer is linear in the two parts, which meet by one addition. ``target`` ``(n, R, 3)`` are v_{i,t+1}. Returns
     ``(n, n)``: row i, column i'.
     """
-    uavs, times, owns = own.shape
-    first, first_bias, second, second_bias, third, third_bias, output, output_bias = _arrays(
-        gamma, owns + source.shape[2]
+    uavs, times, own_entries = own.shape
+    first, first_bias, second, second_bias, third, third_bias, output, output_bias = _view_layers(
+        gamma, own_entries + source.shape[2]
     )
     width = first.shape[1]
     from_own, from_source = np.empty((uavs, times, width), np.float32), np.empty((uavs, times, width), np.float32)
     no_bias = np.zeros(width, np.float32)
     for i in range(uavs):
-        affine(own[i], first[:owns], first_bias, from_own[i])
-        affine(source[i], first[owns:], no_bias, from_source[i])
-    one = np.empty((times, width), np.float32)
-    two, three, predicted = np.empty_like(one), np.empty_like(one), np.empty((times, 3), np.float32)
+        affine(own[i], first[:own_entries], first_bias, from_own[i])
+        affine(source[i], first[own_entries:], no_bias, from_source[i])
+    h1 = np.empty((times, width), np.float32)
+    h2, h3, predicted = np.empty_like(h1), np.empty_like(h1), np.empty((times, 3), np.float32)
     result = np.empty((uavs, uavs), np.float32)
     for i in range(uavs):
         for j in range(uavs):
-            np.add(from_own[i], from_source[j], one)
-            _finish(one, second, second_bias, third, third_bias, output, output_bias, two, three, predicted)
+            np.add(from_own[i], from_source[j], h1)
+            _run_hidden_layers(h1, second, second_bias, third, third_bias, output, output_bias, h2, h3, predicted)
             total = _ZERO
             for t in range(times):
                 for c in range(3):

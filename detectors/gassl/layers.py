@@ -34,8 +34,8 @@ def exp_in_place(x, bits):
     power = bits.view(np.float32)
     for p in range(x.shape[0]):
         y = max(x[p] * _LOG2_E, _LOWEST)
-        whole = np.int32(y + np.float32(128.5)) - np.int32(128)  # the nearest whole number
-        f = (y - np.float32(whole)) * _LN_2
+        exponent = np.int32(y + np.float32(128.5)) - np.int32(128)  # the nearest whole number
+        f = (y - np.float32(exponent)) * _LN_2
         e = _SIXTH
         e = e * f + _FIFTH
         e = e * f + _FOURTH
@@ -43,7 +43,7 @@ def exp_in_place(x, bits):
         e = e * f + _HALF
         e = e * f + _ONE
         x[p] = e * f + _ONE
-        bits[p] = (whole + np.int32(127)) << np.int32(23)
+        bits[p] = (exponent + np.int32(127)) << np.int32(23)
     for p in range(x.shape[0]):
         x[p] *= power[p]
 
@@ -52,12 +52,12 @@ def exp_in_place(x, bits):
 def tanh_in_place(x):
     """``x`` ``(R, d)``, contiguous float32, becomes tanh(x), by e**(-2 |x|)."""
     flat = x.reshape(x.size)
-    small, bits = np.empty(x.size, np.float32), np.empty(x.size, np.int32)
+    decay, bits = np.empty(x.size, np.float32), np.empty(x.size, np.int32)
     for p in range(x.size):
-        small[p] = -_TWO * abs(flat[p])
-    exp_in_place(small, bits)
+        decay[p] = -_TWO * abs(flat[p])
+    exp_in_place(decay, bits)
     for p in range(x.size):
-        magnitude = (_ONE - small[p]) / (_ONE + small[p])
+        magnitude = (_ONE - decay[p]) / (_ONE + decay[p])
         flat[p] = magnitude if flat[p] >= _ZERO else -magnitude
 
 
@@ -86,7 +86,7 @@ def affine(x, weight, bias, out):
 
 
 @compiled(inner=True)
-def products(x, d_out, d_weight, d_bias):
+def multiply_backward(x, d_out, d_weight, d_bias):
     """Gradients of :func:`affine` with respect to weight and bias, written to ``d_weight`` and ``d_bias``."""
     np.dot(x.T, d_out, d_weight)
     d_bias[:] = _ZERO
@@ -97,6 +97,6 @@ def products(x, d_out, d_weight, d_bias):
 
 @compiled(inner=True)
 def affine_backward(x, weight, d_out, d_weight, d_bias, d_x):
-    """As :func:`products`, and the gradient with respect to ``x``, written to ``d_x``."""
-    products(x, d_out, d_weight, d_bias)
+    """As :func:`multiply_backward`, and the gradient with respect to ``x``, written to ``d_x``."""
+    multiply_backward(x, d_out, d_weight, d_bias)
     np.dot(d_out, weight.T, d_x)

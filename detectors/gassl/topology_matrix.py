@@ -51,14 +51,14 @@ class Inputs:
 
 def build_batch(window: Window, members: NDArray[np.intp], memory: int = 4) -> Inputs:
     """The batch of Algorithm 1, line 2, of the ``members`` ``(n,)`` of a cluster, T_0 being the ``memory``."""
-    whole = fill_gaps(window)
-    places, steps, seen = whole.position[:, members], whole.velocity[:, members], window.velocity_seen[memory:, members]
-    velocity = _stack_columns(steps, memory).astype(np.float64)
+    full = fill_gaps(window)
+    positions, steps = full.position[:, members], full.velocity[:, members]
+    seen, velocity = window.velocity_seen[memory:, members], _stack_columns(steps, memory).astype(np.float64)
     velocity = (velocity - velocity.mean()) / max(velocity.std(), 1e-6)
-    position = places[: -memory - 1].astype(np.float64)
+    position = positions[: -memory - 1].astype(np.float64)
     position = (position - position.mean((0, 1))) / np.maximum(position.std((0, 1)), 1e-6)
     by_head = [*(velocity[:, :, lag] for lag in range(memory - 1, -1, -1)), position]  # (R, n, 3), newest first
-    own = _stack_columns(places, memory + 1).astype(np.float64)
+    own = _stack_columns(positions, memory + 1).astype(np.float64)
     own = (own - own.mean(axis=(0, 2), keepdims=True)).reshape(*position.shape[:2], -1)
     arrays = (
         np.concatenate(by_head, axis=2).swapaxes(0, 1),

@@ -59,16 +59,16 @@ def _forward(phi: Singles, gamma: Singles, numbers: tuple[int, ...], inputs: tup
     return _Pass((weighted * error).sum(), 2 * weighted, alpha, pooled, hidden, query, concatenation, scale, layers)
 
 
-def gradient(
+def compute_gradient(
     phi: Singles, gamma: Singles, numbers: tuple[int, ...], inputs: tuple[Singles, ...]
 ) -> tuple[np.float32, Singles, Singles]:
     """L_B(Θ_i) of equation (23) and its gradients with respect to Φ_i and Γ, as flat vectors; see :meth:`Inputs.of`."""
     history, value, own, *_ = inputs
-    done, d_phi, d_gamma = _forward(phi, gamma, numbers, inputs), np.empty_like(phi), np.empty_like(gamma)
-    d_inputs = predict_backward(gamma, done.concatenation, done.scale, *done.layers, done.d_predicted, d_gamma)
+    fit, d_phi, d_gamma = _forward(phi, gamma, numbers, inputs), np.empty_like(phi), np.empty_like(gamma)
+    d_inputs = predict_backward(gamma, fit.concatenation, fit.scale, *fit.layers, fit.d_predicted, d_gamma)
     d_pooled = d_inputs[:, own.shape[1] :].reshape(len(own), -1, 3).transpose(1, 2, 0).copy()
-    attend_backward(phi, numbers, history, value, done.alpha, done.pooled, done.hidden, done.query, d_pooled, d_phi)
-    return done.loss, d_phi, d_gamma
+    attend_backward(phi, numbers, history, value, fit.alpha, fit.pooled, fit.hidden, fit.query, d_pooled, d_phi)
+    return fit.loss, d_phi, d_gamma
 
 
 def _share_votes(alpha: Singles) -> Singles:
@@ -90,16 +90,16 @@ def train(inputs: Inputs, phi: Singles, gamma: Singles, sizes: AgatSizes, steps:
     attn_heads, votes = np.zeros((uavs, sizes.attn_heads, uavs), np.float32), np.zeros((uavs, uavs), np.float32)
     with np.errstate(over="ignore", invalid="ignore"):  # where beta is too large, the loss overflows
         for i in range(uavs):  # line 1
-            of_uav = inputs.of(i)
+            uav_inputs = inputs.of(i)
             for step in range(steps):  # line 3
-                loss[i, step], d_phi, d_gamma = gradient(phi[i], gamma, numbers, of_uav)
+                loss[i, step], d_phi, d_gamma = compute_gradient(phi[i], gamma, numbers, uav_inputs)
                 phi[i] -= rate * d_phi  # line 4, equation (24)
                 gamma -= rate * d_gamma  # line 4, equation (25)
-            last = _forward(phi[i], gamma, numbers, of_uav)
-            attn_heads[i] = last.alpha.mean(axis=2)
-            votes[i] = _share_votes(last.alpha)  # line 6
+            final = _forward(phi[i], gamma, numbers, uav_inputs)
+            attn_heads[i] = final.alpha.mean(axis=2)
+            votes[i] = _share_votes(final.alpha)  # line 6
             power = float((inputs.weight[i] * (inputs.target[i] ** 2).sum(axis=1)).sum())
-            explained[i] = 1.0 - last.loss / max(power, 1e-12)
+            explained[i] = 1.0 - final.loss / max(power, 1e-12)
     # After an overflow the fit explains nothing, and the attention is even.
     attn_heads = np.where(np.isfinite(attn_heads), attn_heads, np.float32(1.0 / uavs))
     return Fit(attn_heads, votes, gamma, loss, np.nan_to_num(explained, nan=0.0, posinf=0.0, neginf=0.0))

@@ -14,13 +14,13 @@ import torch
 
 from detectors.clustering import Clustering
 from detectors.gassl import Gassl
-from detectors.gassl.detector import answer
-from detectors.gassl.ifsn import pair_losses, standardise
+from detectors.gassl.detector import answer_cluster
+from detectors.gassl.ifsn import compute_pair_losses, standardise
 from detectors.gassl.topology_matrix import Inputs, build_batch
-from detectors.mc_gassl.features import inputs_of
+from detectors.mc_gassl.features import make_inputs
 from detectors.mc_gassl.gru import GruParameters
 from detectors.mc_gassl.training_steps import OnlineTraining, train_online
-from detectors.series.votes import select_top, shows_evidence, spread
+from detectors.series.votes import scatter_to_swarm, select_top, shows_evidence
 from usnet_env.arrays import Indices, Singles
 from usnet_env.detection import Detection
 from usnet_env.window import Window
@@ -41,12 +41,12 @@ def run_round(
     clustering = clusterer.cluster(window, rng)  # lines 2, 3
     heads, gamma = detect_heads(window, clustering, gassl, rng)  # line 4
     living = np.flatnonzero(window.alive)  # line 5
-    chosen = best_heads(build_batch(window, living, gassl.memory), gamma)  # equation (37)
+    chosen = find_best_heads(build_batch(window, living, gassl.memory), gamma)  # equation (37)
     score = np.bincount(chosen, minlength=len(chosen)).astype(np.float64)  # c_{i'}, equation (38)
-    followed = spread(score, living, window.uavs)
-    labels = spread(recluster(chosen, clustering.count, rng), living, window.uavs, fill=-1)
+    followed = scatter_to_swarm(score, living, window.uavs)
+    labels = scatter_to_swarm(recluster(chosen, clustering.count, rng), living, window.uavs, fill=-1)
     generator = torch.Generator().manual_seed(int(rng.integers(2**63)))
-    dataset = inputs_of(window, gassl.memory), torch.from_numpy(labels)
+    dataset = make_inputs(window, gassl.memory), torch.from_numpy(labels)
     updated, loss = train_online(parameters, *dataset, online, generator)  # equation (39)
     extras = {"count": clustering.count, "followed": followed, "online_loss": loss, "features": clustering.features}
     return replace(heads, clusters=clustering.labels, extras={**extras, **heads.extras}), updated
@@ -73,21 +73,21 @@ def detect_heads(
             continue
         fit = gassl.fit_cluster(window, members, gamma, rng)
         gamma = fit.gamma
-        found: Any = answer(window, members, fit, gassl, rng)
-        candidates |= found.candidates
-        scores += found.scores
-        leader[members] = found.leader[members]
-        attention += found.attention
-        attn_heads += found.extras["attention_heads"]
+        detection: Any = answer_cluster(window, members, fit, gassl, rng)
+        candidates |= detection.candidates
+        scores += detection.scores
+        leader[members] = detection.leader[members]
+        attention += detection.attention
+        attn_heads += detection.extras["attention_heads"]
     return Detection(candidates, scores, None, leader, attention, {"attention_heads": attn_heads}), gamma
 
 
-def best_heads(inputs: Inputs, gamma: Singles) -> Indices:
+def find_best_heads(inputs: Inputs, gamma: Singles) -> Indices:
     """i_H of every UAV, ``(n,)``: the other UAV from which the trained IFSN, Γ, predicts it best, equation (37)."""
     own, source = inputs.own.copy(), inputs.history.copy()
     for values in (*own, *source):
         standardise(values)
-    loss = pair_losses(gamma, own, source, inputs.target, inputs.weight)
+    loss = compute_pair_losses(gamma, own, source, inputs.target, inputs.weight)
     np.fill_diagonal(loss, np.inf)
     return np.asarray(np.nan_to_num(loss, nan=np.inf).argmin(axis=1).astype(np.int64))
 

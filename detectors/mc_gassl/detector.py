@@ -14,7 +14,7 @@ from detectors.base import Detector
 from detectors.clustering import CLUSTERERS, make_clusterer
 from detectors.gassl import Gassl
 from detectors.mc_gassl.algorithm_2 import run_round
-from detectors.mc_gassl.features import gru_features
+from detectors.mc_gassl.features import compute_gru_features
 from detectors.mc_gassl.gru import GruParameters, draw_parameters, load_meta_weights
 from detectors.mc_gassl.training_steps import OnlineTraining
 from detectors.mc_gassl.triplet import Metric
@@ -62,12 +62,12 @@ class McGassl(Detector):
 
     def check_arguments(self) -> tuple[Gassl, OnlineTraining]:
         """Check every argument; return the settings of GASSL and of on-line training."""
-        plain = super().check_arguments()
-        if not hasattr(plain.clusterer, "cluster"):
-            CLUSTERERS.find(plain.clusterer)
-        gassl = Gassl(memory=plain.memory, **(plain.gassl or {}))
+        arguments = super().check_arguments()
+        if not hasattr(arguments.clusterer, "cluster"):
+            CLUSTERERS.find(arguments.clusterer)
+        gassl = Gassl(memory=arguments.memory, **(arguments.gassl or {}))
         gassl.check_arguments()
-        return gassl, OnlineTraining(plain.online_steps, plain.online_rate, Metric())
+        return gassl, OnlineTraining(arguments.online_steps, arguments.online_rate, Metric())
 
     @cached_property
     def _parameters(self) -> GruParameters:
@@ -92,12 +92,12 @@ class McGassl(Detector):
         check_steps(window, self.memory)
         if not shows_evidence(window, living):  # decision (x)
             candidates = name_at_random(living, 1, window.uavs, self.rng)
-            none = {"count": min(1, len(living)), "followed": np.zeros(window.uavs), "online_loss": []}
-            return Detection(candidates, np.zeros(window.uavs), np.where(window.alive, 0, -1), extras=none)
+            extras = {"count": min(1, len(living)), "followed": np.zeros(window.uavs), "online_loss": []}
+            return Detection(candidates, np.zeros(window.uavs), np.where(window.alive, 0, -1), extras=extras)
         clusterer, features = self.clusterer, self.features
         if isinstance(clusterer, str):
             if isinstance(features, str) and features == "gru":
-                features = partial(gru_features, parameters=self._parameters, memory=self.memory)
+                features = partial(compute_gru_features, parameters=self._parameters, memory=self.memory)
             clusterer = make_clusterer(clusterer, features=features, count=self.count, memory=self.memory)
-        found, self._parameters = run_round(window, self._parameters, clusterer, gassl, online, self.rng)
-        return found
+        detection, self._parameters = run_round(window, self._parameters, clusterer, gassl, online, self.rng)
+        return detection

@@ -14,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from detectors.weights import packaged_arrays
+from detectors.weights import read_packaged_arrays
 from usnet_env.arrays import AxisLength
 
 _ARENA = (1000.0, 1000.0, 100.0)  # metres, the paper's; positions are divided by it, since they saturate the gates
@@ -58,7 +58,7 @@ def draw_parameters(generator: torch.Generator) -> GruParameters:
     return GruParameters(*((2.0 * torch.rand((3, 6), generator=generator) - 1.0) / 6**0.5 for _ in range(3)))
 
 
-def gru(parameters: GruParameters, position: Tensor, velocity: Tensor) -> Tensor:
+def run_gru(parameters: GruParameters, position: Tensor, velocity: Tensor) -> Tensor:
     """Equations (26) to (29), T_0 times over: e = h_{T_0}, ``(..., 3)``, of any number of UAVs and times at once.
 
     ``position`` ``(..., 3)`` in metres gives h_0; ``velocity`` is ``(..., T_0, 3)``, metres per step, oldest first.
@@ -70,14 +70,14 @@ def gru(parameters: GruParameters, position: Tensor, velocity: Tensor) -> Tensor
     for velocity_part in (velocity @ from_v).unbind(-2):
         gates = torch.sigmoid(h @ from_h + velocity_part[..., :6])
         g_r, g_u = gates[..., :3], gates[..., 3:]
-        new = torch.tanh(velocity_part[..., 6:] + (g_r * h) @ from_reset_h)
-        h = (1.0 - g_u) * h + g_u * new
+        proposal = torch.tanh(velocity_part[..., 6:] + (g_r * h) @ from_reset_h)
+        h = (1.0 - g_u) * h + g_u * proposal
     return h
 
 
 def load_meta_weights() -> GruParameters:
     """The meta-trained weights that this package ships, made by :func:`detectors.mc_gassl.train.train_meta`."""
-    return read_parameters(packaged_arrays("detectors.mc_gassl", "meta"))
+    return read_parameters(read_packaged_arrays("detectors.mc_gassl", "meta"))
 
 
 def read_parameters(arrays: Mapping[str, NDArray[Any]]) -> GruParameters:

@@ -16,10 +16,10 @@ import numpy as np
 import torch
 from pydantic import Field
 
-from detectors.mc_gassl.features import inputs_of
+from detectors.mc_gassl.features import make_inputs
 from detectors.mc_gassl.gru import GruParameters, draw_parameters, read_parameters
-from detectors.mc_gassl.training_steps import Clustered, Task, joint_step, meta_step
-from detectors.mc_gassl.triplet import Metric, batch_loss
+from detectors.mc_gassl.training_steps import Clustered, Task, take_joint_step, take_meta_step
+from detectors.mc_gassl.triplet import Metric, compute_batch_loss
 from detectors.weights import Checkpoint, write_losses, write_weights
 from usnet_env.arrays import Indices
 from usnet_env.config import ArgumentError, Positive
@@ -64,12 +64,12 @@ class MetaTraining(Metric):
     head_jitter: bool = False
 
 
-def _rng(training: MetaTraining, purpose: int, number: int = 0) -> np.random.Generator:
+def _make_rng(training: MetaTraining, purpose: int, number: int = 0) -> np.random.Generator:
     return np.random.default_rng([training.seed, purpose, number])
 
 
-def _generator(training: MetaTraining, purpose: int, number: int = 0) -> torch.Generator:
-    return torch.Generator().manual_seed(int(_rng(training, purpose, number).integers(2**63)))
+def _make_generator(training: MetaTraining, purpose: int, number: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(int(_make_rng(training, purpose, number).integers(2**63)))
 
 
 def draw_task(training: MetaTraining, number: int, purpose: int = _TASK) -> Task:
@@ -78,12 +78,13 @@ def draw_task(training: MetaTraining, number: int, purpose: int = _TASK) -> Task
 
 
 def _make_task(training: MetaTraining, drawn: list[tuple[Window, Indices]]) -> Task:
-    return Task(*(Clustered(inputs_of(window, training.memory), torch.from_numpy(labels)) for window, labels in drawn))
+    swarms = ((make_inputs(window, training.memory), torch.from_numpy(labels)) for window, labels in drawn)
+    return Task(*(Clustered(*swarm) for swarm in swarms))
 
 
 def _draw_windows(training: MetaTraining, number: int, purpose: int = _TASK) -> list[tuple[Window, Indices]]:
     """The windows of the support and the query swarm, each with the cluster of each UAV, ``(n,)``."""
-    rng = _rng(training, purpose, number)
+    rng = _make_rng(training, purpose, number)
     swarm = training.part(SwarmConfig, follow=random_follow_strategy(rng))
     rngs = rng.spawn(2)
     state, sighting = advance(swarm, start(swarm, rngs), rngs)
@@ -95,7 +96,7 @@ def _draw_windows(training: MetaTraining, number: int, purpose: int = _TASK) -> 
 
 
 def _draw_start(training: MetaTraining) -> GruParameters:
-    return draw_parameters(_generator(training, _START))
+    return draw_parameters(_make_generator(training, _START))
 
 
 def train_meta(
@@ -134,36 +135,37 @@ def train_meta(
         tasks.append(_make_task(training, windows))
         progress(len(tasks), total)
     while len(losses) < training.episodes:
-        generator = _generator(training, _EPISODE, len(losses))  # of this episode
+        generator = _make_generator(training, _EPISODE, len(losses))  # of this episode
         task = tasks[int(torch.randint(len(tasks), (), generator=generator))]
         if training.method == "meta":
-            parameters, loss = meta_step(parameters, task, metric, training.inner_rate, training.outer_rate, generator)
+            rates = training.inner_rate, training.outer_rate
+            parameters, loss = take_meta_step(parameters, task, metric, *rates, generator)
         else:
-            parameters, loss = joint_step(parameters, task, metric, training.outer_rate, generator)
+            parameters, loss = take_joint_step(parameters, task, metric, training.outer_rate, generator)
         losses.append(loss)
         if len(losses) % checkpoint_every == 0 or len(losses) == training.episodes:
             checkpoint.write(vars(parameters), losses)
             progress(training.strategies + len(losses), total)
     write_losses(folder, "episode", losses)
-    path, metrics = folder / f"{training.method}.safetensors", _metrics(training, parameters, losses)
+    path, metrics = folder / f"{training.method}.safetensors", _measure_losses(training, parameters, losses)
     return write_weights(path, vars(parameters), training.model_dump(mode="json"), metrics)
 
 
-def _metrics(training: MetaTraining, parameters: GruParameters, losses: list[float]) -> dict[str, Any]:
+def _measure_losses(training: MetaTraining, parameters: GruParameters, losses: list[float]) -> dict[str, Any]:
     """The loss at the beginning and end, and on strategies that were not trained on, beside the random start's."""
-    few, metric = max(1, min(500, len(losses) // 2)), training.part(Metric)
+    count, metric = max(1, min(500, len(losses) // 2)), training.part(Metric)
     swarms = [draw_task(training, number, _HELD_OUT).query for number in range(_HELD_OUT_TASKS)]
 
     def measure(weights: GruParameters) -> float:
-        generators = (_generator(training, _MEASURE, number) for number in range(_HELD_OUT_TASKS))
+        generators = (_make_generator(training, _MEASURE, number) for number in range(_HELD_OUT_TASKS))
         with torch.no_grad():
             pairs = zip(swarms, generators, strict=True)
-            return float(np.mean([float(batch_loss(weights, *swarm, metric, rng)) for swarm, rng in pairs]))
+            return float(np.mean([float(compute_batch_loss(weights, *swarm, metric, rng)) for swarm, rng in pairs]))
 
     return {
-        "episodes_averaged": few,
-        "first_loss": float(np.mean(losses[:few])),
-        "last_loss": float(np.mean(losses[-few:])),
+        "episodes_averaged": count,
+        "first_loss": float(np.mean(losses[:count])),
+        "last_loss": float(np.mean(losses[-count:])),
         "held_out_strategies": _HELD_OUT_TASKS,
         "held_out_loss": measure(parameters),
         "held_out_loss_of_random_start": measure(_draw_start(training)),

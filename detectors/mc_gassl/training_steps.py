@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from detectors.mc_gassl.gru import GruInputs, GruParameters
-from detectors.mc_gassl.triplet import Metric, batch_loss
+from detectors.mc_gassl.triplet import Metric, compute_batch_loss
 
 
 class OnlineTraining(NamedTuple):
@@ -39,9 +39,9 @@ def train_online(
     """
     losses: list[float] = []
     for _ in range(settings.steps):
-        at = parameters.trainable()
-        loss = batch_loss(at, inputs, labels, settings.metric, generator)
-        parameters = descend(at, loss, at, settings.rate)
+        trained = parameters.trainable()
+        loss = compute_batch_loss(trained, inputs, labels, settings.metric, generator)
+        parameters = descend(trained, loss, trained, settings.rate)
         losses.append(float(loss.detach()))
     return parameters, losses
 
@@ -60,7 +60,7 @@ class Task(NamedTuple):
     query: Clustered
 
 
-def meta_step(
+def take_meta_step(
     parameters: GruParameters,
     task: Task,
     metric: Metric,
@@ -73,18 +73,18 @@ def meta_step(
     The temporary parameters are Pi = W - alpha grad L_S(W); then W loses beta grad L_Q(Pi), the gradient with respect
     to Pi. The paper writes one rate for both steps where its text names two. The result is the new W, and L_Q(Pi).
     """
-    at = parameters.trainable()
-    support = batch_loss(at, *task.support, metric, generator)
-    temporary = descend(at, support, at, inner_rate).trainable()
-    query = batch_loss(temporary, *task.query, metric, generator)
+    trained = parameters.trainable()
+    support = compute_batch_loss(trained, *task.support, metric, generator)
+    temporary = descend(trained, support, trained, inner_rate).trainable()
+    query = compute_batch_loss(temporary, *task.query, metric, generator)
     return descend(parameters, query, temporary, outer_rate), float(query.detach())
 
 
-def joint_step(
+def take_joint_step(
     parameters: GruParameters, task: Task, metric: Metric, outer_rate: float, generator: torch.Generator
 ) -> tuple[GruParameters, float]:
     """One episode of joint training: W less beta times the gradient of the mean of L_S(W) and L_Q(W); and L_Q(W)."""
-    at = parameters.trainable()
-    support = batch_loss(at, *task.support, metric, generator)
-    query = batch_loss(at, *task.query, metric, generator)
-    return descend(parameters, 0.5 * (support + query), at, outer_rate), float(query.detach())
+    trained = parameters.trainable()
+    support = compute_batch_loss(trained, *task.support, metric, generator)
+    query = compute_batch_loss(trained, *task.query, metric, generator)
+    return descend(parameters, 0.5 * (support + query), trained, outer_rate), float(query.detach())

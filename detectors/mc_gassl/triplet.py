@@ -9,7 +9,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from detectors.mc_gassl.gru import GruInputs, GruParameters, gru
+from detectors.mc_gassl.gru import GruInputs, GruParameters, run_gru
 from usnet_env.config import Config
 
 
@@ -36,48 +36,48 @@ def draw_triplets(anchors: int, inputs: GruInputs, labels: Tensor, generator: to
     Equations (30) and (31): of the anchor's cluster the farthest in input space, of the others the nearest in input
     space. Inputs are in metres there, so positions decide. UAVs with -1 in ``labels`` ``(n,)`` int64 take no part.
     """
-    there = inputs.seen & (labels >= 0)
+    is_available = inputs.seen & (labels >= 0)
     cluster = torch.from_numpy(np.unique(labels.numpy(), return_inverse=True)[1])
-    size = torch.zeros(there.shape, dtype=torch.int64).index_add_(1, cluster, there.long())[:, cluster]
-    possible = there & (size > 1) & (size < there.sum(dim=1, keepdim=True))
-    pairs = possible.nonzero()
+    size = torch.zeros(is_available.shape, dtype=torch.int64).index_add_(1, cluster, is_available.long())[:, cluster]
+    is_anchor = is_available & (size > 1) & (size < is_available.sum(dim=1, keepdim=True))
+    pairs = is_anchor.nonzero()
     time, anchor = pairs[torch.randperm(len(pairs), generator=generator)[:anchors]].unbind(1)
     if len(anchor) == 0:
         return Triplets(time, anchor, anchor, anchor)
 
-    alike = labels[anchor, None] == labels
-    same, other = there[time] & alike, there[time] & ~alike
-    same[torch.arange(len(anchor)), anchor] = False
-    distance = _distances(torch.cat([inputs.position, inputs.velocity.flatten(-2)], dim=-1), time, anchor)
-    positive = distance.masked_fill(~same, -torch.inf).argmax(dim=1)
-    return Triplets(time, anchor, positive, distance.masked_fill(~other, torch.inf).argmin(dim=1))
+    same_cluster = labels[anchor, None] == labels
+    is_candidate, is_other = is_available[time] & same_cluster, is_available[time] & ~same_cluster
+    is_candidate[torch.arange(len(anchor)), anchor] = False
+    distance = _measure_distances(torch.cat([inputs.position, inputs.velocity.flatten(-2)], dim=-1), time, anchor)
+    positive = distance.masked_fill(~is_candidate, -torch.inf).argmax(dim=1)
+    return Triplets(time, anchor, positive, distance.masked_fill(~is_other, torch.inf).argmin(dim=1))
 
 
-def _distances(values: Tensor, time: Tensor, anchor: Tensor) -> Tensor:
+def _measure_distances(values: Tensor, time: Tensor, anchor: Tensor) -> Tensor:
     """``(B, n)``: how far ``values`` ``(R, n, d)`` of every UAV are from the anchor's at the same time."""
     distance = values.new_empty(len(anchor), values.shape[1])
-    for t, there in enumerate(values):
+    for t, points in enumerate(values):
         rows = time == t
         # Not by way of squares and products: positions of a kilometre would leave centimetres of rounding.
-        distance[rows] = torch.cdist(there[anchor[rows]], there, compute_mode="donot_use_mm_for_euclid_dist")
+        distance[rows] = torch.cdist(points[anchor[rows]], points, compute_mode="donot_use_mm_for_euclid_dist")
     return distance
 
 
-def triplet_loss(anchor: Tensor, positive: Tensor, negative: Tensor, margin: float) -> Tensor:
+def compute_triplet_loss(anchor: Tensor, positive: Tensor, negative: Tensor, margin: float) -> Tensor:
     """Equation (32) of triplets of features ``(B, 3)`` each, ``(B,)``: [|e_p - e_a| - |e_n - e_a| + gamma]_+."""
-    near = torch.linalg.vector_norm(positive - anchor, dim=-1)
-    far = torch.linalg.vector_norm(negative - anchor, dim=-1)
-    return torch.relu(near - far + margin)
+    positive_distance = torch.linalg.vector_norm(positive - anchor, dim=-1)
+    negative_distance = torch.linalg.vector_norm(negative - anchor, dim=-1)
+    return torch.relu(positive_distance - negative_distance + margin)
 
 
-def batch_loss(
+def compute_batch_loss(
     parameters: GruParameters, inputs: GruInputs, labels: Tensor, metric: Metric, generator: torch.Generator
 ) -> Tensor:
     """Equation (33) of one random batch, as a mean, so that rates do not depend on B; 0 without a triplet."""
     batch = inputs.at(torch.randperm(inputs.times, generator=generator)[: metric.times])
-    time, *three = draw_triplets(metric.anchors, batch, labels, generator)
+    time, *uavs = draw_triplets(metric.anchors, batch, labels, generator)
     # The Siamese network: the same cells for anchors, positives and negatives, and for no other UAV.
-    members = torch.stack(three)
-    features = gru(parameters, batch.position[time, members], batch.velocity[time, members])
-    losses = triplet_loss(features[0], features[1], features[2], metric.margin)
+    members = torch.stack(uavs)
+    features = run_gru(parameters, batch.position[time, members], batch.velocity[time, members])
+    losses = compute_triplet_loss(features[0], features[1], features[2], metric.margin)
     return losses.sum() / max(len(losses), 1)

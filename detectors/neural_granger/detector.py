@@ -13,7 +13,7 @@ from detectors.base import Detector
 from detectors.neural_granger.training import build_samples, fit_networks
 from detectors.parameters import Count, Lags
 from detectors.series.designs import check_pairs, check_steps
-from detectors.series.votes import choose_heads, name_at_random, select_top, shows_evidence, spread
+from detectors.series.votes import choose_heads, name_at_random, scatter_to_swarm, select_top, shows_evidence
 from usnet_env.config import Positive
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
@@ -86,15 +86,15 @@ class NeuralGranger(Detector):
         device = torch.device(automatic if self.device == "auto" else self.device)
         generator = torch.Generator(device).manual_seed(int(self.rng.integers(2**63)))
         fit = fit_networks(build_samples(window, living, self.memory, device), settings, generator)
-        second = fit.held_out_gain.sort(dim=0, descending=True).values[1]
-        attention, gain = (part.double().cpu().numpy() for part in (fit.attention, second))
-        choice, other = choose_heads(attention, False, self.rng), choose_heads(attention, True, self.rng)
+        second_gain = fit.held_out_gain.sort(dim=0, descending=True).values[1]
+        attention, gain = (part.double().cpu().numpy() for part in (fit.attention, second_gain))
+        choice, other_choice = choose_heads(attention, False, self.rng), choose_heads(attention, True, self.rng)
         c = np.where(np.eye(len(living), dtype=bool), 0.0, attention).sum(axis=0) / len(living)
         followed = bool(gain[fit.winner] >= self.gate_threshold)
-        named = np.zeros(len(living), bool)
+        is_named = np.zeros(len(living), bool)
         if not self.gate or followed:
-            named[select_top(c, self.top_k, self.rng)] = True
-        wide = partial(spread, members=living, uavs=window.uavs)
-        extras = {"choice": wide(living[choice], fill=-1), "gain": wide(gain)}
-        leader, whole = wide(living[other], fill=-1), wide(attention, pairs=True)
-        return Detection(wide(named), wide(c), leader=leader, attention=whole, extras={**extras, "followed": followed})
+            is_named[select_top(c, self.top_k, self.rng)] = True
+        scatter = partial(scatter_to_swarm, members=living, uavs=window.uavs)
+        extras = {"choice": scatter(living[choice], fill=-1), "gain": scatter(gain), "followed": followed}
+        leader, weights = scatter(living[other_choice], fill=-1), scatter(attention, pairs=True)
+        return Detection(scatter(is_named), scatter(c), leader=leader, attention=weights, extras=extras)

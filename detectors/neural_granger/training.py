@@ -48,11 +48,11 @@ class Samples:
 
 def build_samples(window: Window, members: NDArray[np.intp], memory: int, device: torch.device) -> Samples:
     """Build the samples of the ``members`` ``(n,)``."""
-    whole = fill_gaps(window)
-    velocity, seen = whole.velocity[:, members], window.velocity_seen[memory:, members]
+    filled = fill_gaps(window)
+    velocity, seen = filled.velocity[:, members], window.velocity_seen[memory:, members]
     parts = (
         stack_past(velocity, memory),
-        whole.position[memory - 1 : -2, members].swapaxes(0, 1),
+        filled.position[memory - 1 : -2, members].swapaxes(0, 1),
         np.where(seen[..., None], velocity[memory:], np.float32(0)).swapaxes(0, 1),
         seen.T.astype(np.float32),
     )
@@ -109,9 +109,9 @@ class AdditiveNetwork:
         """Predict velocities ``(S, v, t, 3)`` from the source ``(S, t, 3)``, offsets p_j - p_i and the null model's."""
         networks, voters, times, _ = offset.shape
         distance = offset.norm(dim=-1, keepdim=True)
-        where = torch.cat([offset / _DISTANCE_SCALE, offset / (distance + 1e-6), null], dim=-1)
+        geometry = torch.cat([offset / _DISTANCE_SCALE, offset / (distance + 1e-6), null], dim=-1)
         gains = torch.cat([self.weights[3], self.free[2]], dim=1)
-        output = torch.bmm(where.reshape(networks, voters * times, 9), gains).view(networks, voters, times, 3)
+        output = torch.bmm(geometry.reshape(networks, voters * times, 9), gains).view(networks, voters, times, 3)
         output = output + source.unsqueeze(1)
         return output * torch.rsqrt((output * output).sum(-1, keepdim=True) + self.free[3].exp().unsqueeze(1))
 
@@ -122,17 +122,17 @@ def split_times(times: int, blocks: int, gap: int, device: torch.device) -> tupl
     A fifth of all times is held out, in evenly spread blocks with ``gap`` times on each side that are neither; in fewer
     and longer blocks, and at last without gaps, if less than a third of the times would remain for training.
     """
-    for fewer in range(min(blocks, times), 0, -1):
-        held, near = torch.zeros(2, times, dtype=torch.bool, device=device)
-        length = max(1, times // (5 * fewer))
-        for block in range(fewer):
-            first = int((block + 0.5) * times / fewer) - length // 2
-            held[first : first + length] = True
-            near[max(0, first - gap) : first + length + gap] = True
-        if (~near).sum() >= max(1, times // 3):
-            return (~near).nonzero()[:, 0], held.nonzero()[:, 0]
-    used = ~held if times > 1 else held  # around the single block of the last try
-    return used.nonzero()[:, 0], held.nonzero()[:, 0]
+    for count in range(min(blocks, times), 0, -1):
+        is_held, is_excluded = torch.zeros(2, times, dtype=torch.bool, device=device)
+        length = max(1, times // (5 * count))
+        for block in range(count):
+            first = int((block + 0.5) * times / count) - length // 2
+            is_held[first : first + length] = True
+            is_excluded[max(0, first - gap) : first + length + gap] = True
+        if (~is_excluded).sum() >= max(1, times // 3):
+            return (~is_excluded).nonzero()[:, 0], is_held.nonzero()[:, 0]
+    used = ~is_held if times > 1 else is_held  # around the single block of the last try
+    return used.nonzero()[:, 0], is_held.nonzero()[:, 0]
 
 
 def _weighted_mean(values: Tensor, weight: Tensor) -> Tensor:
@@ -152,11 +152,11 @@ def predict_from_own_past(past: Singles, target: Singles, weight: Singles, penal
     eye = (penalty * np.eye(past.shape[-1])).astype(past.dtype)
     prediction = np.zeros_like(target)
     for k in np.unique(fold):
-        inside = np.flatnonzero(fold == k)
-        outside = (index < inside[0] - gap) | (index > inside[-1] + gap)
-        left = weighted[..., outside, :].swapaxes(-1, -2)
-        weights = np.linalg.solve(left @ past[..., outside, :] + eye, left @ target[..., outside, :])
-        prediction[..., inside, :] = past[..., inside, :] @ weights
+        fold_rows = np.flatnonzero(fold == k)
+        other_rows = (index < fold_rows[0] - gap) | (index > fold_rows[-1] + gap)
+        inputs = weighted[..., other_rows, :].swapaxes(-1, -2)
+        weights = np.linalg.solve(inputs @ past[..., other_rows, :] + eye, inputs @ target[..., other_rows, :])
+        prediction[..., fold_rows, :] = past[..., fold_rows, :] @ weights
     return prediction
 
 
@@ -219,18 +219,18 @@ def fit_networks(samples: Samples, settings: Any, generator: torch.Generator) ->
     used, held = split_times(samples.times, settings.blocks, samples.velocity.shape[2], device)
     network = AdditiveNetwork.draw(uavs, problem.source.shape[2], settings.units, generator)
     _train(problem, network, used, generator)
-    rest = torch.tensor(sorted(set(range(samples.times)) - set(used.tolist())) or used.tolist(), device=device)
+    unused = torch.tensor(sorted(set(range(samples.times)) - set(used.tolist())) or used.tolist(), device=device)
     with torch.no_grad():
         gains = []
-        for times in (used, held, rest):
+        for times in (used, held, unused):
             null = _weighted_mean(problem.null_error[:, times], samples.weight[:, times])
             errors = problem.compute_all_errors(network.select, times)
             gain = torch.log((null.unsqueeze(1) + settings.floor) / (errors + settings.floor))
             gain.diagonal().zero_()
             gains.append(gain.mul_((samples.weight.sum(-1) > 0).unsqueeze(1)))
         # Added before they are clamped: a UAV that is fitted well and predicted badly adds nothing.
-        better = (gains[0] + 2.0 * gains[2]).clamp(min=0).sum(0)
-        ties = better == better.max()  # all candidates if none beats the null model
+        total_gain = (gains[0] + 2.0 * gains[2]).clamp(min=0).sum(0)
+        ties = total_gain == total_gain.max()  # all candidates if none beats the null model
         winner = int((ties * (1.0 - torch.rand(ties.shape, generator=generator, device=device))).argmax())
         attention = torch.softmax(_compare_leaders(problem, network, winner), dim=1)
     return Fit(gains[1], attention, winner)
@@ -240,7 +240,7 @@ def _train(problem: Problem, network: AdditiveNetwork, used: Tensor, generator: 
     """Train by AdamW at the times ``used``; the loss, the mean log error, gives each UAV its own variance."""
     samples, settings = problem.samples, problem.settings
     everyone = torch.arange(samples.uavs, device=used.device)
-    others = everyone[:, None] != everyone
+    is_other = everyone[:, None] != everyone
     groups: list[dict[str, Any]] = [{"params": network.weights}, {"params": network.free, "weight_decay": 0.0}]
     optimiser = torch.optim.AdamW(groups, lr=settings.learning_rate, weight_decay=settings.weight_decay)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, settings.steps)
@@ -252,8 +252,8 @@ def _train(problem: Problem, network: AdditiveNetwork, used: Tensor, generator: 
         times, voters = draw(used, settings.times), draw(everyone, settings.voters)
         errors = problem.compute_errors(network, everyone, voters, times, generator)
         weight = samples.weight[voters][:, times]
-        counted = others[:, voters] & (weight.sum(-1) > 0)
-        loss = (torch.log(_weighted_mean(errors, weight) + settings.floor) * counted).sum() / len(voters)
+        is_counted = is_other[:, voters] & (weight.sum(-1) > 0)
+        loss = (torch.log(_weighted_mean(errors, weight) + settings.floor) * is_counted).sum() / len(voters)
         optimiser.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
         optimiser.step()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor, nn
 
-from detectors.rl.pair import answer
+from detectors.rl.pair import finish_outputs
 
 
 class AttentionNetwork(nn.Module):
@@ -29,7 +29,7 @@ class AttentionNetwork(nn.Module):
     def forward(self, velocity: Tensor, alive: Tensor) -> tuple[Tensor, Tensor]:
         """``(B, N)`` logits of being a candidate, and ``(B,)`` values; see :class:`detectors.rl.PairNetwork`."""
         living = alive > 0
-        unseen = ~living & living.any(dim=1, keepdim=True)  # attention to nobody would be NaN
+        is_masked = ~living & living.any(dim=1, keepdim=True)  # attention to nobody would be NaN
         tracks = velocity.transpose(1, 2).flatten(2)  # (B, N, 3 T_ob)
-        judged = self.judge(self.attend(self.embed(tracks), src_key_padding_mask=unseen))
-        return answer(judged[..., 0], judged[..., 1], living)
+        outputs = self.judge(self.attend(self.embed(tracks), src_key_padding_mask=is_masked))
+        return finish_outputs(outputs[..., 0], outputs[..., 1], living)

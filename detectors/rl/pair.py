@@ -38,18 +38,18 @@ class PairNetwork(nn.Module):
         """
         past = velocity.unfold(1, self.lags, 1)  # (B, T', N, 3, lags)
         first, second = (torch.einsum("btncl,lk->btnck", past, bank) for bank in self.banks)
-        both = torch.einsum("btick,btjck->bijk", first, second) / past.shape[1]
-        known = torch.cat([both, both.transpose(1, 2)], dim=-1)
+        products = torch.einsum("btick,btjck->bijk", first, second) / past.shape[1]
+        features = torch.cat([products, products.transpose(1, 2)], dim=-1)
         living, uavs = alive > 0, alive.shape[1]
-        barred = torch.eye(uavs, dtype=torch.bool, device=alive.device) | ~living[:, None]
-        choice = self.compare(4.0 * known).masked_fill(barred[..., None], -1e3).softmax(dim=2)
+        is_barred = torch.eye(uavs, dtype=torch.bool, device=alive.device) | ~living[:, None]
+        choice = self.compare(4.0 * features).masked_fill(is_barred[..., None], -1e3).softmax(dim=2)
         followers = (choice * living[:, :, None, None]).sum(dim=1)  # (B, N, 2)
         share = followers / living.sum(dim=1).clamp(min=2)[:, None, None]
-        judged = self.judge(4.0 * share)
-        return answer(4.0 * judged[..., 0], judged[..., 1], living, self.named)
+        outputs = self.judge(4.0 * share)
+        return finish_outputs(4.0 * outputs[..., 0], outputs[..., 1], living, self.named)
 
 
-def answer(scores: Tensor, values: Tensor, living: Tensor, named: int = 1) -> tuple[Tensor, Tensor]:
+def finish_outputs(scores: Tensor, values: Tensor, living: Tensor, named: int = 1) -> tuple[Tensor, Tensor]:
     """The logits ``(B, N)`` and the values ``(B,)`` that a network returns, from what it finds about each UAV.
 
     At the start about ``named`` UAVs are named, since an agent that names none, or all, learns little.

@@ -57,8 +57,8 @@ def stack_past(values: NDArray[AnyT], lags: int) -> NDArray[AnyT]:
     Row r belongs to time t = ``lags`` + r, whose sample is the target. Entry (i, r, l) is UAV i's sample at t - 1 - l,
     so the newest is first.
     """
-    at = np.arange(max(0, len(values) - lags))[:, None] + lags - 1 - np.arange(lags)
-    return values[at].transpose(2, 0, 1, 3)
+    rows = np.arange(max(0, len(values) - lags))[:, None] + lags - 1 - np.arange(lags)
+    return values[rows].transpose(2, 0, 1, 3)
 
 
 def centre_past(values: NDArray[RealT], seen: Mask, lags: int) -> NDArray[RealT]:

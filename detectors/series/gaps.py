@@ -23,18 +23,18 @@ def fill_gaps(window: Window) -> Window:
     [0.0, 1.0, 2.0]
     """
     seen, alive = window.seen, window.alive
-    known = seen.any(axis=0) & alive
-    if seen[:, alive].all() or not known.any():
+    was_seen = seen.any(axis=0) & alive
+    if seen[:, alive].all() or not was_seen.any():
         return window
     position, velocity = window.position.copy(), window.velocity.copy()
     instants = np.arange(len(position))
-    for uav in np.flatnonzero(known & ~seen.all(axis=0)):
-        there = np.flatnonzero(seen[:, uav])
+    for uav in np.flatnonzero(was_seen & ~seen.all(axis=0)):
+        seen_instants = np.flatnonzero(seen[:, uav])
         for axis in range(3):
-            position[:, uav, axis] = np.interp(instants, there, position[there, uav, axis])
-    missed = ~window.velocity_seen
-    velocity[missed] = np.diff(position, axis=0)[missed]
+            position[:, uav, axis] = np.interp(instants, seen_instants, position[seen_instants, uav, axis])
+    is_missed = ~window.velocity_seen
+    velocity[is_missed] = np.diff(position, axis=0)[is_missed]
     for values in (position, velocity):
-        values[:, alive & ~known] = values[:, known].mean(axis=1, keepdims=True)
+        values[:, alive & ~was_seen] = values[:, was_seen].mean(axis=1, keepdims=True)
         values[:, ~alive] = 0.0
     return Window(position, velocity, np.broadcast_to(alive, seen.shape), alive, window.round, window.step)

@@ -29,8 +29,8 @@ def whiten(features: NDArray[RealT], ridge: float = RIDGE, fitted: bool = False)
         Q of the shape and type of ``features`` ``(n, R, p)``, 0 for a UAV without motion; and ``(n,)``, the sums of d,
         the degrees of freedom of the fits.
     """
-    wide = features.astype(np.float64, copy=False)  # a Gram matrix has the square of the features' condition number
-    gram = wide.transpose(0, 2, 1) @ wide
+    values = features.astype(np.float64, copy=False)  # a Gram matrix has the square of the features' condition number
+    gram = values.transpose(0, 2, 1) @ values
     width = gram.shape[1]
     diagonal = np.arange(width)
     power = np.trace(gram, axis1=1, axis2=2) / width
@@ -38,11 +38,11 @@ def whiten(features: NDArray[RealT], ridge: float = RIDGE, fitted: bool = False)
     gram[:, diagonal, diagonal] += penalty[:, None]
     root = np.linalg.inv(np.linalg.cholesky(gram))
     freedom = width - penalty * (root**2).sum(axis=(1, 2))
-    mix = root.transpose(0, 2, 1)
+    transform = root.transpose(0, 2, 1)
     if fitted:
         gram[:, diagonal, diagonal] += penalty[:, None]
-        mix = mix @ (root @ np.linalg.cholesky(gram))
-    return np.asarray(wide @ mix, features.dtype), freedom
+        transform = transform @ (root @ np.linalg.cholesky(gram))
+    return np.asarray(values @ transform, features.dtype), freedom
 
 
 def explain_pairs(
@@ -67,35 +67,35 @@ def explain_pairs(
     freedom = np.zeros(uavs)
     chunk = max(1, _CHUNK_ENTRIES // max(1, width * voters * axes))
     for start in range(0, uavs, chunk):
-        part = slice(start, start + chunk)
-        white, freedom[part] = whiten(features[part], ridge, fitted=True)
+        sources = slice(start, start + chunk)
+        white, freedom[sources] = whiten(features[sources], ridge, fitted=True)
         stacked = white.transpose(0, 2, 1).reshape(-1, rows).astype(np.float32)
         for share, target in zip(shares, flat, strict=True):
             product = stacked @ target
             np.square(product, out=product)
-            share[:, part] = product.reshape(len(white), width * axes, voters).sum(axis=1).T
+            share[:, sources] = product.reshape(len(white), width * axes, voters).sum(axis=1).T
     return np.clip(shares, 0.0, 1.0), freedom
 
 
-def explain_beyond_own_past(target: Floats, own: Floats, theirs: Floats) -> Floats:
+def explain_beyond_own_past(target: Floats, own_past: Floats, other_past: Floats) -> Floats:
     """The share ``(n, n)`` of what a regression on i's own past leaves of i that j's past explains.
 
     Let r be the residual of the regression on i's own past, and F the part of j's features that is orthogonal to i's
     own past. By the Frisch-Waugh theorem, adding j's features explains r' F (F' F)^-1 F' r more. With whitened
-    features Q_j (``theirs`` ``(n, R, p)``) and Q_i (``own`` ``(n, R, q)``, q may be 0) this is
+    features Q_j (``other_past`` ``(n, R, p)``) and Q_i (``own_past`` ``(n, R, q)``, q may be 0) this is
     r' Q_j (I - C C')^-1 Q_j' r with C = Q_j' Q_i. The ``target`` is ``(n, R, d)``.
     """
-    uavs, _, width = theirs.shape
-    residual = target - own @ (own.transpose(0, 2, 1) @ target)
+    uavs, _, width = other_past.shape
+    residual = target - own_past @ (own_past.transpose(0, 2, 1) @ target)
     total = (residual**2).sum(axis=(1, 2))
     scale = np.where(total > LEAST_MOTION, total, np.inf)
     share = np.empty((uavs, uavs))
     step = max(1, _CHUNK_PAIRS // uavs)
     for first in range(0, uavs, step):
-        some = slice(first, first + step)
+        rows = slice(first, first + step)
         # Entry (i, j): Q_j' r_i (p, d), and C = Q_j' Q_i (p, q).
-        onto = np.einsum("jtp,itd->ijpd", theirs, residual[some], optimize=True)
-        shared = np.einsum("jtp,itq->ijpq", theirs, own[some], optimize=True)
-        left = (1.0 + 1e-6) * np.eye(width) - shared @ shared.swapaxes(-1, -2)
-        share[some] = (onto * np.linalg.solve(left, onto)).sum(axis=(2, 3)) / scale[some, None]
+        products = np.einsum("jtp,itd->ijpd", other_past, residual[rows], optimize=True)
+        overlap = np.einsum("jtp,itq->ijpq", other_past, own_past[rows], optimize=True)
+        remainder = (1.0 + 1e-6) * np.eye(width) - overlap @ overlap.swapaxes(-1, -2)
+        share[rows] = (products * np.linalg.solve(remainder, products)).sum(axis=(2, 3)) / scale[rows, None]
     return np.clip(share, 0.0, 1.0)

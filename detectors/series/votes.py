@@ -81,8 +81,8 @@ def count_votes(chosen: Indices) -> Floats:
     ``chosen`` ``(n,)`` is from :func:`choose_heads`. A UAV that chose itself counts for no UAV.
     """
     uavs = len(chosen)
-    others = chosen[chosen != np.arange(uavs)]
-    return np.asarray(np.bincount(others, minlength=uavs) / uavs)
+    other_choices = chosen[chosen != np.arange(uavs)]
+    return np.asarray(np.bincount(other_choices, minlength=uavs) / uavs)
 
 
 def select_top(scores: NDArray[Any], count: int | None, rng: np.random.Generator) -> NDArray[np.intp]:
@@ -106,7 +106,7 @@ def name_at_random(members: NDArray[np.intp], count: int, uavs: int, rng: np.ran
     return np.isin(np.arange(uavs), rng.permutation(members)[:count])
 
 
-def spread(
+def scatter_to_swarm(
     values: NDArray[Any], members: NDArray[np.intp], uavs: int, fill: float = 0, pairs: bool = False
 ) -> NDArray[Any]:
     """What holds for n members of a swarm, for all of its N UAVs, with ``fill`` for the others; floats become float64.
@@ -127,16 +127,16 @@ def cover_voters(evidence: Evidence, most: int | None = None) -> list[int]:
     long as it raises it by at least ``LEAST_VOTERS``. The result has at most ``most`` indices, in the order of choice.
     """
     threshold = evidence.threshold
-    above = np.maximum(evidence.pairs - threshold, 0.0)
-    best = above.max(axis=1)
+    excess = np.maximum(evidence.pairs - threshold, 0.0)
+    best = excess.max(axis=1)
     voters = np.flatnonzero(best > 0)
-    share = above[voters] / best[voters, None]
+    share = excess[voters] / best[voters, None]
     explained = np.zeros(len(voters))
     heads: list[int] = []
     while len(heads) < (len(evidence.pairs) if most is None else most):
-        added = np.maximum(share - explained[:, None], 0.0).sum(axis=0)
-        head = int(added.argmax())
-        if added[head] < LEAST_VOTERS:
+        gain = np.maximum(share - explained[:, None], 0.0).sum(axis=0)
+        head = int(gain.argmax())
+        if gain[head] < LEAST_VOTERS:
             break
         heads.append(head)
         explained = np.maximum(explained, share[:, head])
@@ -154,11 +154,11 @@ def find_trees(lead: Floats, strength: Floats, threshold: float) -> tuple[Indice
     """
     follows = lead > threshold
     leader, root = np.full(len(lead), -1), np.arange(len(lead))
-    best = np.where(follows, lead, -np.inf).max(axis=1, initial=-np.inf)
-    for i in np.argsort(-best, kind="stable")[: int((best > -np.inf).sum())]:
-        ahead = np.flatnonzero(follows[i] & (root != i))
-        if len(ahead):
-            leader[i] = ahead[strength[i, ahead].argmax()]
+    best_lead = np.where(follows, lead, -np.inf).max(axis=1, initial=-np.inf)
+    for i in np.argsort(-best_lead, kind="stable")[: int((best_lead > -np.inf).sum())]:
+        leaders = np.flatnonzero(follows[i] & (root != i))
+        if len(leaders):
+            leader[i] = leaders[strength[i, leaders].argmax()]
             root[root == i] = root[leader[i]]
     return leader, root
 
@@ -178,17 +178,17 @@ def detection_from_evidence(
     living = np.flatnonzero(alive)
     scores, attention = np.zeros(uavs), np.zeros((uavs, uavs))
     label, leader = np.full((2, uavs), -1, np.int64)
-    found: list[int] = []
+    cover: list[int] = []
     if evidence is not None:
         weight = np.maximum(evidence.pairs.max(axis=1) - evidence.chance, 0.0)
         scores += np.bincount(living[evidence.pairs.argmax(axis=1)], weight, uavs)
         attention[np.ix_(living, living)] = np.maximum(evidence.pairs, 0.0)
-        found = cover_voters(evidence, clusters)
+        cover = cover_voters(evidence, clusters)
 
-    order = rank_uavs(scores, alive, rng)
-    heads = living[found] if found else order[:1]
+    ranking = rank_uavs(scores, alive, rng)
+    heads = living[cover] if cover else ranking[:1]
     if clusters is not None and first_round:
-        heads = order[:clusters]
+        heads = ranking[:clusters]
     heads = np.sort(heads)
     if len(heads):
         label[living] = attention[np.ix_(living, heads)].argmax(axis=1)

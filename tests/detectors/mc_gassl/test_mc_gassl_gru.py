@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mc_gassl_inputs import parameters, random_inputs
 
-from detectors.mc_gassl.features import gru_features, inputs_of
-from detectors.mc_gassl.gru import gru
+from detectors.mc_gassl.features import compute_gru_features, make_inputs
+from detectors.mc_gassl.gru import run_gru
 from usnet_env import Window
 
 
@@ -25,7 +25,7 @@ def literal(weights, h, velocity):
 def test_the_network_is_the_equations_one_after_another(memory, seed):
     weights = parameters(seed)
     inputs = random_inputs(times=2, uavs=3, memory=memory, seed=seed)
-    features = gru(weights, inputs.position, inputs.velocity)
+    features = run_gru(weights, inputs.position, inputs.velocity)
     matrices = [tensor.numpy() for tensor in weights.tensors()]
     for t in range(2):
         for i in range(3):
@@ -44,10 +44,10 @@ def test_any_window_has_features(steps, uavs, memory, seed):
     position = np.where(seen[..., None], rng.normal(0, 100, (steps + 1, uavs, 3)), 0)
     velocity = np.where((seen[:-1] & seen[1:])[..., None], rng.normal(0, 1, (steps, uavs, 3)), 0)
     window = Window(position, velocity, seen, alive)
-    weights, inputs = parameters(dtype=torch.float32), inputs_of(window, memory)
-    values = gru_features(window, weights, memory)
+    weights, inputs = parameters(dtype=torch.float32), make_inputs(window, memory)
+    values = compute_gru_features(window, weights, memory)
     times = max(steps - memory, 0) + 1
-    newest = gru(weights, inputs.position, inputs.velocity)[-1].double().numpy()
+    newest = run_gru(weights, inputs.position, inputs.velocity)[-1].double().numpy()
     np.testing.assert_allclose(values, newest * alive[:, None], atol=1e-6)
     for r in range(times):
         for i in range(uavs):

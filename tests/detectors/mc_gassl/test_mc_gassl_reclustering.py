@@ -7,7 +7,7 @@ from synthetic_windows import swarm_window
 
 from detectors.gassl.ifsn import VARIANCE_FLOOR, draw_ifsn
 from detectors.gassl.topology_matrix import build_batch
-from detectors.mc_gassl.algorithm_2 import best_heads, recluster
+from detectors.mc_gassl.algorithm_2 import find_best_heads, recluster
 
 
 def inputs_of_swarm(seed=0, **config):
@@ -45,7 +45,7 @@ def test_best_heads_are_equation_37(seed, hidden, miss_rate):
     inputs = inputs_of_swarm(seed, miss_rate=miss_rate)
     gamma = draw_gamma(inputs, hidden, seed)
     kept = [inputs.own.copy(), inputs.value.copy()]
-    chosen = best_heads(inputs, gamma)
+    chosen = find_best_heads(inputs, gamma)
     for i in range(8):
         losses = {other: loss_of_pair(inputs, gamma, hidden, i, other) for other in range(8) if other != i}
         assert chosen[i] == min(losses, key=losses.get)

@@ -5,8 +5,8 @@ import torch
 from mc_gassl_inputs import clustered, generator, parameters
 
 from detectors.mc_gassl.gru import GruParameters
-from detectors.mc_gassl.training_steps import OnlineTraining, Task, meta_step, train_online
-from detectors.mc_gassl.triplet import Metric, batch_loss
+from detectors.mc_gassl.training_steps import OnlineTraining, Task, take_meta_step, train_online
+from detectors.mc_gassl.triplet import Metric, compute_batch_loss
 
 # Every hinge is far from its kink, so that differences are derivatives; the triplets don't depend on the weights.
 SMOOTH = Metric(margin=5.0, times=3, anchors=10)
@@ -49,10 +49,10 @@ def losses_of(drawn, metric, own):
         state = own.get_state()
 
         def loss(at, swarm=swarm, state=state):
-            return batch_loss(at, swarm.inputs, swarm.labels, metric, generator().set_state(state))
+            return compute_batch_loss(at, swarm.inputs, swarm.labels, metric, generator().set_state(state))
 
         functions.append(loss)
-        batch_loss(parameters(), swarm.inputs, swarm.labels, metric, own)  # moves ``own`` on to the next batch
+        compute_batch_loss(parameters(), swarm.inputs, swarm.labels, metric, own)  # moves ``own`` on to the next batch
     return functions
 
 
@@ -61,7 +61,7 @@ def test_the_meta_step_is_equations_35_and_36_to_first_order():
     support, query = losses_of(drawn, SMOOTH, generator(5))
     temporary = less(at, 0.3, numerical_gradient(support, at))
     want = less(at, 0.2, numerical_gradient(query, temporary))
-    found, loss = meta_step(at, drawn, SMOOTH, 0.3, 0.2, generator(5))
+    found, loss = take_meta_step(at, drawn, SMOOTH, 0.3, 0.2, generator(5))
     assert_equal_parameters(found, want, 1e-7)
     assert loss == pytest.approx(float(query(temporary)), abs=1e-7)
     # neither a plain step from W, nor one from the temporary parameters, nor the whole derivative through both steps

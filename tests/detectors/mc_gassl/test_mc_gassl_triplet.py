@@ -4,14 +4,14 @@ import pytest
 import torch
 from mc_gassl_inputs import generator, parameters, random_inputs
 
-from detectors.mc_gassl.gru import GruParameters, gru
-from detectors.mc_gassl.triplet import Metric, batch_loss, draw_triplets, triplet_loss
+from detectors.mc_gassl.gru import GruParameters, run_gru
+from detectors.mc_gassl.triplet import Metric, compute_batch_loss, compute_triplet_loss, draw_triplets
 
 
 def loss_of(features, triplets, margin):
     """The loss of each triplet, from the features ``(R, n, 3)`` of all UAVs."""
     members = (triplets.anchor, triplets.positive, triplets.negative)
-    return triplet_loss(*(features[triplets.time, member] for member in members), margin)
+    return compute_triplet_loss(*(features[triplets.time, member] for member in members), margin)
 
 
 def rows(triplets):
@@ -54,10 +54,10 @@ def test_the_batch_loss_is_the_mean_and_its_gradient_that_of_finite_differences(
     metric = Metric(margin=5.0, times=5, anchors=1000)  # no hinge is at its kink
 
     def loss(reset, update, candidate):
-        return batch_loss(GruParameters(reset, update, candidate), inputs, labels, metric, generator())
+        return compute_batch_loss(GruParameters(reset, update, candidate), inputs, labels, metric, generator())
 
     arrays = parameters().tensors()
-    features = gru(parameters(), inputs.position, inputs.velocity)
+    features = run_gru(parameters(), inputs.position, inputs.velocity)
     triplets = draw_triplets(10_000, inputs, labels, generator())
     assert loss(*arrays).item() == pytest.approx(loss_of(features, triplets, 5.0).mean().item())
     assert torch.autograd.gradcheck(loss, tuple(tensor.requires_grad_(True) for tensor in arrays))
