@@ -30,6 +30,5 @@ def unit(x):
 
 
 def turns(velocity):
-    """The angle between each velocity and the next."""
     course = unit(velocity)
     return np.arccos(np.clip((course[1:] * course[:-1]).sum(axis=-1), -1, 1))

@@ -6,8 +6,6 @@ An entry is never changed: a model that flies differently gets a new ``version``
 positions rather than a hash of them, because processors and libraries may differ in the last bit of a float.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -15,20 +15,17 @@ def slow(strategy, parameters):
 
 
 def sum_lags(strategy, inputs):
-    """f1 to f5."""
     past = inputs.head_velocity[:, : strategy.lags]
     return (past * past if strategy.square else past).sum(axis=1)
 
 
 def stay_in_range(strategy, inputs):
-    """f6."""
     gap = inputs.head_position[:, 1] - inputs.own_position[:, 1]
     distance = np.linalg.norm(gap, axis=1, keepdims=True)
     return inputs.head_velocity[:, 0] + np.where(distance > strategy.reach, gap / np.maximum(distance, 1e-6), 0)
 
 
 def read_network(strategy, inputs):
-    """f7."""
     n, lags, units = len(inputs.own_position), follow_kernels.MLP_LAGS, follow_kernels.MLP_HIDDEN
     inner, parameters = follow_kernels.MLP_INPUTS * units, inputs.parameters
     offset = (inputs.own_position[:, 0] - inputs.head_position[:, lags]) / strategy.position_scale
@@ -39,7 +36,6 @@ def read_network(strategy, inputs):
 
 
 def obey_law(strategy, inputs):
-    """A random law as numbers."""
     law, end = inputs.parameters[: -follow_kernels.OUTPUT_SIZE], inputs.parameters[-follow_kernels.OUTPUT_SIZE :]
     total = sum(_evaluate(term, inputs.head_velocity) for term in law.reshape(-1, follow_kernels.TERM_SIZE))
     total = (np.tanh(end[9] * total) / end[9] if end[9] else total) @ end[:9].reshape(3, 3).T

@@ -46,9 +46,6 @@ def test_every_model_says_what_it_is_and_where_it_is_from():
         assert model.version >= 1
 
 
-# Copies
-
-
 def links_of(state, i, links):
     """The UAVs above UAV i and the delays to them, as the equation of the models of copying says."""
     above, late, a, delay = [], [], i, 0
@@ -106,9 +103,6 @@ def test_a_chain_of_command_has_its_depth(depth):
     np.testing.assert_array_equal(state.leader, state.source)
 
 
-# Several strategies
-
-
 @pytest.mark.parametrize("name", ["mixed", "switching"])
 def test_followers_fly_by_f1_to_f6(name):
     model = replace(FIELD_MODELS[name], noise=0.0)
@@ -133,9 +127,6 @@ def test_followers_fly_by_f1_to_f6(name):
             ][kind]
             np.testing.assert_allclose(v[t, i], unit(wanted), atol=3e-3)
     assert len(kinds) >= 4
-
-
-# Formations
 
 
 def slot_gap(model, state, v, p, t, i, source_v, source_p):
@@ -180,9 +171,6 @@ def test_swarms_that_no_uav_leads_have_no_heads_and_one_round(name):
         assert reward == info["J"] == expected
 
 
-# Flocks
-
-
 def flock_direction(model, state, v, p, t, i, members):
     """The direction of one UAV, neighbour by neighbour."""
     gap = {j: p[t, j] - p[t, i] for j in members if j != i}
@@ -208,9 +196,8 @@ def flock_direction(model, state, v, p, t, i, members):
 @pytest.mark.parametrize("name", ["vicsek", "couzin", "predator", "shepherd"])
 def test_flocks_obey_their_equation(name, uavs, clusters):
     model = replace(FIELD_MODELS[name], noise=0.0)
-    state, window = fly(
-        model, uavs=uavs, clusters=clusters, formation="around", mobility="gauss_markov", observation_steps=25
-    )
+    flight = {"formation": "around", "mobility": "gauss_markov", "observation_steps": 25}
+    state, window = fly(model, uavs=uavs, clusters=clusters, **flight)
     v, p = flown(window)
     for i in np.flatnonzero(~(state.head | state.not_led))[:: uavs // 12]:
         members = members_of(state, i)
@@ -226,9 +213,6 @@ def test_repulsion_reaches_farther_than_alignment_and_attraction(uavs):
     _, p = flown(window)
     gaps = np.linalg.norm(p[-1][:, None] - p[-1][None], axis=-1) + 1e9 * np.eye(uavs)
     assert np.median(gaps.min(axis=0)) > 25.0
-
-
-# Controls
 
 
 def correlate(v, lags):
@@ -268,9 +252,6 @@ def test_shifted_tracks_keep_their_steps_and_lose_their_heads(kinematics):
     led = np.arange(20) != state.source
     assert correlate(true, range(3))[led, state.source[led]].min() > 0.7
     assert correlate(v, range(12))[same & ~np.eye(20, dtype=bool)].max() < 0.6
-
-
-# All models
 
 
 @pytest.mark.parametrize("name", ["chain", "pigeons", "couzin", "predator"])

@@ -1,6 +1,7 @@
-"""Follow strategies: against their equations, against the slow loop, and as a user registers them."""
+"""Follow strategies: equations, the slow loop, a user's own; open laws: what an episode draws, and their parts."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -9,8 +10,11 @@ from numpy_laws import slow
 
 from usnet_env import ArgumentError, register_follow_strategy
 from usnet_env.swarm import FOLLOW_STRATEGIES, FollowStrategy, SwarmConfig, advance, destroy, start
+from usnet_env.swarm import second_follow as second
 from usnet_env.swarm.follow import TanhNetworkStrategy
+from usnet_env.swarm.open_follow import DELAYS, DISTORTIONS, MEMORY, OPEN_LAWS, RESPONSES, Constants, OpenLaw
 from usnet_env.swarm.random_follow import random_follow_strategy
+from usnet_env.swarm.second_follow import ANSWERS, SEEN, STEPS, STRENGTH, Sight
 from usnet_env.swarm.strategy import FollowInputs
 
 NAMES = ["f1", "f2", "f3", "f4", "f5", "f6", "f7"]
@@ -134,3 +138,173 @@ def test_a_follower_keeps_its_number_when_others_are_destroyed(gone):
             late = number % 3
             copied = velocity[2 - late : -1 - late, state.root[0, i]]
             np.testing.assert_allclose(velocity[3:, i], copied, atol=1e-5)
+
+
+PLAIN = Constants(delay=3, spread=0, gain=0.7, reach=40.0, sharpness=0.5, course=1.0)
+
+
+@dataclass(frozen=True)
+class FixedLaw(OpenLaw):
+    """A law whose constants are not drawn."""
+
+    constants: Constants = PLAIN
+
+    def draw_for(self, rng, uavs):
+        return np.array([*self.constants, *rng.random(uavs)], np.float32)
+
+
+def test_the_laws_are_all_combinations_but_a_bare_late_copy():
+    parts = [(law.hears, law.answers, law.bends) for law in OPEN_LAWS.values()]
+    assert parts == [each for each in product(DELAYS, RESPONSES, DISTORTIONS) if each != ("late", "copies", "nothing")]
+    assert list(OPEN_LAWS) == [f"open-{number}" for number in range(1, 84)]
+    parts = [(law.hears, law.answers, law.bends) for law in second.SECOND_LAWS.values()]
+    assert parts == list(product(second.SEEN, second.ANSWERS, second.STRENGTH))
+    assert list(second.SECOND_LAWS) == [f"second-{number}" for number in range(1, 55)]
+
+
+def test_follow_seed_fixes_the_constants_which_differ_from_law_to_law():
+    def draw(follow, seed, uavs=24, **fixed):
+        config = SwarmConfig(follow=follow, memory=12, clusters=2, uavs=uavs, **fixed)
+        return start(config, generators([seed])).parameters[0]
+
+    first = draw("open-5", 0, follow_seed=4)
+    assert len(first) == len(PLAIN) + 24
+    assert np.array_equal(first, draw("open-5", 1, follow_seed=4))
+    assert np.array_equal(first, draw("open-5", 0, uavs=40, follow_seed=4)[: len(first)])
+    for other in (draw("open-6", 0, follow_seed=4), draw("open-5", 0, follow_seed=5), draw("open-5", 0)):
+        assert (first[2:] != other[2:]).all()
+    drawn = np.array([draw("open-1", seed)[:6] for seed in range(200)])
+    for column, low, high in zip(drawn.T, (1, 0, 0.4, 20, 0, -np.pi), (5, 3, 0.9, 60, 1, np.pi), strict=True):
+        assert low <= column.min() < low + 0.03 * (high - low)
+        assert high >= column.max() > high - 0.03 * (high - low)
+
+
+def test_the_noise_is_less_with_a_larger_gain():
+    """It is 0.1 (1 - g)^0.5, beside a head that flies straight on."""
+    for gain in (0.4, 0.9):
+        law = FixedLaw(0, "late", "copies", "nothing", constants=PLAIN._replace(gain=gain))
+        state, window = fly(law, memory=12, mobility="straight", uavs=60)
+        velocity, followers = window.velocity[0].astype(float), np.flatnonzero(~state.head)
+        wanted = (1 - gain) * velocity[:-1, followers] + gain * velocity[:-1, state.root[followers]]
+        flown = velocity[1:, followers]
+        across = flown / (flown * wanted).sum(axis=2, keepdims=True) - wanted
+        measured = np.sqrt((across**2).sum(axis=2).mean() / 2)
+        assert measured == pytest.approx(0.1 * (1 - gain) ** 0.5, rel=0.06)
+
+
+@pytest.mark.parametrize("bends", ["nothing", "aside"])
+def test_flight_obeys_a_literal_reading(bends):
+    law = FixedLaw(0, "late", "copies", bends, noise=0.0, constants=PLAIN._replace(sharpness=1.0))
+    state, window = fly(law, memory=12, mobility="gauss_markov")
+    velocity = window.velocity[0].astype(float)
+    turn = np.pi / 3 if bends == "aside" else 0.0
+    turned = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+    i = np.flatnonzero(~state.head)
+    wanted = 0.3 * velocity[5:-1, i] + 0.7 * velocity[2:-4, state.root[i]] @ turned.T
+    np.testing.assert_allclose(velocity[6:, i], unit(wanted), atol=1e-4)
+
+
+def make_inputs(uavs=30):
+    rng = np.random.default_rng(3)
+    head = np.cumsum(rng.normal(0, 0.3, (uavs, MEMORY, 3)), axis=1) + rng.normal(size=(uavs, 1, 3))
+    head /= np.linalg.norm(head, axis=2, keepdims=True)
+    flown = np.pad(head, ((0, 0), (1, 0), (0, 0))).cumsum(axis=1)
+    place = rng.uniform(-60, 60, (uavs, 1, 3)) - flown
+    own = rng.uniform(-60, 60, (uavs, 1, 3)) + rng.normal(0, 0.6, (uavs, MEMORY + 1, 3))
+    constants = PLAIN._replace(delay=2, spread=3, reach=30.0, sharpness=0.3)
+    return FollowInputs(own, head, place, np.array([*constants, *rng.random(uavs)], np.float32))
+
+
+@pytest.mark.parametrize("law", (laws := OPEN_LAWS | second.SECOND_LAWS).values(), ids=list(laws))
+def test_a_follower_depends_on_its_own_row_and_on_the_head(law):
+    inputs = make_inputs()
+    direction, rows = law.direction(inputs), np.arange(30)
+    assert np.isfinite(direction).all()
+    for names in (["own_position"], ["head_velocity", "head_position"]):
+        changed = {name: getattr(inputs, name).copy() for name in names}
+        for array in changed.values():
+            array[7:12] = array[7:12, ::-1]
+        after = (law.direction(replace(inputs, **changed)) != direction).any(axis=1)
+        assert after[7:12].any()
+        assert not after[(rows < 7) | (rows >= 12)].any()
+
+
+def test_what_is_heard_is_an_average_of_the_past():
+    share, distance = np.linspace(0, 1, 9, dtype=np.float32), np.linspace(0, 300, 9)
+    for hear in DELAYS.values():
+        weights = hear(PLAIN._replace(delay=5, spread=3), share, distance)
+        np.testing.assert_allclose(weights.sum(axis=1), 1.0)
+        assert (weights[:, MEMORY - 3 :] == 0).all()  # the velocity 3 steps before is known too
+        age = weights @ np.arange(MEMORY)
+        assert (np.diff(age) >= 0).all()
+        assert age[0] < age[-1]
+
+
+LAW = Constants(delay=3, spread=2, gain=0.7, reach=40.0, sharpness=0.5, course=1.0)
+PHASE = np.linspace(0, 0.99, 9)[:, None]
+
+
+def see(azimuth=(0.0,) * STEPS, climb=0.0, ahead=(1.0, 0.0, 0.0), clock=0):
+    """What 9 followers that fly along x see of a head that flies these courses, newest first."""
+    level = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(STEPS)], axis=1)
+    course = np.cos(climb) * level + [0.0, 0.0, np.sin(climb)]
+    course, bearing = (np.tile(each, (9, 1, 1)) for each in (course, np.broadcast_to(ahead, (STEPS, 3))))
+    return Sight(np.tile([1.0, 0.0, 0.0], (9, 1)), course, bearing, PHASE, clock)
+
+
+def test_a_head_is_seen_at_looks_late_or_in_a_mirror():
+    now = np.arange(200)
+    glimpses, drifting, mirrored = (np.array([look(LAW, PHASE, t)[0] for t in now]) for look in SEEN.values())
+    for lag in (glimpses, drifting, mirrored):
+        assert (lag >= np.arange(STEPS)).all()
+        assert lag.max() < MEMORY
+    instants = [np.unique((now[20:, None] - lag).ravel()) for lag in glimpses[20:].swapaxes(0, 1)]
+    assert all((np.diff(each) == 4).all() for each in instants)  # 2 + spread
+    assert (drifting[..., 0].min(axis=0) == 0).all()
+    assert (drifting[..., 0].max(axis=0) == 5).all()
+    assert (mirrored == 3 + np.arange(STEPS)).all()
+    mirror = SEEN["in a mirror"](LAW, PHASE, 0)[1]
+    along, across = np.array([[np.cos(1.0), np.sin(1.0), 0.3], [-np.sin(1.0), np.cos(1.0), 0.0]])
+    np.testing.assert_allclose(mirror @ along, along)
+    np.testing.assert_allclose(mirror @ across, -across)
+
+
+@pytest.mark.parametrize(
+    ("answer", "seen", "azimuth"),
+    [
+        ("answers its jerk", see(0.1 * np.arange(STEPS)), 0.0),  # it turns evenly, so the push is along its course
+        ("answers the sum of its turns", see(4.0 - np.arange(STEPS)), 0.6 * 6),  # almost a whole turn
+        ("copies like a relay", see(np.full(STEPS, 0.7)), 0.0),
+        ("copies like a relay", see(np.array([0.7, 0.64, 0.58, 0.52, 0.3, 0.0, 0.0])), 0.7),  # sharp, then less
+        ("copies like a relay", see(np.array([0.7, 0.64, 0.58, 0.52, 0.46, 0.4, 0.34])), 0.0),  # never sharp
+        ("copies like a relay", see(np.array([0.7, 0.7, 0.7, 0.7, 0.4, 0.0, 0.0])), 0.0),  # sharp, then straight
+        ("keeps its bearing", see(np.full(STEPS, 0.7)), 0.0),
+        ("reads its climb", see(climb=0.2), 1.0 + 2.25 * 0.2),
+        ("copies its sharpest turn", see(np.array([0.9, 0.85, 0.8, 0.75, 0.1, 0.07, 0.0])), 0.8),
+    ],
+)
+def test_an_answer_is_the_course_that_its_words_say(answer, seen, azimuth):
+    wanted = ANSWERS[answer](LAW, seen)
+    found = np.arctan2(wanted[:, 1], wanted[:, 0])
+    np.testing.assert_allclose(np.cos(found - azimuth), 1.0, atol=1e-3)
+
+
+def test_a_follower_turns_with_the_bearing_and_against_a_push():
+    left = np.linspace(0.2, 0.0, STEPS)
+    bearing = np.stack([np.cos(left), np.sin(left), 0 * left], axis=1)
+    wanted = ANSWERS["keeps its bearing"](LAW, see(ahead=bearing))
+    np.testing.assert_allclose(wanted, [[1.0, 4.5 * np.sin(0.2), 0.0]] * 9)
+    jerk = see(np.array([0.2, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    np.testing.assert_allclose(ANSWERS["answers its jerk"](LAW, jerk)[:, 1], 0.9 * np.sin(0.2))
+
+
+def test_the_strength_swings_sees_and_tires():
+    swing = np.array([STRENGTH["in a rhythm"](LAW, see(clock=t)) for t in range(48)])
+    np.testing.assert_allclose(swing[12:], swing[:-12])  # a period of 6 + 2 delay
+    assert (swing.min(axis=0) < 0.25).all()
+    assert (swing.max(axis=0) > 0.95).all()
+    view = STRENGTH["within its view"]
+    assert [float(view(LAW, see(ahead=(x, 0.0, 0.0)))[0, 0]) for x in (1.0, -0.5, -0.6)] == [1.0, 1.0, 0.2]
+    calm, turning = (STRENGTH["with fatigue"](LAW, see(turn * np.arange(STEPS))) for turn in (0.0, 0.1))
+    np.testing.assert_allclose(calm, 1.0)
+    np.testing.assert_allclose(turning, np.exp(-5 * 0.2))  # five turns of two steps

@@ -1,12 +1,13 @@
-"""Where a swarm starts, who follows whom, and who re-merges to whom."""
+"""Where a swarm starts, who follows whom, who re-merges to whom, and heads that follow unseen UAVs, ``led_by``."""
 
 import numpy as np
 import pytest
-from flights import fly
+from flights import fly, generators
 from hypothesis import given
 from hypothesis import strategies as st
 
-from usnet_env.swarm import SwarmConfig, destroy, start
+from usnet_env.swarm import SwarmConfig, advance, destroy, start
+from usnet_env.swarm.follow import FollowFunction, LaggedSum
 from usnet_env.swarm.formation import ARENA, FORMATIONS, register_formation
 from usnet_env.swarm.simulator import draw_roles, random_cluster_sizes
 
@@ -19,7 +20,9 @@ def test_cluster_sizes_are_at_least_two_and_add_up(seed, clusters, rest):
     assert sizes.sum() == 2 * clusters + rest
 
 
-def test_all_splits_are_equally_likely():
+def test_given_cluster_sizes_are_kept_and_else_all_splits_are_equally_likely():
+    state, _ = fly(clusters=3, uavs=15, cluster_sizes=(2, 7, 3))
+    assert sorted(np.bincount(state.root[~state.head], minlength=15)[state.head]) == [2, 3, 7]
     rng = np.random.default_rng(0)
     draws = random_cluster_sizes([rng] * 6000, 3, 10) - 2
     splits, counts = np.unique(draws, axis=0, return_counts=True)
@@ -30,21 +33,14 @@ def test_all_splits_are_equally_likely():
 
 @given(seed=st.integers(0, 2**32), decoys=st.integers(0, 3))
 def test_roles_are_consistent(seed, decoys):
-    (roles,) = draw_roles(
-        [np.random.default_rng(seed)], SwarmConfig(clusters=4, uavs=30 + decoys, decoys=decoys)
-    ).split()
-    assert roles.head.sum() == 4
-    assert roles.decoy.sum() == decoys
+    config = SwarmConfig(clusters=4, uavs=30 + decoys, decoys=decoys)
+    (roles,) = draw_roles([np.random.default_rng(seed)], config).split()
+    assert (roles.head.sum(), roles.decoy.sum()) == (4, decoys)
     assert not (roles.head & roles.decoy).any()
     alone = roles.head | roles.decoy
     assert (roles.root[alone] == np.flatnonzero(alone)).all()
     assert roles.head[roles.root[~alone]].all()
     assert np.bincount(roles.root[~alone], minlength=30 + decoys)[roles.head].min() >= 2
-
-
-def test_given_cluster_sizes_are_kept():
-    state, _ = fly(clusters=3, uavs=15, cluster_sizes=(2, 7, 3))
-    assert sorted(np.bincount(state.root[~state.head], minlength=15)[state.head]) == [2, 3, 7]
 
 
 def first_positions(formation, seeds=200):
@@ -117,3 +113,81 @@ def test_a_registered_formation_is_used_by_name_and_checked():
     register_formation("test-line", lambda rng, roles: place[:-1], replace=True)
     with pytest.raises(ValueError, match="reshape"):
         start(SwarmConfig(formation="test-line", clusters=3, uavs=15), [np.random.default_rng(0)])
+
+
+COPY = LaggedSum(1, noise=0.0)
+
+
+def watch_chain(follow, led_by, **arguments):
+    """Velocities ``(T_0, N + R, 3)`` at the end of a window, who copies whom ``(N + R,)``, and the state."""
+    state, _ = fly(follow, rounds=2, uavs=30, led_by=led_by, **arguments)
+    velocity = np.concatenate([state.past_velocity, state.reference_velocity], axis=1)
+    return velocity, np.concatenate([state.source, state.reference_source]), state
+
+
+@pytest.mark.parametrize("led_by", [1, 3, (1, 4)])
+def test_heads_and_decoys_copy_unseen_uavs_as_followers_copy_heads(led_by):
+    for follow in (COPY, FollowFunction(lambda inputs: inputs.head_velocity[:, 0], noise=0.0)):
+        velocity, source, state = watch_chain(follow, led_by, decoys=2)
+        led = np.flatnonzero(source != np.arange(len(source)))
+        np.testing.assert_allclose(velocity[1:, led], velocity[:-1, source[led]], atol=1e-6)
+        assert set(led) >= set(np.flatnonzero(state.head | state.decoy))
+        assert (source[: len(state.head)][state.head | state.decoy] >= len(state.head)).all()
+
+
+def test_the_length_of_each_chain_is_drawn():
+    _, source, state = watch_chain(COPY, (1, 4), decoys=6)
+    uavs, lengths = len(state.head), []
+    for i in np.flatnonzero(state.head | state.decoy):
+        above = [source[i]]
+        while source[above[-1]] != above[-1]:
+            above.append(source[above[-1]])
+        assert min(above) >= uavs
+        lengths.append(len(above))
+    assert set(lengths) <= {1, 2, 3, 4}
+    assert len(set(lengths)) > 1
+
+
+@pytest.mark.parametrize("follow", ["f1", "pigeons", "chain-led", "couzin-led", "informed-led", "predator-led"])
+def test_the_truth_names_visible_uavs_and_orphans_join_a_head(follow):
+    config = SwarmConfig(clusters=3, uavs=30, decoys=2, memory=12, follow=follow, led_by=(1, 4), observation_steps=20)
+    rngs = generators([5])
+    state, window = advance(config, start(config, rngs), rngs)
+    alone, uavs = state.head | state.decoy, np.arange(30)[None]
+    assert window.position.shape[2] == 30
+    assert (state.leader < 30).all()
+    np.testing.assert_array_equal(state.leader[state.head], uavs[state.head])
+    np.testing.assert_array_equal(state.root[alone], uavs[alone])
+    gone = state.head & (np.arange(30) <= np.flatnonzero(state.head[0])[0])
+    after, window = advance(config, destroy(state, gone), rngs)
+    followers = after.alive & ~(after.head | after.decoy | after.not_led)
+    np.testing.assert_array_equal(after.head[0][after.root[followers]], True)
+    assert (after.source[followers] < 30).all()
+    assert after.alive[0][after.root[followers]].all()
+    assert np.isfinite(window.position).all()
+
+
+def test_led_swarms_start_where_their_formation_is_and_nothing_changes_where_no_uav_leads():
+    config = SwarmConfig(clusters=3, uavs=30, memory=12, formation="gathered", led_by=4)
+    led, free = (start(config.model_copy(update=change), generators([3])) for change in ({}, {"led_by": 0}))
+    assert np.abs(led.position).max() <= 1072.0
+    assert np.linalg.norm(led.position - free.position, axis=2).max() < 30.0  # the flights of the first T_0 steps
+    for follow in ("none", "independent", "reference", "shepherd", "shifted"):
+        with_it, without = (fly(follow, uavs=30, led_by=led_by)[1] for led_by in (3, 0))
+        np.testing.assert_array_equal(with_it.position, without.position)
+
+
+def test_a_single_track_no_longer_tells_a_head():
+    """A head that answers in blocks of steps is rougher than one that leads freely, as its followers are."""
+    rough = {}
+    for led_by in (0, (1, 4)):
+        config = SwarmConfig(
+            clusters=3, uavs=30, memory=12, follow="part_time", mobility="gauss_markov", head_jitter=True, led_by=led_by
+        )
+        rngs = generators(range(40))
+        _, window = advance(config, state := start(config, rngs), rngs)
+        changes = (np.diff(window.velocity.astype(float), axis=1) ** 2).sum(axis=3)
+        score, head = np.log(changes).std(axis=1), state.head
+        rough[led_by] = np.mean([(score[b][head[b]][:, None] > score[b][~head[b]]).mean() for b in range(40)])
+    assert abs(rough[0] - 0.5) > 0.2
+    assert abs(rough[1, 4] - 0.5) < 0.1

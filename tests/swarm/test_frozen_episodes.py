@@ -1,4 +1,4 @@
-"""A model that flies differently needs a new version: its episodes are frozen."""
+"""A model that flies differently needs a new version: its episodes are frozen, and the same on every processor."""
 
 import json
 
@@ -19,3 +19,30 @@ def test_the_model_flies_as_its_version_did(name):
             assert one == {key: pytest.approx(value) for key, value in other.items()}
     else:
         np.testing.assert_allclose(now, frozen, atol=0.02)
+
+
+FLIGHT = """
+import hashlib
+import numpy as np
+from usnet_env.swarm import SwarmConfig, advance, start
+
+for follow in ("f5", "pigeons", "vicsek", "couzin", "shepherd"):
+    for uavs in (30, 140):  # 140: a flock of 70 UAVs has a cell list
+        config = SwarmConfig(follow=follow, clusters=2, uavs=uavs, memory=12, formation="around")
+        rngs = [np.random.default_rng(1)]
+        state = start(config, rngs)
+        for _ in range(2):
+            state, window = advance(config, state, rngs)
+        bits = window.position.tobytes() + window.velocity.tobytes()
+        print(follow, uavs, hashlib.sha256(bits).hexdigest())
+"""
+
+
+@pytest.mark.slow
+def test_a_flight_is_the_same_on_a_processor_without_wide_vectors(tmp_path, monkeypatch, fresh_process):
+    here = fresh_process.run(FLIGHT)
+    plain = {"NUMBA_CPU_NAME": "generic", "NUMBA_CACHE_DIR": str(tmp_path), "NPY_DISABLE_CPU_FEATURES": "X86_V3"}
+    for name, value in plain.items():
+        monkeypatch.setenv(name, value)
+    assert fresh_process.run(FLIGHT) == here
+    assert here.count("\n") == 10
