@@ -34,12 +34,10 @@ def unchanged_generators():
 
 
 def same_files(one, two):
-    """Both folders hold the same files."""
     contents = [{path.name: path.read_bytes() for path in folder.iterdir()} for folder in (one, two)]
     assert contents[0] == contents[1]
 
 
 def read_losses(folder):
-    """The rows of ``losses.csv``."""
     with (folder / "losses.csv").open(newline="") as file:
         return list(csv.DictReader(file))

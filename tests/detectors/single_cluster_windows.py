@@ -1,7 +1,5 @@
 """Windows of single clusters, their heads, and what the tests of GASSL and neural-granger do with the answers."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import gymnasium as gym
@@ -19,7 +17,6 @@ def cluster(seed=0, follow="f1", followers=4, **arguments):
 
 
 def clusters(count, first_seed=0, **arguments):
-    """Windows and heads of ``count`` episodes."""
     pairs = [cluster(seed, **arguments) for seed in range(first_seed, first_seed + count)]
     return [window for window, _ in pairs], np.array([head for _, head in pairs])
 
@@ -36,7 +33,6 @@ def named(detections):
 
 
 def rate(found, heads):
-    """The share of detections that name the head."""
     return float((named(found) == heads).mean())
 
 

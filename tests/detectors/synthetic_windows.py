@@ -1,7 +1,5 @@
 """Windows made by hand: heads with fresh random directions, and their followers; and windows of simulated swarms."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from usnet_env import Window

@@ -47,10 +47,12 @@ def test_arguments_are_those_of_the_base_class_and_of_the_class():
         Second(count=0).reset()
 
 
-def test_a_constructor_of_its_own_is_kept_and_inherited():
+def test_a_constructor_of_its_own_is_kept_and_inherited_and_detect_is_defined():
     for kind in (Written, Inherits):
         assert clone(kind(share=0.2)).get_params() == {"share": 0.2}
         kind(share="anything").reset(0)  # nothing is checked
+    with pytest.raises(NotImplementedError, match="Detector must define detect"):
+        Detector().detect(window())
 
 
 def window():
@@ -67,11 +69,6 @@ def test_reset_starts_an_episode_and_its_seed_decides():
     assert not np.array_equal(scores[0], scores[2])
     with pytest.raises(ArgumentError, match="seed must be"):
         detector.reset(-1)
-
-
-def test_a_detector_defines_detect():
-    with pytest.raises(NotImplementedError, match="Detector must define detect"):
-        Detector().detect(window())
 
 
 class CountThreads(Detector):

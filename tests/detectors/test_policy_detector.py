@@ -115,14 +115,6 @@ def test_it_keeps_the_contract():
     )
 
 
-def test_nothing_is_imported_that_the_policy_has_not_brought(fresh_process):
-    code = (
-        "import sys, detectors.policy_detector; "
-        "assert not {'torch', 'tensordict', 'torchrl', 'stable_baselines3'} & set(sys.modules)"
-    )
-    fresh_process.run(code)
-
-
 # Plain PyTorch
 
 torch = pytest.importorskip("torch")

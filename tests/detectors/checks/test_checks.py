@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from detectors.checks import CHECKS, DetectorChecksError, check_detector, parametrize_with_checks, results_table
-from detectors.checks.contract import compare_samples
 from usnet_env import ArgumentError, Detection
 
 MISTAKES = [
@@ -36,11 +35,8 @@ def run(detector, **options):
     return {result.check: result for result in results}
 
 
-def test_the_good_one_passes():
+def test_the_good_one_passes_and_every_check_has_a_mistake():
     assert {result.status for result in run(broken.Good()).values()} == {"passed"}
-
-
-def test_every_check_has_a_mistake():
     assert {name for name, *_ in MISTAKES} == {check.__name__ for check in CHECKS}
     assert len(CHECKS) == 8
 
@@ -51,14 +47,6 @@ def test_a_mistake_fails_its_check(name, kind, sentence):
     assert result.status == "failed"
     assert re.search(sentence, result.reason), result.reason
     assert "\n" not in result.reason
-
-
-def test_two_samples_of_one_distribution_seldom_differ():
-    rng = np.random.default_rng(0)
-    values = np.array([compare_samples(rng.random((8, 20)), rng.random((8, 20))) for _ in range(60)])
-    assert 0.3 < np.median(values) < 0.7
-    assert np.mean(values < 0.05) < 0.15
-    assert compare_samples(np.zeros((8, 3)), np.ones((8, 3))) < 0.002
 
 
 def test_a_failure_is_raised_at_the_end_or_expected():

@@ -1,7 +1,5 @@
 """GRU inputs with known clusters for the tests of MC-GASSL."""
 
-from __future__ import annotations
-
 import torch
 
 from detectors.mc_gassl.gru import GruInputs, GruParameters

@@ -15,7 +15,6 @@ SMALL = {"gassl": {"steps": 2}}
 
 
 def game(seed=0, **arguments):
-    """The environment and the first window of a swarm."""
     arguments = {"follow": "f1", "clusters": 2, "uavs": 14, "observation_steps": 40} | arguments
     env = gym.make("USNET/MultiCluster-v0", **arguments).unwrapped
     observation, _ = env.reset(seed=seed)

@@ -1,12 +1,22 @@
-"""The meta step, joint training and on-line training, held against finite differences of the loss."""
+"""Trainings: the steps against finite differences; the same weights whether interrupted or not; ``usnet train``."""
 
+import json
+from importlib.resources import files
+
+import numpy as np
 import pytest
 import torch
+from click.testing import CliRunner
+from interrupted_training import Interrupted, read_losses, same_files, stop_at, unchanged_generators
 from mc_gassl_inputs import clustered, generator, parameters
 
-from detectors.mc_gassl.gru import GruParameters
+from detectors.commands import train
+from detectors.mc_gassl.gru import GruParameters, load_meta_weights, read_parameters
+from detectors.mc_gassl.train import MetaTraining, draw_task, train_meta
 from detectors.mc_gassl.training_steps import OnlineTraining, Task, take_meta_step, train_online
 from detectors.mc_gassl.triplet import Metric, compute_batch_loss
+from detectors.weights import read_arrays
+from usnet_env.config import ArgumentError
 
 # Every hinge is far from its kink, so that differences are derivatives; the triplets don't depend on the weights.
 SMOOTH = Metric(margin=5.0, times=3, anchors=10)
@@ -17,7 +27,6 @@ def task(seed=0):
 
 
 def numerical_gradient(loss, at, step=1e-6):
-    """d loss / d at by central differences, entry by entry."""
     gradients = []
     for k, tensor in enumerate(at.tensors()):
         gradient = torch.zeros_like(tensor)
@@ -109,8 +118,81 @@ def test_online_training_parts_the_clusters():
 @pytest.mark.parametrize("labels", [[0] * 9, list(range(9)), [-1] * 9])
 def test_online_training_without_a_triplet_changes_nothing(labels):
     at = parameters()
-    found, losses = train_online(
-        at, clustered().inputs, torch.tensor(labels), OnlineTraining(3, 1.0, SMOOTH), generator()
-    )
+    training = OnlineTraining(3, 1.0, SMOOTH)
+    found, losses = train_online(at, clustered().inputs, torch.tensor(labels), training, generator())
     assert_equal_parameters(found, at)
     assert losses == [0.0, 0.0, 0.0]
+
+
+SMALL = {"strategies": 3, "episodes": 12, "uavs": 16, "clusters": 3, "observation_steps": 12, "times": 2, "anchors": 20}
+
+
+@pytest.mark.parametrize("method", ["meta", "joint"])
+def test_interrupted_training_goes_on_to_the_identical_result(tmp_path, method):
+    training = MetaTraining(method=method, **SMALL)
+    with unchanged_generators():
+        train_meta(tmp_path / "whole", training, checkpoint_every=100)
+        with pytest.raises(Interrupted):
+            train_meta(tmp_path / "parts", training, stop_at(3 + 5), checkpoint_every=5)
+        assert not (tmp_path / "parts" / f"{method}.safetensors").exists()
+        calls = []
+        train_meta(tmp_path / "parts", training, lambda *call: calls.append(call), checkpoint_every=5)
+    assert calls == [(1, 15), (2, 15), (3, 15), (13, 15), (15, 15)]
+    same_files(tmp_path / "whole", tmp_path / "parts")
+
+
+def test_training_can_be_prolonged_but_not_cut_short_or_changed(tmp_path):
+    long = train_meta(tmp_path / "long", MetaTraining(**SMALL))
+    short = {**SMALL, "episodes": 7}
+    train_meta(tmp_path / "grown", MetaTraining(**short))
+    grown = train_meta(tmp_path / "grown", MetaTraining(**SMALL))
+    assert long.read_bytes() == grown.read_bytes()
+    with pytest.raises(ArgumentError, match="episodes must be at least the 12"):
+        train_meta(tmp_path / "grown", MetaTraining(**short))
+    with pytest.raises(ArgumentError, match="out must hold no checkpoint of another training"):
+        train_meta(tmp_path / "grown", MetaTraining(seed=1, **SMALL))
+    anew = train_meta(tmp_path / "grown", MetaTraining(seed=1, **SMALL), resume=False)
+    assert long.read_bytes() != anew.read_bytes()
+
+
+def test_a_task_is_two_swarms_of_one_strategy():
+    task = draw_task(MetaTraining(**SMALL), 1)
+    for swarm in (task.support, task.query):
+        assert swarm.inputs.velocity.shape == (9, 16, 4, 3)
+        assert sorted(set(swarm.labels.tolist())) == [0, 1, 2]
+        assert torch.bincount(swarm.labels).min() >= 3
+    assert not torch.equal(task.support.inputs.position, task.query.inputs.position)
+    again = draw_task(MetaTraining(**SMALL), 1)
+    assert torch.equal(task.query.inputs.velocity, again.query.inputs.velocity)
+
+
+def test_training_beats_a_random_start_on_strategies_it_has_not_seen_and_is_recorded(tmp_path):
+    training = MetaTraining(**{**SMALL, "episodes": 60, "anchors": 60})
+    path = train_meta(tmp_path, training)
+    record = json.loads(path.with_suffix(".json").read_text())
+    losses = [float(row["loss"]) for row in read_losses(tmp_path)]
+    assert record["training"].items() >= training.model_dump(mode="json").items()
+    assert len(losses) == 60
+    metrics = record["metrics"]
+    assert metrics["last_loss"] == pytest.approx(np.mean(losses[-30:]))
+    assert metrics["held_out_loss"] < 0.8 * metrics["held_out_loss_of_random_start"]
+    assert read_parameters(read_arrays(path)).reset.shape == (3, 6)
+
+
+def test_the_shipped_weights_are_the_default_trainings():
+    record = json.loads((files("detectors.mc_gassl") / "data" / "meta.json").read_text())
+    training = {name: value for name, value in record["training"].items() if name not in ("torch", "numpy")}
+    assert training == MetaTraining().model_dump(mode="json")
+    assert load_meta_weights().reset.shape == (3, 6)
+    assert record["metrics"]["held_out_loss"] < 0.5 * record["metrics"]["held_out_loss_of_random_start"]
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_a_training_writes_its_files_and_prints_the_path(tmp_path, seed):
+    words = ["meta", "--strategies", "1", "--episodes", "2", "--method", "joint", *(["--seed", "3"] if seed else [])]
+    done = CliRunner().invoke(train, [*words, "--out", str(tmp_path)], catch_exceptions=False)
+    assert done.exit_code == 0
+    assert str(tmp_path) in done.stdout
+    assert json.loads((tmp_path / "joint.json").read_text())["training"]["seed"] == seed
+    with pytest.raises(ArgumentError, match="out must be a folder that can be written"):
+        CliRunner().invoke(train, ["meta", "--out", str(tmp_path / "joint.json" / "out")], catch_exceptions=False)

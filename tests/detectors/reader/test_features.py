@@ -1,13 +1,15 @@
-"""The reader's features: a plain reference, what they must not depend on, and odd windows."""
+"""The reader's features: what they must not depend on, odd windows; and large swarms in neighbourhoods."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from synthetic_windows import swarm_window
 
 from detectors.reader import features as module
 from detectors.reader.features import PAIR_GROUPS, Features, make_features
+from detectors.reader.neighbourhoods import cut_swarm
 
 STEPS = 48
 
@@ -35,138 +37,6 @@ def group(features, name):
 def assert_close(one, other, tolerance=2e-3):
     for x, y in zip(one, other, strict=True):
         np.testing.assert_allclose(x, y, atol=tolerance)
-
-
-class Reference:
-    """Loops over pairs in double precision, where everything is seen."""
-
-    def __init__(self, position, velocity, seen):
-        scale = np.sqrt((velocity.astype(float) ** 2).sum(2).mean())
-        self.p, self.v = position / scale, velocity / scale
-        self.c = self.v - self.v.mean(0)
-        self.mean = (self.v[::2] + self.v[1::2]) / 2  # of the steps that follow each second instant
-        self.far = np.linalg.norm(self.p[:, None] - self.p[:, :, None], axis=-1)  # (T + 1, i, j)
-
-    def innovate(self, i):
-        c = self.c[:, i]
-        past = np.concatenate([c[1:-1], c[:-2]], 1)
-        gram = past.T @ past
-        ridge = (1e-2 * np.trace(gram) / 6 + 1e-4) * np.eye(6)
-        e = c[2:] - past @ np.linalg.solve(gram + ridge, past.T @ c[2:])
-        length = np.linalg.norm(e, axis=1, keepdims=True)
-        return np.concatenate([np.zeros((2, 3)), e * np.minimum(1, 2 * np.sqrt((length**2).mean()) / length)])
-
-    def correlate(self, x, y, lag):
-        return (x[lag:] * y[: len(y) - lag]).sum() / np.sqrt((x**2).sum() * (y**2).sum())
-
-    def cc(self, i, j):
-        return [self.correlate(self.c[:, i], self.c[:, j], lag) for lag in range(0, 13, 2)]
-
-    def ee(self, i, j):
-        return [self.correlate(self.innovate(i), self.innovate(j), lag) for lag in range(13)]
-
-    def geo(self, i, j):
-        gap, d = self.p[:-1:2, j] - self.p[:-1:2, i], self.far[:-1:2, i, j]
-        ahead = (gap * self.mean[:, i]).sum(1) / d
-        turn = (gap[:-1] * np.diff(self.mean[:, i], axis=0)).sum(1) / d[:-1]
-        half = len(d) // 2
-        slope = np.log((d[half:].mean() / 20 + 0.05) / (d[:half].mean() / 20 + 0.05))
-        near = [np.clip((1.1 * r - d) / (0.2 * r), 0, 1).mean() for r in (6, 12, 25, 50, 100)]
-        distance = np.log(np.array([d.mean(), d.min()]) / 20 + 0.05)
-        return [ahead.mean(), np.abs(ahead).mean(), turn.sum() / len(d), *distance, slope, *near]
-
-    def force(self, i, j):
-        gap, a = (self.p[:-1:2, j] - self.p[:-1:2, i])[:-1], np.diff(self.mean[:, i], axis=0)
-        drift = (self.mean[:, j] - self.mean[:, i])[:-1]
-        pull = (gap * a).sum(1) / np.linalg.norm(gap, axis=1)
-        power = np.sqrt((a**2).sum())
-        along = [(a * x).sum() / np.linalg.norm(x) / power for x in (gap, gap - gap.mean(0), drift)]
-        return [pull.sum() / power / np.sqrt(len(a)), np.abs(pull).sum() / power / np.sqrt(len(a)), *along]
-
-    def places(self, i, j):
-        def miss(a, b, lag):  # mean distance from a to where b was
-            return np.linalg.norm(self.p[lag:, a] - self.p[: len(self.p) - lag, b], axis=1)
-
-        lags = (0, 1, 2, 4, 8, 16)
-        now = np.log(miss(i, j, 0).mean() + 0.5)
-        relative = [np.log(miss(i, j, lag).mean() + 0.5) - now for lag in lags[1:]]
-        reverse = [np.log((miss(i, j, lag).mean() + 0.5) / (miss(j, i, lag).mean() + 0.5)) for lag in (2, 8)]
-        track = [np.stack([miss(*pair, lag)[16 - lag :] for lag in lags]) for pair in ((i, j), (j, i))]
-        best = [x.argmin(0) for x in track]
-        behind = [(x > 0).mean() for x in best]
-        nearest = np.log(track[0].min(0).mean() + 0.5) - now
-        return [*relative, 0, *reverse, 0, nearest, behind[0], (best[0] / 5).mean(), behind[0] - behind[1]]
-
-    def find_companions(self, width):
-        """Ways of so many steps, and the weights of companions."""
-        way, uavs = (self.p[width:] - self.p[:-width]) / np.sqrt(width), range(self.p.shape[1])
-        rows = way[:: max(width // 4, 1)]
-        apart = np.array([[((rows[:, i] - rows[:, j]) ** 2).sum(1).mean() + 1e-4 for j in uavs] for i in uavs])
-        np.fill_diagonal(apart, np.inf)
-        weight = (apart.min(1, keepdims=True) / apart) ** 2
-        return way, weight / weight.sum(1, keepdims=True)
-
-    def ways(self, i, j):
-        found = []
-        for width in (4, min(16, len(self.v) // 3)):
-            way, weight = self.find_companions(width)
-            own = weight[i] + weight[i].max() * (np.arange(len(weight)) == i)
-            mean, first = np.einsum("tja,j->ta", way, own) / own.sum(), None
-            found.append(np.log(weight[i, j] + 1e-3))
-            for lag in (0, 1, 2, 4, 6, 8, 12, 16, 24, 32):
-                if 2 * lag >= len(way):
-                    found.append(0)
-                    continue
-                x, y = (part[:: max(width // 4, 1)] for part in (mean[lag:], way[: len(way) - lag, j]))
-                cosine = (x * y).sum() / np.sqrt((x**2).sum() * (y**2).sum())
-                value = np.log(1 - max(cosine, 0) ** 2 + 1e-4)
-                first = value if first is None else first
-                found.append(value - (first if lag else 0))
-        return found
-
-    def companions(self, j):
-        found = []
-        for width in (4, min(16, len(self.v) // 3)):
-            way, weight = self.find_companions(width)
-            mean = np.einsum("tja,ij->tia", way, weight)
-            for lag in (0, 1, 2, 4, 6, 8, 12, 16, 24, 32):
-                apart = ((mean[lag:] - way[: max(len(way) - lag, 0)]) ** 2).sum(2)
-                size = np.log((apart.mean(0) if len(apart) else 0 * weight[0]) + 1e-4)
-                score = size - weight @ size
-                found += [] if lag else [size[j]]
-                found.append(score[j] / np.sqrt(weight[j] @ score**2 + 0.02))
-        return found
-
-    def joint(self, i, j):
-        change, flown = np.diff(self.v[:, i], axis=0), self.v[:-1] - self.v[:-1].mean(0)
-        length, place = np.linalg.norm(change, axis=1, keepdims=True), self.p[1:-1] - self.p[1:-1].mean(0)
-        y, found = np.where(length < 8 * length.mean(), change, 0).ravel(), []
-        for shared, own, ridge in ((place, flown, 1e-2), (place, flown, 1e-6), (flown, place, 1e-2)):
-            x = np.column_stack([*shared.transpose(1, 0, 2).reshape(shared.shape[1], -1), own[:, i].ravel()])
-            size = np.linalg.norm(x, axis=0)
-            gram = (x / size).T @ (x / size) + ridge * np.eye(len(size))
-            part = np.linalg.solve(gram, (x / size).T @ y)
-            rest = ((y - x / size @ part) ** 2).sum() / (len(y) - len(size)) + 1e-12 * (y @ y)
-            sure, part = part[j] / np.sqrt(rest * np.linalg.inv(gram)[j, j]), (part / size)[:-1]
-            found += [np.arcsinh(sure), part[j] / np.sqrt((part**2).mean())]
-        return found
-
-
-@pytest.mark.parametrize("name", ["cc", "ee", "geo", "force", "places", "joint", "ways"])
-def test_pairs_agree_with_a_plain_reference(name):
-    window = draw_window()
-    reference, found = Reference(*window), group(make_features(*window), name)
-    for i in range(3):
-        for j in range(4, 6):
-            expected = np.array(getattr(reference, name)(i, j))
-            np.testing.assert_allclose(found[i, j, : len(expected)], expected, atol=3e-3, err_msg=f"{i} {j}")
-
-
-def test_companions_agree_with_a_plain_reference():
-    window = draw_window()
-    reference, found = Reference(*window), make_features(*window).uav[:, module.UAV_GROUPS["companions"]]
-    for j in range(6):
-        np.testing.assert_allclose(found[j], reference.companions(j), atol=3e-3)
 
 
 def test_pulls_are_scores_of_the_means_and_the_least_of_parts():
@@ -223,9 +93,7 @@ def test_bits_do_not_depend_on_where_the_memory_lies():
     st.sampled_from([0.0, 0.4, 1.0]), st.booleans(),
 )  # fmt: skip
 def test_odd_windows_give_finite_numbers(uavs, steps, seed, speed, missed, planar):
-    position, velocity, seen = (
-        draw_window(uavs, steps, missed, seed) if steps > 3 else draw_window(uavs, 4, missed, seed)
-    )
+    position, velocity, seen = draw_window(uavs, max(steps, 4), missed, seed)
     position, velocity, seen = position[: steps + 1] * speed, velocity[:steps] * speed, seen[: steps + 1]
     if planar:
         position[..., 2], velocity[..., 2] = 0, 0
@@ -292,3 +160,43 @@ def test_a_uav_that_turns_as_another_turned_answers_it_with_this_delay(sign, del
     assert delay - 2 <= lags[best] <= delay  # it compares with a turn of three steps
     assert np.sign(turns[1, 0, best]) == sign
     assert np.abs(turns[1, 0]).max() > 2 * np.abs(turns[0, 1]).max()
+
+
+SLOW_TURNS = {"mobility": "gauss_markov", "head_jitter": True, "memory": 12}
+
+
+def share_with_head(parts, root):
+    met = np.zeros(len(root), bool)
+    for members, own in parts:
+        met[members[own]] = np.isin(root[members[own]], members)
+    follows = (root >= 0) & (root != np.arange(len(root)))
+    return met[follows].mean()
+
+
+@pytest.mark.parametrize("follow", ["f1", "f4", "pigeons"])
+@pytest.mark.parametrize(("clusters", "least"), [(30, 0.97), (4, 0.8)])
+def test_followers_are_read_with_their_head(follow, clusters, least):
+    window, truth = swarm_window(3, follow=follow, clusters=clusters, uavs=450, **SLOW_TURNS)
+    parts = cut_swarm(window.velocity, window.velocity_seen)
+    own = np.concatenate([members[mine] for members, mine in parts])
+    assert np.array_equal(np.sort(own), np.arange(450))
+    assert max(len(members) for members, _ in parts) < 110
+    assert len(parts) < 14
+    assert share_with_head(parts, truth.root) >= least
+
+
+def test_the_order_of_the_uavs_does_not_matter():
+    window, _ = swarm_window(1, follow="f1", clusters=6, uavs=120, **SLOW_TURNS)
+    order = np.random.default_rng(0).permutation(120)
+    here = cut_swarm(window.velocity, window.velocity_seen)
+    there = cut_swarm(window.velocity[:, order], window.velocity_seen[:, order])
+    assert {frozenset(members) for members, _ in here} == {frozenset(order[members]) for members, _ in there}
+
+
+@pytest.mark.parametrize("steps", [1, 2, 5])
+def test_short_still_and_unseen_windows_are_cut(steps):
+    still, rng = np.zeros((steps, 200, 3), np.float32), np.random.default_rng(0)
+    for seen in (np.ones((steps, 200), bool), np.zeros((steps, 200), bool)):
+        for velocity in (still, rng.standard_normal(still.shape, np.float32) * seen[..., None]):
+            own = np.concatenate([members[mine] for members, mine in cut_swarm(velocity, seen)])
+            assert np.array_equal(np.sort(own), np.arange(200))

@@ -1,21 +1,91 @@
-"""Detectors on networks of pairs: sources, relays and direct leaders, and windows in which no UAV leads."""
+"""Baselines: detectors that can't see who follows whom, and detectors on networks of pairs."""
 
 import numpy as np
 import pytest
-from synthetic_windows import answer, window_of
+from scipy.cluster.hierarchy import fcluster, linkage
+from synthetic_windows import answer, flight, window_of
 
 from detectors.baselines import (
+    CentralMost,
     DirectionalDelays,
     Flica,
     FrontMost,
     LaggedNetwork,
     Mflica,
     NetLagRegression,
+    TrackOutlier,
     TransferEntropy,
 )
+from detectors.baselines.blind import describe_tracks, group_by_distance
 from detectors.baselines.transfer_entropy import estimate_transfer_entropy
-from detectors.baselines.warping import warp_pairs
+from detectors.baselines.trivial import RandomDetector
 from usnet_env import ArgumentError, Window
+
+
+def test_groups_are_single_linkage_clusters():
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        place = rng.uniform(0, 100, (25, 3))
+        gaps = np.linalg.norm(place[:, None] - place, axis=2) + np.diag(np.full(25, np.inf))
+        group = fcluster(linkage(place), 1.3 * np.median(gaps.min(axis=1)), "distance") - 1
+        found = group_by_distance(place, 1.3)
+        assert ((found >= 0) == (np.bincount(group, minlength=25)[group] >= 3)).all()
+        for one in range(found.max() + 1):
+            assert len(set(group[found == one])) == 1
+            assert (group == group[found == one][0]).sum() == (found == one).sum()
+
+
+def test_central_most_names_the_middle_of_each_group():
+    rng = np.random.default_rng(1)
+    place = np.concatenate([rng.normal(0, 5, (8, 3)), rng.normal(0, 5, (6, 3)) + 500, [[900.0, 0.0, 0.0]]])
+    place[3], place[10] = place[[0, 1, 2, 4, 5, 6, 7]].mean(axis=0), place[[8, 9, 11, 12, 13]].mean(axis=0)
+    velocity = rng.normal(size=(9, 15, 3)).astype(np.float32)
+    position = np.concatenate([place[None], place + np.cumsum(velocity, axis=0)])
+    detection = CentralMost().detect(Window(position, velocity, np.ones((10, 15), bool), np.ones(15, bool)))
+    assert np.flatnonzero(detection.candidates).tolist() == [3, 10]
+    assert detection.scores[14] == 0
+
+
+def test_track_outlier_names_the_track_unlike_the_others():
+    rng = np.random.default_rng(2)
+    velocity = rng.normal([1.0, 0.0, 0.0], 0.2, (60, 12, 3))
+    velocity[:, 7] = rng.normal([0.8, 0.6, 0.0], 0.01, (60, 3))
+    detection = TrackOutlier().detect(window_of(velocity))
+    assert detection.candidates[7]
+    assert detection.scores.argmax() == 7
+    assert TrackOutlier(threshold=1000).detect(window_of(velocity)).candidates.sum() == 1
+    with pytest.raises(ArgumentError, match=r"^window must hold more than 1 "):
+        TrackOutlier().detect(window_of(velocity[:1]))
+    turned = velocity @ np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    np.testing.assert_allclose(describe_tracks(turned), describe_tracks(velocity), atol=1e-9)
+
+
+@pytest.fixture
+def window():
+    velocity, _ = flight(np.random.default_rng(0), steps=5)
+    alive = np.ones(velocity.shape[1], bool)
+    alive[[1, 4]] = False
+    return window_of(velocity, alive=alive)
+
+
+@pytest.mark.parametrize("count", [1, 3, 16, 400])
+def test_random_names_as_many_living_uavs_as_asked_for(window, count):
+    detector = RandomDetector(count=count)
+    detector.reset(3)
+    for _ in range(20):
+        detection = detector.detect(window)
+        assert detection.candidates.sum() == min(count, window.alive.sum())
+        assert not (detection.candidates & ~window.alive).any()
+        assert detection.scores[detection.candidates].min() >= detection.scores[~detection.candidates].max(initial=0)
+
+
+def test_random_names_all_uavs_equally_often(window):
+    detector = RandomDetector()
+    detector.reset(0)
+    named = sum(detector.detect(window).candidates.astype(int) for _ in range(3000))
+    expected = 3000 / window.alive.sum()
+    assert np.abs(named[window.alive] - expected).max() < 5 * np.sqrt(expected)
+
 
 KINDS = [DirectionalDelays, LaggedNetwork, NetLagRegression, TransferEntropy]
 SHAPES = {
@@ -99,15 +169,6 @@ def test_transfer_entropy_of_gaussian_series_is_the_known_one():
         assert abs(back) < 0.02
 
 
-def test_warping_finds_the_delay():
-    path = np.cumsum(lead_by([-1], [0], steps=120)[:, 0], axis=0)
-    pair = np.stack([path[6:], path[:-6]])
-    lead, cost, delay = warp_pairs(pair, np.ones(pair.shape[:2], bool), 10)
-    assert delay[1, 0] == -delay[0, 1] == 6
-    assert lead[1, 0] == -lead[0, 1] > 0.8
-    assert cost[0, 1] == cost[1, 0]
-
-
 def tandem(uavs=4, apart=6, steps=200, seed=0):
     """UAVs on one path, each where the one before it was ``apart`` steps ago."""
     rng = np.random.default_rng(seed)
@@ -121,8 +182,7 @@ def tandem(uavs=4, apart=6, steps=200, seed=0):
 @pytest.mark.parametrize("detector", [FrontMost(), Mflica(), Flica(), FrontMost(max_lag=10)])
 def test_the_first_on_a_path_leads(detector):
     found = answer(detector, tandem())
-    assert np.flatnonzero(found.candidates).tolist() == [0]
-    assert found.leader[0] == 0
+    assert (np.flatnonzero(found.candidates).tolist(), found.leader[0]) == ([0], 0)
 
 
 @pytest.mark.parametrize("kind", [*KINDS, FrontMost, Mflica, Flica])

@@ -1,17 +1,80 @@
-"""The network of the reader: NumPy answers as torch does, UAVs have no order, and foreign weights are refused."""
-
-import subprocess
-import sys
+"""The reader as a detector, with an untrained network; its network without torch, and refused weights."""
 
 import numpy as np
 import pytest
 import torch
+from synthetic_windows import swarm_window
 
+from detectors.checks import check_detector
+from detectors.reader import Reader
 from detectors.reader.features import CONTEXT_FEATURES, PAIR_FEATURES, UAV_FEATURES, Features
 from detectors.reader.forward import load_reader, predict
 from detectors.reader.network import NetworkSizes, draw_network
-from detectors.weights import write_weights
+from detectors.weights import read_arrays, write_weights
+from usnet_env import Window
 from usnet_env.config import ArgumentError
+
+SIMPLE = {"follow": "f1", "memory": 12}
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory):
+    arrays = draw_network(NetworkSizes(), 3).state_dict()
+    return str(write_weights(tmp_path_factory.mktemp("reader") / "reader.safetensors", arrays, {}, {}))
+
+
+@pytest.fixture(scope="module")
+def reader(weights):
+    made = Reader(weights=weights)
+    made.reset(0)
+    return made
+
+
+def hide(window, gone=(), unseen=()):
+    seen, alive = np.array(window.seen), np.array(window.alive)
+    alive[list(gone)], seen[:, [*gone, *unseen]] = False, False
+    both = seen[1:] & seen[:-1]
+    return Window(window.position * seen[..., None], window.velocity * both[..., None], seen, alive)
+
+
+def test_the_reader_is_a_detector(weights):
+    check_detector(Reader(weights=weights))
+
+
+def test_an_answer_says_who_leads_whom_and_how_surely(reader):
+    window, _ = swarm_window(1, **SIMPLE)
+    answer = reader.detect(hide(window, gone=[3, 4], unseen=[7]))
+    p, extras = answer.extras["probability"], answer.extras
+    read = ~np.isin(np.arange(30), [3, 4, 7])
+    pairs = read[:, None] & read & ~np.eye(30, dtype=bool)
+    assert np.array_equal((answer.attention > 0) & (answer.attention < 1), pairs)  # probabilities of links
+    assert not answer.attention[~pairs].any()
+    for values in (answer.leader, answer.clusters, extras["root"]):
+        assert np.array_equal(values >= 0, read)
+    assert not p[~read].any()
+    assert 0 < extras["p_no_leader"] < 1
+    assert extras["confidence"] == pytest.approx(np.maximum(p, 1 - p).prod())
+    assert not extras["delay"][answer.leader == np.arange(30)].any()
+    assert len(set(answer.clusters[read])) == len(set(extras["root"][read]))
+
+
+def test_nothing_seen_means_nobody_leads(reader):
+    window, _ = swarm_window(1, **SIMPLE)
+    answer = reader.detect(hide(window, unseen=range(30)))
+    assert not answer.candidates.any()
+    assert answer.extras["p_no_leader"] == 1.0
+
+
+def test_an_answer_needs_no_torch(fresh_process, weights):
+    said = fresh_process.run(
+        "import sys; sys.modules['torch'] = None\n"
+        "import numpy as np; from usnet_env import Window; from detectors.reader import Reader\n"
+        "v = np.random.default_rng(0).standard_normal((9, 4, 3)); p = np.append(np.zeros((1, 4, 3)), v.cumsum(0), 0)\n"
+        "w = Window(p, v, np.ones((10, 4), bool), np.ones(4, bool))\n"
+        f"print(len(Reader(weights={weights!r}).detect(w).scores))"
+    )
+    assert said.strip() == "4"
+
 
 SMALL = NetworkSizes(width=8, attn_heads=2, blocks=2)
 
@@ -88,12 +151,15 @@ def test_foreign_weights_are_refused(tmp_path):
         draw_network(NetworkSizes(attn_heads=3), 0)
 
 
-def test_answers_need_no_torch():
-    text = "import sys; sys.modules['torch'] = None; import detectors.reader.forward; print('fine')"
-    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, timeout=120)
-    assert done.stdout == "fine\n", done.stderr
-
-
 def test_an_untrained_reader_has_the_same_weights_each_time():
     once, again = load_reader("untrained"), load_reader("untrained")
     assert all(np.array_equal(once[name], again[name]) for name in once)
+
+
+def test_arrays_are_read_as_they_were_written_in_any_order_of_memory(tmp_path):
+    grid = np.arange(12, dtype=np.float32).reshape(3, 4)
+    arrays = {"fortran": np.asfortranarray(grid), "part": grid[::2, ::3], "tensor": torch.from_numpy(grid).T}
+    arrays |= {"number": np.float64(2.5)}
+    read = read_arrays(write_weights(tmp_path / "some.safetensors", arrays, {}, {}))
+    for name, array in arrays.items():
+        np.testing.assert_array_equal(read[name], np.asarray(array), strict=True)
