@@ -45,9 +45,6 @@ def act(env, named=(), **choices):
     return {OBSERVER: vote, **heads}
 
 
-# --- the flight ------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("follow", "seed"), [("f1", 0), ("f3", 1), ("f6", 2), ("f7", 12345)])
 def test_truthful_heads_fly_as_in_the_single_agent_game(follow, seed):
     arguments = {"clusters": 3, "uavs": 20, "observation_steps": 20, "memory": 8, "follow": follow, "decoys": 1}
@@ -61,7 +58,6 @@ def test_truthful_heads_fly_as_in_the_single_agent_game(follow, seed):
 
 
 def pull_from_afar(inputs):
-    """f6."""
     gap = inputs.head_position[:, 1] - inputs.own_position[:, 1]
     distance = np.linalg.norm(gap, axis=1, keepdims=True)
     return inputs.head_velocity[:, 0] + (distance > 60) * gap / np.maximum(distance, 1e-6)
@@ -126,9 +122,6 @@ def test_each_head_flies_the_mobility_it_chose():
     np.testing.assert_allclose(np.linalg.norm(v, axis=-1), 1.0, atol=1e-4)
 
 
-# --- the price and the sums ------------------------------------------------------------------------------------------
-
-
 def test_the_price_by_its_formula():
     _, state, _ = a_swarm(cluster_sizes=(6, 12))
     heads = np.flatnonzero(state.head[0])
@@ -167,9 +160,6 @@ def test_zero_sum_on_j_m_up_to_the_price(seed, share, scale):
     assert infos[OBSERVER]["J"] == pytest.approx(rounds + redundant / 20)
 
 
-# --- agents in the game ---------------------------------------------------------------------------------------------
-
-
 def test_destroyed_heads_leave_and_the_rest_plays_on():
     env = small("evasion")
     observations, _ = env.reset(seed=0)
@@ -187,9 +177,7 @@ def test_destroyed_heads_leave_and_the_rest_plays_on():
     assert set(observations) == set(rewards) == {OBSERVER, "head_0", "head_2"}
     observations, rewards, terminations, _, infos = env.step(act(env, [heads[2]]))
     assert terminations == {OBSERVER: True, "head_2": True}
-    assert env.agents == []
-    assert infos[OBSERVER]["success"] == 1
-    assert infos[OBSERVER]["J"] == 3.0
+    assert (env.agents, infos[OBSERVER]["success"], infos[OBSERVER]["J"]) == ([], 1, 3.0)
     assert not observations[OBSERVER]["seen"].any()
 
 
@@ -227,21 +215,14 @@ def test_the_observation_of_a_head():
         assert decoys.tolist() == [1, *(int(followers.sum() > many) for many in (1, 2))]
 
 
-# --- the border ------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        ({"mobilities": ("iid", "hover")}, "mobilities must"),
-        ({"mobilities": ()}, "mobilities must"),
-        ({"mobilities": ("iid", "iid")}, "mobilities must"),
+        *(({"mobilities": value}, "mobilities must") for value in (("iid", "hover"), (), ("iid", "iid"))),
         ({"most_decoys": -1}, "most_decoys must"),
         ({"most_delay": 2.5}, "most_delay must"),
         ({"decoy_price": np.nan}, "decoy_price must"),
-        ({"follow": "none"}, "follow must"),
-        ({"follow": "reference", "memory": 16}, "follow must"),
-        ({"follow": "shifted"}, "follow must"),
+        *(({"follow": name, "memory": 16}, "follow must") for name in ("none", "reference", "shifted")),
         ({"follow": "f3", "memory": 6}, "most_delay must be at most memory - 3"),
         ({"follow": "couzin", "memory": 16}, "most_delay must be .* 0 for a flock"),
         ({"max_cycles": 1}, "max_rounds must"),

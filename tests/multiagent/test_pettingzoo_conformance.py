@@ -31,25 +31,17 @@ both_games = pytest.mark.parametrize("game", list(GAMES))
 
 
 @both_games
-def test_parallel_api(game):
+def test_parallel_api_seeds_and_state(game):
     suites.parallel_api_test(small(game), num_cycles=20)
+    suites.seed_test(lambda: small(game, "env"), num_cycles=10)
+    suites.parallel_seed_test(lambda: small(game), num_cycles=10)
+    state_test(small(game, "env"), small(game), num_cycles=4)
 
 
 @both_games
 @pytest.mark.parametrize("form", ["env", "raw_env"])
 def test_aec_api(game, form):
     suites.api_test(small(game, form), num_cycles=20)
-
-
-@both_games
-def test_seeds(game):
-    suites.seed_test(lambda: small(game, "env"), num_cycles=10)
-    suites.parallel_seed_test(lambda: small(game), num_cycles=10)
-
-
-@both_games
-def test_state(game):
-    state_test(small(game, "env"), small(game), num_cycles=4)
 
 
 @both_games
@@ -60,6 +52,8 @@ def test_render(game):
         return small(game, "env", render_mode=None if render_mode == "human" else render_mode)
 
     suites.render_test(make)
+    with pytest.warns(UserWarning, match="render_mode='rgb_array'"):
+        assert small(game).render() is None
 
 
 @both_games
@@ -149,6 +143,5 @@ try:
 except ImportError as error:
     print(error)
 """
-    assert fresh_process.run(code).strip() == (
-        "Games with several agents need PettingZoo; `pip install 'usnet[multiagent]'` installs it."
-    )
+    said = "Games with several agents need PettingZoo; `pip install 'usnet[multiagent]'` installs it.\n"
+    assert fresh_process.run(code) == said

@@ -1,7 +1,5 @@
 """A small episode, made by hand: two rounds, two clusters and a decoy."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -62,19 +60,8 @@ def small_episode(**changes: Any) -> EpisodeRecord:
 def large_episode(**changes: Any) -> EpisodeRecord:
     """A round with 60 UAVs; 30, 31 and 40 are heads, 40 and 55 are candidates."""
     head, named = (np.isin(np.arange(60), uavs) for uavs in ((30, 31, 40), (40, 55)))
-    values: dict[str, Any] = {
-        "position": np.zeros((1, 21, 60, 3)),
-        "velocity": np.zeros((1, 20, 60, 3)),
-        "seen": np.ones((1, 21, 60), bool),
-        "alive": np.ones((1, 60), bool),
-        "root": np.where(head, np.arange(60), 30)[None],
-        "candidates": named[None],
-        "scores": np.zeros((1, 60)),
-        "objective": [1.0],
-        "head": head,
-        "decoy": np.zeros(60, bool),
-        "over_budget": [False],
-        "seconds": [0.1],
-        **dict.fromkeys(MIND),
-    }
+    shapes = {"position": (1, 21, 60, 3), "velocity": (1, 20, 60, 3), "scores": (1, 60), "decoy": 60, "over_budget": 1}
+    values: dict[str, Any] = {name: np.zeros(shape) for name, shape in shapes.items()} | dict.fromkeys(MIND)
+    values |= {"seen": np.ones((1, 21, 60)), "alive": np.ones((1, 60)), "objective": [1.0], "seconds": [0.1]}
+    values |= {"root": np.where(head, np.arange(60), 30)[None], "candidates": named[None], "head": head}
     return small_episode(**values | changes)

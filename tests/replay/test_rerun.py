@@ -1,16 +1,12 @@
 """The recording, read back by Rerun's own tools."""
 
-from __future__ import annotations
-
 import resource
-import sys
 
 import numpy as np
 import pytest
 from small_episode import DECOY, ROUNDS, SAMPLES, UAVS, large_episode, small_episode
 
 from usnet_env import ArgumentError
-from usnet_env.config import MissingExtraError
 from usnet_env.replay import rerun, write_recording
 from usnet_env.replay.rerun import attention_sheet, find_groups
 
@@ -39,7 +35,7 @@ def column(chunks, entity, component):
     return [row for _, row in sorted(rows, key=lambda row: row[0])]
 
 
-def test_positions_and_roles_are_those_of_the_record(chunks):
+def test_positions_tracks_and_roles_are_those_of_the_record(chunks):
     episode = small_episode()
     uavs = column(chunks, "/world/swarm/uavs", "Points3D:positions")
     assert len(uavs) == ROUNDS * (SAMPLES + 2)
@@ -48,17 +44,11 @@ def test_positions_and_roles_are_those_of_the_record(chunks):
     radii = np.array(column(chunks, "/world/swarm/uavs", "Points3D:radii")[0])
     assert np.flatnonzero(radii == radii.max()).tolist() == [0, 5, DECOY]
     colors = column(chunks, "/world/swarm/uavs", "Points3D:colors")[0]
-    assert len({colors[0], colors[5], colors[DECOY]}) == 3
-    assert colors[1] == colors[0]
-
-
-def test_tracks_grow_behind_the_uavs(chunks):
+    assert (len({colors[0], colors[5], colors[DECOY]}), colors[1]) == (3, colors[0])
     strips = column(chunks, "/world/swarm/tracks", "LineStrips3D:strips")
     lengths = [len(row[1]) for row in strips]
-    assert lengths[0] == 1
-    assert lengths[:12] == sorted(lengths[:12])
-    assert lengths[11] == SAMPLES
-    np.testing.assert_array_equal(strips[11][4], small_episode().position[0, :, 4])
+    assert (lengths[0], lengths[:12], lengths[11]) == (1, sorted(lengths[:12]), SAMPLES)
+    np.testing.assert_array_equal(strips[11][4], episode.position[0, :, 4])
 
 
 def test_the_answer_is_shown_when_it_is_given(chunks):
@@ -101,20 +91,25 @@ def test_marks_and_scores_are_the_answers(chunks):
     assert bars == {name: pytest.approx(episode.scores[0, who].tolist()) for name, who in expected.items()}
 
 
-def test_attention_is_that_of_the_record(chunks):
+def test_links_of_large_swarms_are_off_at_first(tmp_path, monkeypatch):
+    import rerun.blueprint as rrb
+
+    shown, view = [], rrb.Spatial3DView
+    monkeypatch.setattr(rrb, "Spatial3DView", lambda **made: shown.append(made["overrides"]) or view(**made))
+    for most in (UAVS, UAVS - 1):
+        monkeypatch.setattr(rerun, "MOST_LINKED", most)
+        write_recording(small_episode(), tmp_path / "e.rrd")
+    assert [sum(path.endswith("links") for path in each) for each in shown] == [0, 0, 2, 2]
+
+
+def test_attention_is_that_of_the_record_in_the_order_of_its_groups(chunks):
     episode = small_episode()
     first, second = attention_sheet(episode, 0), attention_sheet(episode, 1)
     assert (first.shape, second.shape) == ((UAVS, UAVS), (UAVS - 2, UAVS - 2))
     np.testing.assert_array_equal(first[:, 0], [255] * 5 + [0] * 7)  # the first group follows UAV 0
     assert len(column(chunks, "/mind/attention", "Image:buffer")) == ROUNDS
-
-
-def test_groups_are_clusters_or_those_of_one_leader():
-    episode = small_episode()
     assert find_groups(episode, 0).tolist() == [0] * 5 + [1] * 6 + [-1]
-    by_leader = small_episode(clusters=None)
-    assert find_groups(by_leader, 0).tolist() == [0, 0, 0, 1, 0, 2, 2, 2, 2, 2, 2, 3]
-    assert find_groups(small_episode(clusters=None, leader_estimate=None), 0).tolist() == [-1] * UAVS
+    assert find_groups(small_episode(clusters=None), 0).tolist() == [0, 0, 0, 1, 0, 2, 2, 2, 2, 2, 2, 3]
 
 
 def test_the_game_is_told_and_counted(chunks):
@@ -128,17 +123,13 @@ def test_the_game_is_told_and_counted(chunks):
     assert curves == {"heads_left": [1.0, 0.0], "J": pytest.approx([1 + 1 / UAVS, 2 + 1 / UAVS])}
 
 
-def test_observers_are_shown(tmp_path):
-    record = small_episode(observers=[[0, 0, 0, 300.0], [400, 0, 0, 200.0]])
+def test_observers_and_intruders_are_shown(tmp_path):
+    flown = np.random.default_rng(0).normal(0, 50, (ROUNDS, SAMPLES, 2, 3)).astype(np.float32)
+    record = small_episode(observers=[[0, 0, 0, 300.0], [400, 0, 0, 200.0]], intruders=flown)
     found = read(write_recording(record, tmp_path / "e.rrd"))
     assert column(found, "/world/observers", "LineStrips3D:labels")[0][0] == "observer 0, range 300 m"
     ((ring, _),) = column(found, "/world/observers", "LineStrips3D:strips")
     np.testing.assert_allclose(np.linalg.norm(ring, axis=1), 300.0, rtol=1e-5)
-
-
-def test_intruders_fly_with_their_tracks(tmp_path):
-    flown = np.random.default_rng(0).normal(0, 50, (ROUNDS, SAMPLES, 2, 3)).astype(np.float32)
-    found = read(write_recording(small_episode(intruders=flown), tmp_path / "e.rrd"))
     places = column(found, "/world/observers/intruders", "Points3D:positions")
     np.testing.assert_array_equal(places, flown.reshape(-1, 2, 3))
     tracks = column(found, "/world/observers/flown", "LineStrips3D:strips")
@@ -184,24 +175,4 @@ def test_a_replay_that_cannot_be_written_whole_leaves_the_old_one(tmp_path):
             write_recording(small_episode(), path)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
-    assert path.read_text() == "old"
-    assert list(tmp_path.iterdir()) == [path]
-
-
-def test_without_rerun_one_sentence_says_what_to_install(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "rerun", None)
-    with pytest.raises(MissingExtraError, match=r"pip install 'usnet\[replay\]'"):
-        write_recording(small_episode(), tmp_path / "e.rrd")
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_links_of_large_swarms_are_off_at_first(tmp_path, monkeypatch):
-    import rerun.blueprint as rrb
-
-    shown, view = [], rrb.Spatial3DView
-    monkeypatch.setattr(rrb, "Spatial3DView", lambda **made: shown.append(made["overrides"]) or view(**made))
-    monkeypatch.setattr(rerun, "MOST_LINKED", UAVS)
-    write_recording(small_episode(), tmp_path / "small.rrd")
-    monkeypatch.setattr(rerun, "MOST_LINKED", UAVS - 1)
-    write_recording(small_episode(), tmp_path / "large.rrd")
-    assert [sum(path.endswith("links") for path in each) for each in shown] == [0, 0, 2, 2]
+    assert (path.read_text(), list(tmp_path.iterdir())) == ("old", [path])
