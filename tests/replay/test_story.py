@@ -256,7 +256,7 @@ def test_a_uav_is_named_where_it_is_drawn(page, scenes):
 
 
 def test_a_page_of_many_windows_animates_the_first_and_names_cannot_break_it(tmp_path, monkeypatch):
-    monkeypatch.setattr("usnet_env.replay.page._MOST_ROUNDS", 1)
+    monkeypatch.setattr("usnet_env.replay.page._MAX_ROUNDS", 1)
     about = {"detector": "<b>&amp;</script>", "config": {"ids": ["<!--<script>"] * UAVS}}
     record = small_episode(**about, **dict.fromkeys(MIND))
     text = write_page(record, tmp_path / "x.html").read_text()

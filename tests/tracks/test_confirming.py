@@ -1,4 +1,4 @@
-"""Confirmed leaders: a lead counts, what happens at the same time doesn't, and groups hold what moves alike."""
+"""Confirmed leaders: a lead counts, what happens at the same time doesn't, and no follower is called a leader."""
 
 from itertools import product
 
@@ -8,15 +8,7 @@ from scipy.stats import gumbel_r
 from track_files import Answers, Sure, answer_of
 
 from usnet_env import Window
-from usnet_env.tracks import Tracks, find_leaders
-from usnet_env.tracks.confirm import (
-    LEVEL,
-    confirm_leaders,
-    find_alike,
-    find_confound,
-    find_followers,
-    keep_path_followers,
-)
+from usnet_env.tracks import Tracks, confirm, find_leaders
 
 STEPS, UAVS = 200, 6
 
@@ -81,13 +73,13 @@ def test_ids_that_set_off_later_on_the_same_way_follow_the_places_of_the_first()
     """One follows another; a detector may name as leader of all the one that the others follow directly or not."""
     for order in ([0, 1, 2, 3], [2, 0, 1, 3]):
         first, rest = order.index(0), [k for k in range(4) if order[k]]
-        confirmed_ones, kept = confirm_leaders(set_off(order, 0.5), [first], [rest])
+        confirmed_ones, kept = confirm.confirm_leaders(set_off(order, 0.5), [first], [rest])
         assert (confirmed_ones.tolist(), kept) == ([True], [rest])
         second = order.index(1)
-        assert keep_path_followers(set_off(order, 0.5), second, [k for k in range(4) if order[k] > 1]) == []
-    assert keep_path_followers(set_off([0, 1, 2, 3], 40.0), 0, [1, 2, 3]) == [1, 2, 3]  # side by side
-    assert keep_path_followers(set_off([0, 3, 3.1, 3.2], 0.5), 0, [1, 2, 3]) == []  # later than 30 s
-    assert keep_path_followers(set_off([0, 0.02, 0.01, 0.03], 0.5), 0, [1, 2, 3]) == []  # at once
+        assert confirm.keep_path_followers(set_off(order, 0.5), second, [k for k in range(4) if order[k] > 1]) == []
+    assert confirm.keep_path_followers(set_off([0, 1, 2, 3], 40.0), 0, [1, 2, 3]) == [1, 2, 3]  # side by side
+    assert confirm.keep_path_followers(set_off([0, 3, 3.1, 3.2], 0.5), 0, [1, 2, 3]) == []  # later than 30 s
+    assert confirm.keep_path_followers(set_off([0, 0.02, 0.01, 0.03], 0.5), 0, [1, 2, 3]) == []  # at once
 
 
 def test_straight_ways_at_one_speed_tell_nothing_of_a_leader():
@@ -100,7 +92,7 @@ def test_straight_ways_at_one_speed_tell_nothing_of_a_leader():
         seen = np.ones(position.shape[:2], bool)
         window = Window(position, np.diff(position, axis=0), seen, seen[0], step=1.0)
         for leader in range(6):
-            assert keep_path_followers(window, leader, [k for k in range(6) if k != leader]) == []
+            assert confirm.keep_path_followers(window, leader, [k for k in range(6) if k != leader]) == []
 
 
 def test_leaders_of_short_windows_are_confirmed():
@@ -111,10 +103,10 @@ def test_leaders_of_short_windows_are_confirmed():
         leader, free = walk(rng, 34), rng.normal(0, 1, (36, 2))
         velocity = np.array([leader[2:], *(leader[1:-1] for _ in range(3)), *(leader[:-2] for _ in range(2))])
         window = make_window(velocity + rng.normal(0, 0.03, velocity.shape))
-        right += confirm_leaders(window, [0], [[1, 2, 3, 4, 5]])[0][0]
-        wrong += confirm_leaders(window, [4], [[0, 1, 2, 3, 5]])[0][0]
+        right += confirm.confirm_leaders(window, [0], [[1, 2, 3, 4, 5]])[0][0]
+        wrong += confirm.confirm_leaders(window, [4], [[0, 1, 2, 3, 5]])[0][0]
         late = np.array([free[4:], *[free[:-4]] * 3])
-        abrupt += confirm_leaders(make_window(late + rng.normal(0, 0.5, late.shape)), [0], [[1, 2, 3]])[0][0]
+        abrupt += confirm.confirm_leaders(make_window(late + rng.normal(0, 0.5, late.shape)), [0], [[1, 2, 3]])[0][0]
     assert (right >= 13, wrong, abrupt >= 15) == (True, 0, True)
 
 
@@ -141,7 +133,7 @@ def test_what_is_followed_instead_of_a_leader_is_named():
         windows = {"one path": go_along(seed), "one signal": make_window(hidden, start)}
         windows |= {"walks": make_window(walks, start), "arena": make_window(np.diff(bounded, axis=1), bounded[:, 0])}
         for words, window in windows.items():
-            confound, alike = find_confound(window)
+            confound, alike = confirm.find_confound(window)
             assert bool(confound) == bool(alike)
             found[words] += confound == words if words in ("one path", "one signal") else bool(confound)
     assert found["one path"] >= 7
@@ -158,13 +150,11 @@ def test_a_sentence_tells_what_is_followed_instead_of_a_leader():
     assert str(found) == f"No leader was found.\n{sentence}"
 
 
-def names_the_first(leader_of_itself=0, followers=None):
-    """Names the first id, and gives the next ones, and perhaps itself, the first or second id as leader."""
+def names_the_first(followers=None):
+    """Names the first id, and gives it as leader to itself and to the next ones."""
 
     def answer(uavs, _):
-        leader = np.where(np.arange(uavs) <= (uavs if followers is None else followers), 0, -1)
-        leader[0] = leader_of_itself
-        return answer_of(uavs, 0, leader)
+        return answer_of(uavs, 0, np.where(np.arange(uavs) <= (uavs if followers is None else followers), 0, -1))
 
     return Answers(answer)
 
@@ -216,8 +206,8 @@ def test_a_uav_that_follows_one_outside_its_group_is_rejected_at_any_lead():
         head = np.concatenate([np.roll(first, 1, axis=0)[:50], np.roll(second, 1, axis=0)[50:]])
         velocity = np.array([head, first, second, np.roll(head, 1, axis=0), np.roll(head, 2, axis=0)])
         window = make_window(velocity + rng.normal(0, 0.3, velocity.shape))
-        outside += find_followers(window, [0], [[3, 4]])[0]
-        inside += find_followers(window, [0], [[1, 2, 3, 4]])[0]
+        outside += confirm.find_followers(window, [0], [[3, 4]])[0]
+        inside += confirm.find_followers(window, [0], [[1, 2, 3, 4]])[0]
     assert outside >= 34
     assert inside <= 20
 
@@ -225,11 +215,8 @@ def test_a_uav_that_follows_one_outside_its_group_is_rejected_at_any_lead():
 def correlation(one, other):
     """Fisher's z of the largest correlation of two velocities ``(T, 2)`` at any lag up to 4, slowly."""
     one, other = one - one.mean(axis=0), other - other.mean(axis=0)
-    size = np.sqrt((one**2).sum() * (other**2).sum())
-    lags = [
-        (one[max(0, k) : len(one) + min(0, k)] * other[max(0, -k) : len(one) - max(0, k)]).sum() for k in range(-4, 5)
-    ]
-    return np.arctanh(max(lags) / size)
+    lags = sum(np.correlate(*axis, "full") for axis in zip(one.T, other.T, strict=True))[len(one) - 5 : len(one) + 4]
+    return np.arctanh(max(lags) / np.sqrt((one**2).sum() * (other**2).sum()))
 
 
 @pytest.mark.parametrize("begin", [0, 50])
@@ -241,7 +228,7 @@ def test_those_alike_exceed_a_quantile_of_maxima(begin):
         head = walk(rng, 100)
         mixed = [share * np.roll(head, 1, axis=0) + (1 - share) * walk(rng, 100) for share in np.linspace(0.2, 0.8, 8)]
         velocity = np.array([head, *mixed])
-        found = find_alike(make_window(velocity), np.array([0]), slice(begin, begin + 50))[0]
+        found = confirm.find_alike(make_window(velocity), np.array([0]), slice(begin, begin + 50))[0]
         starts = np.linspace(12, 50, 9).astype(int) if begin == 0 else 50 - np.linspace(12, 50, 9).astype(int)
         now, *maxima = (
             [correlation(velocity[0, begin : begin + 50], other[start : start + 50]) for other in velocity[1:]]
@@ -249,8 +236,81 @@ def test_those_alike_exceed_a_quantile_of_maxima(begin):
         )
         largest = np.max(maxima, axis=1, initial=0.0)
         scale = largest.std() * np.sqrt(6) / np.pi
-        limit = gumbel_r(largest.mean() - np.euler_gamma * scale, scale).ppf(1 - LEVEL / 2)
+        limit = gumbel_r(largest.mean() - np.euler_gamma * scale, scale).ppf(1 - confirm.LEVEL / 2)
         expected = [1 + k for k in np.argsort(-np.array(now))[:5] if now[k] > limit]
         assert found == expected
         named += len(found)
     assert 12 <= named <= 55
+
+
+def follow(steps, delays, *, seed=0, gain=1.0):
+    """Positions ``(T, 1 + n, 2)`` of a leader, the first, and of n ids that copy its velocity so many steps later."""
+    rng = np.random.default_rng(seed)
+    drawn = rng.normal(0, 1, (steps + max(delays) + 12, 2))
+    velocity = np.apply_along_axis(np.convolve, 0, drawn, np.ones(12) / 12**0.5, "valid")[: steps + max(delays)]
+    late = [velocity[max(delays) - lag :][:steps] for lag in (0, *delays)]
+    moved = np.stack([late[0], *(gain * each + rng.normal(0, 0.25, each.shape) for each in late[1:])], axis=1)
+    return np.cumsum(moved, axis=0) + rng.normal(0, 5, (1, len(late), 2)) + rng.normal(0, 0.05, moved.shape)
+
+
+def tracks_of(position, seen=None, time=None):
+    steps, ids = position.shape[:2]
+    time = np.arange(float(steps)) if time is None else time
+    kept = np.ones((steps, ids), bool) if seen is None else seen
+    at, of = np.nonzero(kept)
+    return Tracks.from_samples([f"a{k}" for k in of], time[at], position[at, of])
+
+
+def names(found):
+    return {leader.id for leader in found.leaders}
+
+
+def test_a_leader_whose_place_is_repeated_is_no_follower():
+    position = follow(900, [3, 5, 6, 8, 4])
+    position[:, 0] = position[np.arange(900) // 6 * 6, 0]
+    found = find_leaders(tracks_of(position))
+    assert names(found) == {"a0"}
+    assert any("repetitions of places left out: those of a0" in fact for fact in found.facts)
+
+
+@pytest.mark.parametrize("rests", [True, False])
+def test_pauses_are_skipped_and_times_are_those_of_the_file(rests):
+    bout, every, bouts = 60, 600, 6
+    moving = follow(bout * bouts, [2, 3, 4, 5, 6])
+    at = np.concatenate([np.arange(bout) + every * k for k in range(bouts)])
+    whole = np.repeat(np.arange(bout * bouts), np.diff(np.append(at, every * bouts)))
+    still = np.random.default_rng(1).normal(0, 0.02, (len(whole), *moving.shape[1:]))
+    tracks = tracks_of(moving[whole] + still) if rests else tracks_of(moving, time=at.astype(float))
+    found = find_leaders(tracks)
+    assert names(found) == {"a0"}
+    assert any("pauses skipped" in fact for fact in found.facts)
+    assert every * (bouts - 1) < found.windows[-1].end <= every * bouts
+
+
+def test_long_delays_choose_a_longer_step():
+    found = find_leaders(tracks_of(follow(900, [15, 18, 20, 22, 25])))
+    assert names(found) <= {"a0"}
+    assert found.track_windows[0].step >= 4
+    assert not any("clock" in fact for fact in found.facts)
+
+
+def test_a_late_clock_is_named():
+    position = follow(400, [2, 4, 5, 6, 3])
+    late = np.stack([np.roll(position[:, 0], 9, axis=0), *position.swapaxes(0, 1)[1:]], axis=1)[10:]
+    found = find_leaders(tracks_of(late), "lagged-correlation")
+    assert any("a0 comes" in fact and "if its clock is late, it leads" in fact for fact in found.facts)
+
+
+def test_followers_that_mirror_their_leader_are_no_proof_that_none_leads():
+    text = str(find_leaders(tracks_of(follow(300, [2, 3, 4, 5], gain=np.array([-1.0, 1.0])))))
+    assert "nobody" not in text
+    assert "No leader was found." in text
+    assert "The nearest candidate is" in text
+
+
+def test_a_window_is_read_in_halves_where_its_leader_changes():
+    first, second = follow(150, [2, 3, 3, 4, 2]), follow(150, [2, 3, 3, 4, 2], seed=1)
+    order = [1, 0, 2, 3, 4, 5]
+    position = np.concatenate([first, first[-1] + second[:, order] - second[0, order]])
+    found = find_leaders(tracks_of(position))
+    assert names(found) == {"a0", "a1"}

@@ -54,21 +54,17 @@ def test_a_frame_has_a_row_for_each_id_with_a_role():
         *([20, name, "a"] for name in "ab"),
     ]
     assert frame["leader"].isna().tolist() == [True, True, False, False, False, True, False]
-    assert frame["delay"].max() == 2.0
-    assert len(found_in("", "").to_frame()) == 0
+    assert (frame["delay"].max(), len(found_in("", "").to_frame())) == (2.0, 0)
 
 
 def test_pictures_show_links_delays_and_heads():
     found = found_in("a: b c, d: e", "a: b c", "a: b")
-    (network,), (delays, _), (timeline,) = (
-        draw().axes for draw in (found.plot, found.plot_delays, found.plot_timeline)
-    )
+    draws = (found.plot, found.plot_delays, found.plot_timeline)
+    (network,), (delays, _), (timeline,) = (draw().axes for draw in draws)
     widths = [each.arrow_patch.get_linewidth() for each in network.texts if getattr(each, "arrow_patch", None)]
     assert widths == pytest.approx([0.5 + 3.5 * share for share in (1, 2 / 3, 1 / 3)])
     assert sum(each.get_text() == "2 s" for each in network.texts) == 3
-    assert sorted(each.get_text() for each in network.texts if each.get_text() in "abcdef" and each.get_text()) == [
-        *"abcde"
-    ]
+    assert sorted(text for each in network.texts if len(text := each.get_text()) == 1) == [*"abcde"]
     assert [each.get_text() for each in delays.texts] == ["2"] * 3
     assert sum(bar.get_width() > 0 for bar in timeline.patches) == 5 + 3 + 2
     assert len(timeline.lines) == 4  # stars
@@ -103,9 +99,7 @@ def test_leaders_are_found_in_whatever_holds_tracks(tmp_path):
     assert typed["start"][0] == frame["t"][0]
     assert [*map(str, typed.dtypes[:5])] == [*["datetime64[ns, Europe/Berlin]"] * 2, *["Int64"] * 3]
     for wrong in (3, [], straight()):
-        with pytest.raises(
-            ArgumentError, match=r"^path must be a file of tracks, .* or an xarray.Dataset of positions, got "
-        ):
+        with pytest.raises(ArgumentError, match=r"^path must be a file of tracks, .* or an xarray.Dataset"):
             find_leaders(wrong)
     with pytest.raises(ArgumentError, match=r"^detector must be a name, "):
         find_leaders(path, 3)

@@ -31,15 +31,11 @@ def pair(places):
     return Tracks.from_samples(np.repeat(["a", "b"], len(places)), times, np.concatenate([*places.swapaxes(0, 1)]))
 
 
-def write(path, rows):
-    return write_csv(path, rows, HEADER)
-
-
 def test_one_fix_at_zero_degrees_is_left_out_and_changes_nothing_else(run, tmp_path):
     rows = pigeons()
-    whole = read_tracks(write(tmp_path / "whole.csv", rows))
+    whole = read_tracks(write_csv(tmp_path / "whole.csv", rows, HEADER))
     rows[8][1:3] = [0.0, 0.0]
-    glitch = read_tracks(write(tmp_path / "glitch.csv", rows))
+    glitch = read_tracks(write_csv(tmp_path / "glitch.csv", rows, HEADER))
     (found,) = glitch.report().warnings
     assert found.startswith("1 spike, ")
     assert "at 2010-07-08T09:12:08Z (id bird-0)" in found
@@ -66,14 +62,13 @@ def samples_of(tracks):
 
 def test_fixes_at_zero_degrees_in_a_row_are_left_out_and_do_not_choose_the_step(tmp_path):
     rows = pigeons()
-    step = read_tracks(write(tmp_path / "whole.csv", rows)).resample().step
+    step = read_tracks(write_csv(tmp_path / "whole.csv", rows, HEADER)).resample().step
     for row in rows[8:12]:
         row[1:3] = [0.0, 0.0]
-    glitch = read_tracks(write(tmp_path / "glitch.csv", rows))
+    glitch = read_tracks(write_csv(tmp_path / "glitch.csv", rows, HEADER))
     (found,) = glitch.report().warnings
     assert found.startswith("4 spikes, ")
-    assert glitch.resample().step == step
-    assert glitch.resample(1.0).samples == 1200 - 4
+    assert (glitch.resample().step, glitch.resample(1.0).samples) == (step, 1200 - 4)
 
 
 @pytest.mark.parametrize(("begin", "end", "moved"), [(0, 40, True), (100, 200, False), (250, 300, True)])

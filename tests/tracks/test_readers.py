@@ -5,6 +5,7 @@ import json
 import sqlite3
 import struct
 from contextlib import closing
+from importlib.metadata import EntryPoint
 
 import numpy as np
 import pytest
@@ -108,8 +109,7 @@ def write_trajnet(path):
 )
 def test_trackers_files_are_read(tmp_path, write, options):
     read = read_tracks(write(tmp_path), **options)
-    assert len(read.ids) == 3
-    assert read.duration == 9.5
+    assert (len(read.ids), read.duration) == (3, 9.5)
     np.testing.assert_allclose((read.position + read.origin)[:, :2], PLACES.transpose(1, 0, 2).reshape(-1, 2))
 
 
@@ -238,14 +238,11 @@ def test_a_bag_without_places_is_refused(tmp_path):
 @pytest.fixture
 def stranger(monkeypatch, tmp_path):
     """Installs a distribution with a reader of ``.two``, and one that gives no frame."""
-    program = "import pandas as pd\ndef read(path): return pd.read_csv(path, sep='/', names=['id', 't', 'x', 'y'])\n"
-    (tmp_path / "stranger_reader.py").write_text(f"{program}def read_none(path): ...\n")
-    about = tmp_path / "stranger-1.0.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: stranger\nVersion: 1.0\n")
-    points = "two = stranger_reader:read\nnone = stranger_reader:read_none"
-    (about / "entry_points.txt").write_text(f"[usnet.readers]\n{points}\n")
+    program = "import pandas as pd\ndef two(path): return pd.read_csv(path, sep='/', names=['id', 't', 'x', 'y'])\n"
+    (tmp_path / "stranger_reader.py").write_text(f"{program}def none(path): ...\n")
     monkeypatch.syspath_prepend(tmp_path)
+    points = [EntryPoint(name, f"stranger_reader:{name}", "usnet.readers") for name in ("two", "none")]
+    monkeypatch.setattr(parts, "entry_points", lambda group: [point for point in points if point.group == group])
     parts.find_entry_points.cache_clear()
     yield
     parts.find_entry_points.cache_clear()

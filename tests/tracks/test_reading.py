@@ -79,9 +79,8 @@ def test_archives_pipes_and_several_files(tmp_path):
         archive.write(gpx, "tracks.gpx")
     for name in ("tracks.gpx.gz", "gpx.zip"):
         assert read_tracks(tmp_path / name).ids == ("a", "b")
-    np.savez_compressed(
-        tmp_path / "tracks.npz", **dict(zip(HEADER, map(np.array, zip(*ROWS, strict=True)), strict=True))
-    )
+    columns = dict(zip(HEADER, map(np.array, zip(*ROWS, strict=True)), strict=True))
+    np.savez_compressed(tmp_path / "tracks.npz", **columns)
     for name in ("tracks.csv.gz", "mac.zip", "tracks.npz"):
         assert read_tracks(tmp_path / name, max_size=0.01).samples == len(ROWS)
         assert "unpacks to more than 0.0005 MiB" in refusal(tmp_path / name, max_size=0.0005)

@@ -84,9 +84,8 @@ def test_other_ways_to_write_tracks_are_read(tmp_path, case):
     for k, name in enumerate(plain.ids):
         part, same = (slice(*each.offsets[[i, i + 1]]) for each, i in ((read, read.ids.index(name)), (plain, k)))
         np.testing.assert_allclose(read.time[part] - read.time[part][0], plain.time[same], atol=2e-3)
-        np.testing.assert_allclose(
-            (read.position + read.origin)[part], (plain.position + plain.origin)[same], atol=1e-6
-        )
+        place, known = (each.position + each.origin for each in (read, plain))
+        np.testing.assert_allclose(place[part], known[same], atol=1e-6)
 
 
 def test_wide_tables_and_a_file_for_each_id(tmp_path):
@@ -99,9 +98,8 @@ def test_wide_tables_and_a_file_for_each_id(tmp_path):
     frames = [row[1:] for row in wide]
     read = read_tracks(write_csv(tmp_path / "w.csv", frames, ["a_x", "a_y", "b_x", "b_y", "c_x", "c_y"]), time_unit=0.5)
     assert (read.ids, read.samples, read.duration) == (("a", "b", "c"), 59, 9.5)
-    files = [
-        write_csv(tmp_path / f"{name}.csv", [row[1:] for row in ROWS if row[0] == name], HEADER[1:]) for name in "ab"
-    ]
+    of = {name: [row[1:] for row in ROWS if row[0] == name] for name in "ab"}
+    files = [write_csv(tmp_path / f"{name}.csv", rows, HEADER[1:]) for name, rows in of.items()]
     assert read_tracks(files).ids == ("a", "b")
     assert "is id?" in refusal(files[0])
 
@@ -210,9 +208,8 @@ def test_no_window_has_parts_of_two_pooled_recordings(tmp_path):
 
 
 def test_the_mean_of_two_places_is_taken(tmp_path):
-    path = write_csv(
-        tmp_path / "two.csv", [["a", 0, 0, 0], ["a", 1, 1, 1], ["a", 1, 3, 5], ["b", 0, 0, 0], ["b", 1, 1, 1]]
-    )
+    rows = [["a", 0, 0, 0], ["a", 1, 1, 1], ["a", 1, 3, 5], ["b", 0, 0, 0], ["b", 1, 1, 1]]
+    path = write_csv(tmp_path / "two.csv", rows)
     read = read_tracks(path, duplicates="mean")
     np.testing.assert_array_equal((read.position + read.origin)[:, :2], [[0, 0], [2, 3], [0, 0], [1, 1]])
     assert "Left out as repetitions (same id and time): 1 sample." in read.notes

@@ -1,4 +1,4 @@
-"""Times, delays, and the fields of the files that ``usnet detect`` writes."""
+"""Times, delays and the files of ``usnet detect``: their fields, odd names, and folders that were used before."""
 
 import csv
 import json
@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from track_files import Sure, rows_of, straight, write_csv
+from track_files import Answers, Sure, answer_of, example, rows_of, straight, write_csv
 
 from usnet_env.tracks import Tracks, find_leaders, read_tracks
 
@@ -30,10 +30,9 @@ def flying(lag, steps=600, seed=3):
 
 
 def stamp(t, epoch=False):
-    """The time of sample ``t``, one every 0.1 s."""
-    return (
-        f"{1278580320 + t // 10}.{t % 10}" if epoch else f"2010-07-08T09:{12 + t // 600}:{t // 10 % 60:02}.{t % 10}00"
-    )
+    seconds, tenth = divmod(t, 10)
+    clock = f"2010-07-08T09:{12 + seconds // 60}:{seconds % 60:02}.{tenth}00"
+    return f"{1278580320 + seconds}.{tenth}" if epoch else clock
 
 
 @pytest.mark.parametrize("epoch", [False, True])
@@ -78,7 +77,6 @@ def test_times_that_may_be_seconds_are_not_doubted(tmp_path, begin):
 
 
 def write_times(folder, kind, times):
-    """A file of two tracks with these whole numbers as times."""
     columns = {"id": ["a", "b"] * len(times), "t": np.repeat(times, 2), "x": np.arange(2.0 * len(times))}
     columns["y"] = columns["x"] % 2
     path = folder / f"tracks.{kind}"
@@ -148,3 +146,77 @@ def test_tables_and_json_have_the_same_fields(run, tmp_path, no_picture):
     led = sum(each["id"] == found["leaders"][0]["id"] for window in found["windows"] for each in window["leaders"])
     assert found["leaders"][0]["share"] == pytest.approx(led / len(found["windows"]))
     assert f"{led / len(found['windows']):.0%}" in out.partition("Over the file")[2]
+
+
+QUICK = ("--detector", "lagged-correlation")
+
+
+def flock(path, rename=str, shift=0.0, move=0.0, scale=1.0):
+    """A flock of 12 ids in which the first one leads; ``shift`` seconds later, and ``move`` metres away."""
+    rows = [[rename(name), t + shift, scale * x + move, scale * y] for name, t, x, y, _ in example().flock()]
+    return write_csv(path, rows)
+
+
+def test_odd_ids_are_drawn_and_written_as_plain_text(run, tmp_path):
+    """Formulas of Matplotlib, tags of Rich, characters that control a terminal or lack a glyph."""
+    pytest.importorskip("matplotlib")
+    names = {"bird-0": "=1+\u9e1f", "bird-1": "$\\foo$", "bird-2": "[/red]", "bird-3": "\x1b[31mred"}
+    tracks = flock(tmp_path / "$x_{1$.csv", rename=lambda name: names.get(name, name))
+    status, out, err = run("detect", tracks, *QUICK, "--out", tmp_path / "out")
+    assert status == 0, err
+    assert (tmp_path / "out" / "picture.png").exists()
+    assert "\x1b" not in out + err
+    assert err.count("The fonts of this machine lack some characters of the figure") == 1
+    assert "Glyph" not in err
+    for name in ("=1+\u9e1f", "$\\foo$", "[/red]", "[31mred"):
+        assert name in out
+    with open(tmp_path / "out" / "leaders.csv", newline="", encoding="utf-8") as file:
+        assert [row["id"] for row in csv.DictReader(file)] == ["=1+\u9e1f"]
+    page = (tmp_path / "out" / "page.html").read_text(encoding="utf-8")
+    assert "<title>Leaders in $x_{1$.csv</title>" in page
+    assert "=1+\u9e1f leads" in page
+
+
+def test_the_picture_has_the_coordinates_and_times_of_the_file(tmp_path):
+    pytest.importorskip("matplotlib")
+    tracks = read_tracks(flock(tmp_path / "flock.csv", shift=1_700_000_000.5, move=500_000.0)).resample()
+    axes = find_leaders(tracks, "lagged-regression").plot_maps("flock.csv").axes[0]
+    low, high = axes.get_xlim()
+    places = [row[2] + 500_000.0 for row in example().flock() if row[1] <= 100]
+    assert low < min(places) < max(places) < high
+    assert axes.get_title(loc="left").startswith("1700000000.5 to 17000000")
+
+
+def test_a_detector_without_followers_has_no_confirmed_leaders(run, tmp_path):
+    path = flock(tmp_path / "flock.csv")
+    confirmed, all_named = (
+        find_leaders(read_tracks(path), Answers(lambda uavs, _: answer_of(uavs, 0)), confirm=confirm).windows
+        for confirm in (True, False)
+    )
+    assert not any(window.leaders for window in confirmed)
+    assert {window.not_confirmed for window in confirmed} == {("bird-0",)}
+    assert all_named[0].leaders[0].id == "bird-0"
+    _, out, err = run("detect", path, "--detector", "destroy-all", "--json")
+    assert "the detector names no followers, so no leader is confirmed" in err
+    assert not any(window["leaders"] for window in json.loads(out)["windows"])
+    assert "names no followers" not in run("detect", path, "--detector", "destroy-all", "--unconfirmed")[2]
+
+
+def test_an_interrupted_run_leaves_the_files_of_an_earlier_one(run, tmp_path, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    path, out = flock(tmp_path / "flock.csv"), tmp_path / "out"
+    out.mkdir()
+    for name in ("leaders.json", "windows.csv", "network.png", "page.html", "episode.npz"):
+        (out / name).write_text("old")
+    monkeypatch.setattr("usnet_env.tracks.result.write_figure", interrupt)
+    assert run("detect", path, *QUICK, "--out", out)[0] == 130
+    assert [file.read_text() for file in out.iterdir()] == ["old"] * 5
+
+
+def test_windows_that_are_too_short_for_the_test_are_named(run, tmp_path):
+    path = flock(tmp_path / "flock.csv")
+    for length, words in (("15", ()), ("15", ("--unconfirmed",)), ("16", ())):
+        _, out, _ = run("detect", path, *QUICK, "--window", length, *words)
+        assert ("too short for the test that confirms leaders" in out) == (length == "15" and not words)

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from track_files import answer_of, example, straight
 
+from detectors import Detector
 from usnet_env import ArgumentError
 from usnet_env.tracks import Tracks, find_leaders
 
@@ -18,10 +20,6 @@ def dense(places, step=0.5, keep=None, **options):
     keep = np.ones(places.shape[:2], bool) if keep is None else keep
     who, when = np.nonzero(keep.T)
     return Tracks.from_samples([f"uav-{i}" for i in who], when * step, places[when, who], **options)
-
-
-def doubts(tracks):
-    return " ".join(tracks.report().warnings)
 
 
 def wandering(steps=400, uavs=6, delay=2, noise=0.0, seed=0):
@@ -83,9 +81,8 @@ def test_windows_hold_positions_velocities_masks_ids_and_times():
     assert window.position.dtype == np.float32
     assert not window.position[~window.seen].any()
     assert not window.position[..., 2].any()
-    np.testing.assert_allclose(
-        (window.position + cut.origin + tracks.origin)[window.seen], places[:, :5][keep[:, :5]], atol=1e-4
-    )
+    place = window.position + cut.origin + tracks.origin
+    np.testing.assert_allclose(place[window.seen], places[:, :5][keep[:, :5]], atol=1e-4)
     moved = np.diff(places[:, :5], axis=0)
     np.testing.assert_allclose(window.velocity[window.velocity_seen], moved[window.velocity_seen], atol=1e-5)
     assert not window.velocity[~window.velocity_seen].any()
@@ -110,15 +107,6 @@ def test_a_grid_time_has_the_leader_of_the_nearest_sample():
     expected = [leaders[round(t)] for t in even.time[first]]
     assert len(expected) == 11
     assert [even.ids[k] for k in even.leader[first]] == expected
-
-
-def test_a_leader_column_becomes_indices_in_the_window():
-    places = wandering(steps=120)
-    ids = [f"uav-{i}" for _ in range(120) for i in range(6)]
-    leader = ["uav-4" if i in (1, 2) else "" for _ in range(120) for i in range(6)]
-    tracks = Tracks.from_samples(ids, np.repeat(np.arange(120) * 0.5, 6), places.reshape(-1, 3), leader)
-    (cut,) = tracks.resample(0.5).windows()
-    assert cut.leader.tolist() == [-1, 4, 4, -1, -1, -1]
 
 
 @pytest.mark.parametrize("delay", [1, 3, 30])
@@ -161,47 +149,30 @@ def test_a_window_is_cut_alike_at_other_steps():
     assert even.other_steps[0].cut_like(next(even.windows(120))) is None  # of 480 steps
 
 
-class NamesByStep:
-    """A detector that names another UAV at each step, and tells that somebody leads at one of them only."""
+class AnswersByStep(Detector):
+    """A detector whose answer is a function of the number of UAVs and the step of the window."""
 
-    def __init__(self, *steps):
-        self.steps = steps
-
-    def reset(self, seed=None):
-        pass
+    answer: Any
 
     def detect(self, window):
-        rank = self.steps.index(window.step)
-        return replace(answer_of(window.uavs, rank), extras={"p_no_leader": 0.7 - 0.6 * (rank == 0)})
+        return self.answer(window.uavs, window.step)
 
 
-def test_the_answer_at_the_step_at_which_somebody_leads_counts():
+@pytest.mark.parametrize("best", [0.25, 0.5, 1.0])
+def test_of_the_steps_at_which_somebody_leads_the_usual_answer_counts(best):
     even = dense(wandering(steps=1500, delay=30)).resample()
-    for best in (0.25, 0.5, 1.0):
-        steps = [factor * even.step for factor in (best, *{0.25, 0.5, 1.0} - {best})]
-        found = find_leaders(even, NamesByStep(*steps), length=80, confirm=False)
-        assert [leader.id for leader in found.leaders] == ["uav-0"]
+    steps = [factor * even.step for factor in (best, *{0.25, 0.5, 1.0} - {best})]
 
+    def name_another_at_each(uavs, step):  # somebody leads at the best step only
+        rank = steps.index(step)
+        return replace(answer_of(uavs, rank), extras={"p_no_leader": 0.7 - 0.6 * (rank == 0)})
 
-class NamesMoreAtOneStep:
-    """A detector that is surest that somebody leads at the step at which it names one UAV more."""
+    def name_one_more_at_the_best(uavs, step):  # somebody leads at all of them
+        named = np.arange(uavs) <= (step == steps[0])
+        return replace(answer_of(uavs, 0), candidates=named, extras={"silent": 0.1 if step == steps[0] else 0.2})
 
-    def __init__(self, step):
-        self.step = step
-
-    def reset(self, seed=None):
-        pass
-
-    def detect(self, window):
-        answer, alone = answer_of(window.uavs, 0), window.step == self.step
-        named = answer.candidates | (alone & (np.arange(window.uavs) == 1))
-        return replace(answer, candidates=named, extras={"silent": 0.1 if alone else 0.2})
-
-
-def test_of_steps_at_which_somebody_leads_the_usual_answer_counts():
-    even = dense(wandering(steps=1500, delay=30)).resample()
-    for factor in (0.25, 0.5, 1.0):
-        found = find_leaders(even, NamesMoreAtOneStep(factor * even.step), length=80, confirm=False)
+    for answer in (name_another_at_each, name_one_more_at_the_best):
+        found = find_leaders(even, AnswersByStep(answer), length=80, confirm=False)
         assert [leader.id for leader in found.leaders] == ["uav-0"]
 
 
@@ -233,18 +204,12 @@ def test_sessions_that_are_years_apart_need_no_memory_for_the_time_between():
     assert [even.file_time(cut.start) >= 1e8 for cut in even.windows(10)] == [False, False, False, True, True]
 
 
-# What is reported
-
-
-def test_nothing_is_wrong_with_clean_tracks():
+def test_gaps_jumps_and_uneven_sampling_are_reported_and_nothing_of_clean_tracks():
     report = dense(wandering()).report()
     assert report.warnings == ()
     assert "6 ids, 2400 samples from 0.0 to 199.5" in report.facts[0]
     with pytest.raises(ValueError, match="read-only"):
         dense(wandering()).position[0] = 0
-
-
-def test_gaps_jumps_and_uneven_sampling_are_reported():
     keep = np.ones((400, 6), bool)
     keep[100:110, 1] = False
     (found,) = dense(wandering(), keep=keep).report().warnings
@@ -260,18 +225,18 @@ def test_gaps_jumps_and_uneven_sampling_are_reported():
     assert "uneven" in found
 
 
+RESAMPLING = {"step": (0, "fast", 1e-9, 10), "max_gap": (np.nan,)}
+WINDOWS = {"length": (0, 1.5), "stride": (0,), "least_steps": (0,)}
+
+
 @pytest.mark.parametrize(
-    ("name", "value"), [("step", 0), ("step", "fast"), ("step", 1e-9), ("step", 10), ("max_gap", np.nan)]
+    ("name", "value"), [(name, each) for name, values in (RESAMPLING | WINDOWS).items() for each in values]
 )
-def test_a_bad_resampling_is_refused(name, value):
+def test_bad_resampling_and_bad_windows_are_refused(name, value):
+    tracks = dense(straight())
+    cut = tracks.resample if name in RESAMPLING else tracks.resample(0.5).windows
     with pytest.raises(ArgumentError, match=f"^{name} must be"):
-        dense(straight()).resample(**{"step": 1.0, name: value})
-
-
-@pytest.mark.parametrize(("name", "value"), [("length", 0), ("stride", 0), ("least_steps", 0), ("length", 1.5)])
-def test_bad_windows_are_refused(name, value):
-    with pytest.raises(ArgumentError, match=f"^{name} must be"):
-        dense(straight()).resample(0.5).windows(**{"length": 10, name: value})
+        cut(**({"step": 1.0} if name in RESAMPLING else {"length": 10}) | {name: value})
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 """``USNET/Tracks-v0``: recorded tracks window by window, scored by the file's leaders."""
 
-import csv
 from pathlib import Path
 
 import gymnasium as gym
@@ -8,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from gymnasium.utils.env_checker import check_env
-from track_files import example
+from track_files import example, write_csv
 
 from usnet_env import ArgumentError, Window, evaluate, make_detector
 from usnet_env.replay import record_episode
@@ -16,23 +15,27 @@ from usnet_env.replay.story import describe_outcome
 from usnet_env.tracks import read_tracks
 
 
+def write_merging(folder, columns):
+    header = ["id", "t", "x", "y", "leader"][:columns]
+    return str(write_csv(folder / "merging.csv", [row[:columns] for row in example().merging()], header))
+
+
 @pytest.fixture(scope="module")
 def path(tmp_path_factory):
-    place = tmp_path_factory.mktemp("tracks") / "merging.csv"
-    with open(place, "w", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerows([["id", "t", "x", "y", "leader"], *example().merging()])
-    return str(place)
+    return write_merging(tmp_path_factory.mktemp("tracks"), 5)
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    return write_merging(tmp_path_factory.mktemp("tracks"), 4)
 
 
 def make(file, **arguments):
     return gym.make("USNET/Tracks-v0", **{"path": file, "step": 0.5, **arguments})
 
 
-def test_gymnasiums_checker_has_nothing_to_say(path):
+def test_gymnasiums_checker_has_nothing_to_say_a_path_object_is_taken_and_no_path_is_refused(path):
     check_env(make(path).unwrapped, skip_render_check=True)
-
-
-def test_a_path_object_is_taken_and_no_path_is_refused(path):
     assert make(Path(path)).unwrapped.config.path == path
     with pytest.raises(ArgumentError, match=r"^path must"):
         gym.make("USNET/Tracks-v0")
@@ -73,16 +76,6 @@ def test_a_seed_draws_a_window(path):
     assert len(set(starts)) > 4
 
 
-@pytest.fixture(scope="module")
-def plain(tmp_path_factory):
-    """The tracks without the column of leaders."""
-    place = tmp_path_factory.mktemp("tracks") / "plain.csv"
-    lines = [[*row[:4]] for row in example().merging()]
-    with open(place, "w", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerows([["id", "t", "x", "y"], *lines])
-    return str(place)
-
-
 def test_tracks_without_leaders_can_be_played_but_not_scored(plain):
     env = make(plain)
     env.reset()
@@ -107,10 +100,8 @@ def test_a_record_of_tracks_without_leaders_holds_what_was_found(path, plain):
 
 
 def play(file, detectors, episodes, **options):
-    """The rows of an evaluation."""
-    result = evaluate(
-        "USNET/Tracks-v0", detectors, episodes=episodes, env_kwargs={"path": str(file), "step": 0.5}, **options
-    )
+    settings = {"path": str(file), "step": 0.5}
+    result = evaluate("USNET/Tracks-v0", detectors, episodes=episodes, env_kwargs=settings, **options)
     return pd.DataFrame(result.rows)
 
 

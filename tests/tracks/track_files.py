@@ -1,7 +1,5 @@
 """Small files of tracks."""
 
-from __future__ import annotations
-
 import csv
 import importlib.util
 from pathlib import Path
@@ -10,26 +8,22 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from detectors import Detector
 from usnet_env import ArgumentError, Detection
 from usnet_env.tracks import read_tracks
 
 HEADER = ["id", "t", "x", "y"]
 
 
-class Sure:
+class Sure(Detector):
     """A detector that is sure of one UAV, which all others follow."""
 
-    def __init__(self, head):
-        self.head = head
-
-    def reset(self, seed=None):
-        pass
+    head: int
 
     def detect(self, window):
         candidates = np.arange(window.uavs) == self.head
-        return Detection(
-            candidates, candidates * 1.0, leader=np.full(window.uavs, self.head), extras={"probability": candidates}
-        )
+        extras = {"probability": candidates}
+        return Detection(candidates, candidates * 1.0, leader=np.full(window.uavs, self.head), extras=extras)
 
 
 class Answers:
@@ -78,7 +72,6 @@ def write_csv(path, rows, header=None, delimiter=","):
 
 
 def example() -> ModuleType:
-    """The script of the examples that makes files with known leaders."""
     path = Path(__file__).parents[2] / "examples" / "make_tracks.py"
     spec = importlib.util.spec_from_file_location("make_tracks", path)
     module = importlib.util.module_from_spec(spec)

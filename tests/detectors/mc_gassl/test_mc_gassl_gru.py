@@ -12,7 +12,7 @@ from detectors.gassl.ifsn import VARIANCE_FLOOR, draw_ifsn
 from detectors.gassl.topology_matrix import build_batch
 from detectors.mc_gassl.algorithm_2 import find_best_heads, recluster
 from detectors.mc_gassl.gru import GruParameters, run_gru
-from detectors.mc_gassl.triplet import Metric, compute_batch_loss, draw_triplets, compute_triplet_loss
+from detectors.mc_gassl.triplet import Metric, compute_batch_loss, compute_triplet_loss, draw_triplets
 
 
 def literal(weights, h, velocity):
