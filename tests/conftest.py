@@ -4,6 +4,7 @@ import gc
 import os
 import subprocess
 import sys
+from types import SimpleNamespace
 
 # As many processes as cores leave a core each: more threads than that make small tensor operations wait for each other,
 # a hundred times longer than they take. This must be said before the libraries are imported.
@@ -28,20 +29,16 @@ def pytest_collection_finish():
     gc.freeze()
 
 
-class FreshProcess:
-    """Runs programs in new processes."""
+@pytest.fixture(scope="session")
+def fresh_process():
+    """Runs programs that import from a folder in new processes; one that fails fails the test."""
 
-    def run(self, program, folder=None):
-        """Return what a program prints that imports from a folder; one that fails fails the test."""
+    def run_program(program, folder=None):
         done = subprocess.run([sys.executable, "-c", program], cwd=folder, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
         return done.stdout
 
-
-@pytest.fixture(scope="session")
-def fresh_process():
-    """Runs programs in processes that have imported nothing."""
-    return FreshProcess()
+    return SimpleNamespace(run=run_program)
 
 
 @pytest.fixture
@@ -55,3 +52,18 @@ def run(capsys):
         return status, output.out, output.err
 
     return runner
+
+
+@pytest.fixture
+def refused(run):
+    """Run a command line that is refused in one sentence and prints nothing else; returns the sentence."""
+
+    def refuse(*words):
+        status, out, err = run(*words)
+        assert (status, out) == (2, "")
+        assert err.startswith("usnet: ")
+        assert err.endswith((".\n", "?\n"))
+        assert err.count("\n") == 1
+        return err
+
+    return refuse

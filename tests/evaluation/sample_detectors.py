@@ -1,7 +1,5 @@
 """Small real detectors, policies and a suite for these tests; in a module, so that worker processes can import them."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

@@ -1,7 +1,5 @@
 """Whatever ends `usnet evaluate`: the same command resumes to the rows of an undisturbed run, and no process stays."""
 
-from __future__ import annotations
-
 import os
 import resource
 import signal

@@ -1,7 +1,5 @@
 """Suites: their files do not change without a new version, and published rows load by name."""
 
-from __future__ import annotations
-
 import json
 from hashlib import sha256
 from importlib.resources import files
@@ -10,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pandas.testing import assert_frame_equal
-from sample_detectors import SUITE, untimed
+from sample_detectors import SUITE, Base, untimed
 
 import usnet_env
 from usnet_env import ArgumentError, Detection, evaluate
@@ -88,11 +86,8 @@ def test_a_suite_of_ones_own_is_played_kept_and_read(path, tmp_path, workers):
         evaluate_suite("controls-v2", "none", out=tmp_path / "run")
 
 
-class Sure:
+class Sure(Base):
     """Names the first UAV, which leads."""
-
-    def reset(self, seed=None):
-        pass
 
     def detect(self, window):
         first = np.arange(window.uavs) == 0
@@ -126,9 +121,8 @@ def test_a_cell_that_was_drawn_at_random_has_swarms_of_its_own(path):
     path.write_text(f"unit: cell{SUITE}")
     played = evaluate_suite(path, "none")
     assert (played.config["unit"], played.rows.swarm_seed.nunique()) == ("cell", 4)
-    assert_frame_equal(
-        untimed(evaluate_suite(path, "none", cells=["run.json"])), untimed(played)[2:].reset_index(drop=True)
-    )
+    alone = untimed(evaluate_suite(path, "none", cells=["run.json"]))
+    assert_frame_equal(alone, untimed(played)[2:].reset_index(drop=True))
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,5 @@
 """Tasks run in this process, in others and on a cluster."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
