@@ -32,11 +32,12 @@ def test_the_swarm_gets_the_rounds_minus_the_price_and_the_observer_loses_them(r
     assert total == pytest.approx((rows.J - rows.price) * (1 if role == "head" else -1))
 
 
-def test_a_choice_in_the_cheap_game_costs_a_fifth():
+def test_a_choice_in_the_cheap_game_costs_a_fifth_and_none_is_the_best_where_all_are_named():
     swarm, observer = evasion.choose(1, 1, 2, 1), evasion.detect("destroy-all")
     usual, cheap = (evasion.play(game, swarm, observer, 3) for game in ("usual", "cheap"))
     assert list(cheap.price) == pytest.approx(list(usual.price / 5))
     assert list(cheap.J) == list(usual.J)
+    assert evasion.find_constant("usual", observer) == (0, 0, 0, 0)  # any other has a price for nothing
 
 
 def test_a_mixture_plays_each_game_as_one_of_its_players():
@@ -45,15 +46,6 @@ def test_a_mixture_plays_each_game_as_one_of_its_players():
     drawn = mixture({}, games)[:, 0, 2] // 2
     assert 60 < drawn.sum() < 140
     assert (mixture({}, games[::-1])[::-1, 0, 2] // 2 == drawn).all()  # in each window the same
-
-
-def test_the_best_constant_choice_against_an_observer_that_names_all():
-    assert evasion.find_constant("usual", evasion.detect("destroy-all")) == (
-        0,
-        0,
-        0,
-        0,
-    )  # any other has a price for nothing
 
 
 def test_both_sides_learn_in_turn_and_the_last_mixtures_are_exploited(tmp_path, monkeypatch, capsys):
