@@ -1,7 +1,5 @@
 """2,000 values at the doors of the package: each is taken, or refused by a plain exception that names the argument."""
 
-from __future__ import annotations
-
 import contextlib
 import inspect
 import io

@@ -1,7 +1,5 @@
 """``usnet demo`` and ``usnet replay``: from episode files to lists, replays and pages."""
 
-from __future__ import annotations
-
 import subprocess
 
 import gymnasium as gym
@@ -23,14 +21,6 @@ def recorded(tmp_path_factory):
             record = record_episode(env, make_detector(name), number, 1)
             record.save(folder / "episodes" / f"{name.replace('(', '_').rstrip(')')}-{number}.npz")
     return folder
-
-
-def refusal(run, *words):
-    status, out, err = run(*words)
-    assert (status, out) == (2, "")
-    assert err.startswith("usnet: ")
-    assert err.count("\n") == 1
-    return err
 
 
 def test_the_episodes_of_a_run_are_listed(run, recorded):
@@ -80,13 +70,13 @@ def test_labels_cannot_change_the_terminal(run, recorded, tmp_path):
         assert not {"\x1b", "\x07"} & set(out)
 
 
-def test_refusals_are_one_sentence_and_leave_nothing(run, recorded, tmp_path):
-    assert "got '" in refusal(run, "replay", tmp_path)
-    assert "number 1" in refusal(run, "replay", recorded, "--episode", "1")
-    assert "--episode" in refusal(run, "replay", recorded, "--episode", "x")
-    assert "unexpected extra argument" in refusal(run, "replay", recorded, recorded)
-    assert "PATH" in refusal(run, "replay")
+def test_refusals_are_one_sentence_and_leave_nothing(refused, recorded, tmp_path):
+    assert "got '" in refused("replay", tmp_path)
+    assert "number 1" in refused("replay", recorded, "--episode", "1")
+    assert "--episode" in refused("replay", recorded, "--episode", "x")
+    assert "unexpected extra argument" in refused("replay", recorded, recorded)
+    assert "PATH" in refused("replay")
     (tmp_path / "broken.npz").write_bytes(b"PK")
-    assert "intact episode file" in refusal(run, "replay", tmp_path / "broken.npz")
-    assert "clusters must" in refusal(run, "demo", "--clusters", "0", "--out", tmp_path / "demo")
+    assert "intact episode file" in refused("replay", tmp_path / "broken.npz")
+    assert "clusters must" in refused("demo", "--clusters", "0", "--out", tmp_path / "demo")
     assert [path.name for path in tmp_path.iterdir()] == ["broken.npz"]

@@ -3,6 +3,7 @@
 The quick tests run the first page and one example.
 """
 
+import doctest
 import importlib
 import inspect
 import multiprocessing
@@ -29,6 +30,8 @@ DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("detectors/*.md"))]
 LINKED = [*PAGES, *sorted((ROOT / "docs" / "results").glob("*.md"))]
 EXAMPLES = sorted([*(ROOT / "examples").glob("*.py"), *(ROOT / "examples" / "notebooks").glob("*.py")])
+SOURCES = [path for package in ("usnet_env", "detectors") for path in sorted((ROOT / package).rglob("*.py"))]
+DOCTESTS = [path.relative_to(ROOT) for path in SOURCES if ">>> " in path.read_text(encoding="utf-8")]
 MARK = "--- end of a block ---"
 FENCE = re.compile(r"^```(?P<kind>[^`\n]*)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL)
 CLASSES = sorted({f"{kind}Env" for kind, _ in ENVIRONMENTS.values()})
@@ -142,6 +145,12 @@ def test_an_example_runs(script, tmp_path):
     run(script, tmp_path)
 
 
+@pytest.mark.parametrize("path", DOCTESTS, ids=str)
+def test_examples_in_docstrings_print_what_they_say(path):
+    module = ".".join(path.with_suffix("").parts).removesuffix(".__init__")
+    assert not doctest.testmod(importlib.import_module(module)).failed
+
+
 @pytest.mark.parametrize("page", LINKED, ids=name_of)
 def test_links_lead_somewhere_and_no_page_names_a_place_on_a_machine(page):
     text = page.read_text(encoding="utf-8")
@@ -159,12 +168,9 @@ def test_every_detector_is_in_the_overview_and_its_class_on_a_page():
     assert [name for name, at in detectors.items() if f"autoclass:: {at.replace(':', '.')}\n" not in pages] == []
 
 
-def test_the_page_shows_the_class_of_the_example():
+def test_the_pages_are_few_and_one_shows_the_class_of_the_example():
     shown = (DOCS / "plugging_in.md").read_text(encoding="utf-8")
     assert (ROOT / "examples" / "custom_detector" / "most_copied.py").read_text(encoding="utf-8") in shown
-
-
-def test_the_pages_are_few():
     written = [page for page in DOCS.rglob("*.md") if not {"generated", "_build"} & set(page.parts)]
     assert len(written) + len(CLASSES) + 1 + len(GAMES) <= 46
 

@@ -1,7 +1,5 @@
 """What a picture shows depends on what happened, and drawing leaves matplotlib as it was."""
 
-from __future__ import annotations
-
 import random
 import sys
 
@@ -43,7 +41,6 @@ def named(*uavs):
 
 
 def painted(frame, color):
-    """Number of pixels in exactly that colour."""
     rgb = [int(color[i : i + 2], 16) for i in (1, 3, 5)]
     return int((frame == rgb).all(axis=-1).sum())
 
@@ -62,7 +59,7 @@ def test_marks_tell_what_was_named():
     assert painted(wrong, drawing.REDUNDANT) > 50
 
 
-def test_round_marks():
+def test_round_marks_and_no_links_of_a_large_swarm():
     values = scene()
     position, seen = values.pop("position"), values.pop("seen")
     place = drawing.last_seen_position(position, seen)
@@ -81,17 +78,6 @@ def test_round_marks():
         drawing.MISSED_MARK: [4],
         drawing.DESTROYED_MARK: [3],
     }
-
-
-def test_a_uav_without_a_head_is_no_follower_and_has_no_link():
-    none = np.zeros(4, bool)
-    marks = drawing.round_marks(np.zeros((4, 3), np.float32), ~none, none, np.array([-1, 1, 2, 0]), none)
-    assert marks[drawing.UNLED_MARK].all()
-    assert not marks[drawing.FOLLOWER_MARK].any()
-    assert not marks[drawing.LINK_MARK].any()
-
-
-def test_a_large_swarm_is_drawn_without_links():
     uavs, place = np.arange(301), np.zeros((301, 3), np.float32)
     for count, links in ((300, 299), (301, 0)):
         none = np.zeros(count, bool)
@@ -133,10 +119,11 @@ def test_lines_of_the_palest_clusters_have_a_contrast_of_three_on_white():
         assert (1.05 / (linear @ (0.2126, 0.7152, 0.0722) + 0.05) >= 3).all()
 
 
-def test_an_empty_window_can_be_drawn():
+def test_an_empty_window_can_be_drawn_and_a_notebook_shows_it():
     """After a terminated episode nothing is seen any more."""
     blank = scene(seen=np.zeros((30, UAVS), bool), position=np.zeros((30, UAVS, 3), np.float32))
     assert frame_of(**blank).shape == (720, 960, 3)
+    assert drawing.draw_round(**blank)._repr_png_().startswith(b"\x89PNG")
 
 
 def test_frames_keep_their_axes_and_mark_the_destroyed_of_earlier_rounds():
@@ -170,14 +157,7 @@ def test_the_title_of_a_frame_has_the_result_of_the_round(monkeypatch):
         named[np.flatnonzero(env.unwrapped.swarm.head)[0]] = named[np.flatnonzero(~env.unwrapped.swarm.head)[0]] = 1
         env.step(named)
         env.render()
-    assert titles == [
-        "round 1: observed, no answer yet",
-        "round 1: 1 head hit, 1 redundant   J 1.050   reward -1.050",
-    ]
-
-
-def test_a_notebook_shows_a_figure_without_pyplot():
-    assert drawing.draw_round(**scene())._repr_png_().startswith(b"\x89PNG")
+    assert titles == ["round 1: observed, no answer yet", "round 1: 1 head hit, 1 redundant   J 1.050   reward -1.050"]
 
 
 def test_nothing_global_is_touched(monkeypatch):
@@ -190,13 +170,6 @@ def test_nothing_global_is_touched(monkeypatch):
     before = world()
     drawing.pixels_of(drawing.draw_round(**scene(), candidates=named(0)))
     assert world() == before
-
-
-def test_without_matplotlib_one_sentence_says_what_to_install(monkeypatch):
-    for name in ("figure", "collections", "colors", "lines"):
-        monkeypatch.setitem(sys.modules, f"matplotlib.{name}", None)
-    with pytest.raises(drawing.MissingExtraError, match=r"`pip install 'usnet\[render\]'` installs it"):
-        frame_of(**scene())
 
 
 def test_figures_are_written_at_200_pixels_an_inch_or_as_pdf(tmp_path):
@@ -218,17 +191,3 @@ def test_different_names_stay_different(names, start, longest):
     assert len(set(short)) == len(full)
     for one, other in zip(full, short, strict=True):
         assert len(one) > longest or one == other
-
-
-def test_names_beside_points_stay_in_the_frame_and_apart():
-    figure = drawing.new_figure(4, 4)
-    axes = figure.add_axes((0.1, 0.1, 0.8, 0.8))
-    axes.set(xlim=(0, 1), ylim=(0, 1))
-    places = np.array([[0.98, 0.98], [0.97, 0.97], [0.5, 0.5], [0.02, 0.02]])
-    drawing.annotate_points(axes, places, ["the first", "the second", "$ third", "the fourth"], fontsize=8)
-    boxes = [text.get_window_extent() for text in axes.texts]
-    frame = axes.get_window_extent()
-    for k, box in enumerate(boxes):
-        assert frame.x0 <= box.x0 <= box.x1 <= frame.x1
-        assert frame.y0 <= box.y0 <= box.y1 <= frame.y1
-        assert not any(box.overlaps(other) for other in boxes[:k])

@@ -1,7 +1,5 @@
 """The objectives against a slow, literal reading of the paper's formulas (§II-A and §II-B), with Python sets."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -135,19 +133,6 @@ def test_a_head_is_in_its_cluster_where_most_of_its_followers_are(clustering):
             answers.append(labels[chief] >= 0 and most > 0 and placed.count(labels[chief]) == most)
     expected = sum(answers) / len(answers) if answers else 0
     assert objectives.head_in_cluster(head, leader, labels) == pytest.approx(expected)
-
-
-def test_purity_hides_a_misplaced_head_and_head_in_cluster_does_not():
-    head = np.array([True, False, False, False, False, False, True, False, False, False])
-    leader = np.array([0, 0, 0, 0, 0, 0, 6, 6, 6, 6])
-    true, misplaced = (leader == 6).astype(int), (leader == 6).astype(int)
-    misplaced[0] = 1
-    assert (objectives.purity(leader, true), objectives.head_in_cluster(head, leader, true)) == (1.0, 1.0)
-    assert objectives.purity(leader, misplaced) == 0.9
-    assert objectives.head_in_cluster(head, leader, misplaced) == 0.5
-
-
-# --- trees -----------------------------------------------------------------------------------------------------------
 
 
 @given(st.integers(1, 12).flatmap(lambda uavs: hnp.arrays(np.int64, uavs, elements=st.integers(-1, uavs - 1))))

@@ -2,8 +2,6 @@
 
 import hashlib
 import re
-import subprocess
-import sys
 import tomllib
 from importlib.metadata import EntryPoint
 from importlib.resources import files
@@ -17,14 +15,8 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 EXTRAS = PROJECT["optional-dependencies"]
 
 
-def run_python(program: str, folder: Path = ROOT) -> None:
-    """Run a program in a fresh interpreter; its traceback becomes the test's message."""
-    done = subprocess.run([sys.executable, "-c", program], cwd=folder, capture_output=True, text=True, timeout=600)
-    assert done.returncode == 0, done.stderr
-
-
-def test_the_core_works_without_any_extra():
-    run_python("""
+def test_the_core_works_without_any_extra(fresh_process):
+    fresh_process.run("""
 import sys
 from importlib.abc import MetaPathFinder
 
@@ -56,8 +48,8 @@ assert not EXTRAS & set(sys.modules)
 """)
 
 
-def test_an_import_changes_nothing_global():
-    run_python("""
+def test_an_import_changes_nothing_global(fresh_process):
+    fresh_process.run("""
 import os, random, sys, warnings
 import gymnasium as gym, numba, numpy as np, pandas, scipy.linalg, sklearn.metrics
 from threadpoolctl import threadpool_info
@@ -87,12 +79,12 @@ assert after == before, [name for name in before if after[name] != before[name]]
 """)
 
 
-def test_modules_of_the_current_folder_do_not_hide_installed_ones(tmp_path):
+def test_modules_of_the_current_folder_do_not_hide_installed_ones(fresh_process, tmp_path):
     (tmp_path / "detectors").mkdir()
     (tmp_path / "detectors/__init__.py").touch()
     (tmp_path / "sklearn.py").write_text("raise SystemExit('the wrong sklearn')")
     (tmp_path / "mine.py").write_text("class Mine:\n    def reset(self, seed=None): ...\n    def detect(self, w): ...")
-    run_python(
+    fresh_process.run(
         """
 import sys
 del sys.path[0]  # as for a console script
@@ -146,9 +138,6 @@ def test_no_source_touches_global_state_or_unpickles(package):
     for path in sorted((ROOT / package).rglob("*.py")):
         found = NEVER.search(path.read_text(encoding="utf-8"))
         assert found is None or path.relative_to(ROOT).as_posix().startswith(EXCUSED), (path, found[0])
-
-
-def test_these_would_be_found_and_these_are_fine():
     found = "np.random.seed(0)|random.seed(1)|torch.seed()|np.load(p, allow_pickle=True)|pickle.load(f)|torch.load(p)"
     assert all(NEVER.search(line) for line in found.split("|"))
     fine = "np.random.default_rng(0)|rng.random()|torch.Generator().manual_seed(0)|torch.load(p, weights_only=True)"

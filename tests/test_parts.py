@@ -1,10 +1,7 @@
 """Named parts of every kind: found by name, declared by installed packages, registered by programs, and labelled."""
 
-from __future__ import annotations
-
 import importlib.metadata
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -12,7 +9,7 @@ from hypothesis import strategies as st
 import detectors.clustering  # noqa: F401  # it creates a registry
 from usnet_env import ArgumentError, parts
 from usnet_env.envs import MultiClusterEnv
-from usnet_env.parts import REGISTRIES, Registry, check_call, describe_error, format_label, parse_label
+from usnet_env.parts import REGISTRIES, Registry, format_label, parse_label
 
 
 def check_number(value, subject="part"):
@@ -102,12 +99,7 @@ class Backwards(LaggedSum):
 onwards = CompiledMobility(5, 1)
 corner = lambda rng, roles: np.zeros((len(roles.root), 3))
 """
-STRANGERS = {
-    "follow strategy": "Backwards",
-    "mobility": "onwards",
-    "formation": "corner",
-    "clusterer": "Groups",
-}
+STRANGERS = {"follow strategy": "Backwards", "mobility": "onwards", "formation": "corner", "clusterer": "Groups"}
 
 
 def test_an_installed_package_declares_parts_of_every_kind(monkeypatch, tmp_path):
@@ -130,9 +122,6 @@ def test_an_installed_package_declares_parts_of_every_kind(monkeypatch, tmp_path
     parts.find_entry_points.cache_clear()
 
 
-# Labels
-
-
 @given(
     st.dictionaries(
         st.sampled_from(["clusters", "ridge", "table"]),
@@ -145,12 +134,6 @@ def test_an_installed_package_declares_parts_of_every_kind(monkeypatch, tmp_path
 )
 def test_a_label_of_literals_is_read_as_what_it_was_made_of(arguments):
     assert parse_label(format_label("a-name", arguments), {}) == ("a-name", arguments)
-
-
-def test_labels_of_values_that_are_no_literals_are_one_line():
-    assert format_label("x", {"table": np.arange(3), "function": check_number}) == (
-        "x(function=check_number, table=array([0, 1, 2]))"
-    )
 
 
 @pytest.mark.parametrize(
@@ -172,22 +155,3 @@ def test_an_argument_is_given_once_and_a_name_is_a_text():
     for name in ("", " ", None, 3):
         with pytest.raises(ArgumentError, match=r"^detector must be a name"):
             parse_label(name, {})
-
-
-def test_calls_are_checked_before_they_are_made():
-    def factory(clusters, *, lags=4):
-        pass
-
-    check_call("it", factory, {"clusters": 3})
-    with pytest.raises(
-        ArgumentError, match=r"^cluster is not an argument of it \(did you mean 'clusters'\?\); it takes"
-    ):
-        check_call("it", factory, {"cluster": 3})
-    with pytest.raises(ArgumentError, match=r"^it is missing a required argument: 'clusters'; it takes clusters, lags"):
-        check_call("it", factory, {})
-
-
-def test_an_error_is_described_on_one_short_line():
-    assert describe_error(ValueError("a\nb. ")) == "ValueError: a b"
-    assert describe_error(ValueError()) == "ValueError"
-    assert len(describe_error(ValueError("x" * 10**6))) < 330

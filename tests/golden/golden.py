@@ -6,8 +6,6 @@
 Both files are of the commits that changed them last. The seed is that of no published table.
 """
 
-from __future__ import annotations
-
 import argparse
 import io
 import json
@@ -49,7 +47,6 @@ def play_cell(name: str, detectors: Sequence[str], episodes: int) -> pd.DataFram
 
 
 def list_cells(suites: Iterable[str] = SUITES) -> Iterator[tuple[str, tuple[str, ...], int]]:
-    """All cells: name, detectors, episodes."""
     for name in SLOW_CELLS:
         if name.split("/")[0] in suites:
             yield name, SLOW, 1
@@ -59,7 +56,6 @@ def list_cells(suites: Iterable[str] = SUITES) -> Iterator[tuple[str, tuple[str,
 
 
 def play_rows(path: Path, suites: Iterable[str]) -> None:
-    """Play what the file lacks."""
     known = set(zip(*(pd.read_csv(path)[name] for name in KEYS[:2]), strict=True)) if path.exists() else set()
     for name, detectors, episodes in list_cells(suites):
         missing = [each for each in detectors if (name, each) not in known]
@@ -84,7 +80,6 @@ def read_answers(text: str) -> dict[str, object]:
 
 
 def make_tracks(folder: Path) -> list[Path]:
-    """Write the files of ``examples/make_tracks.py``."""
     script = FOLDER.parents[1] / "examples" / "make_tracks.py"
     subprocess.run([sys.executable, script], cwd=folder, check=True, capture_output=True)
     return sorted(folder.glob("*.csv"))
@@ -103,7 +98,6 @@ def differing_rows(old: pd.DataFrame, new: pd.DataFrame) -> list[str]:
 
 
 def run_command() -> None:
-    """Run one of the two commands."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("command", choices=["rows", "detect"])
     parser.add_argument("paths", nargs="+", type=Path)

@@ -1,7 +1,5 @@
 """Print the size of the project: ``python tests/packaging/count.py``, or ``make count``."""
 
-from __future__ import annotations
-
 import ast
 import re
 import subprocess
@@ -26,7 +24,6 @@ def code_lines(path: Path) -> int:
 
 
 def main() -> None:
-    """Print one line for each number."""
     listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
     files = [path for path in (ROOT / name for name in listed.splitlines()) if path.is_file()]
     texts = {path: path.read_text(encoding="utf-8") for path in files if path.suffix in (".py", ".md")}

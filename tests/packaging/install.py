@@ -73,7 +73,6 @@ def check_lowest(folder: Path, python: Path) -> None:
 
 
 def main() -> None:
-    """Make the environment in a temporary folder."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name).resolve()
         call(sys.executable, "-m", "venv", folder / "venv")
