@@ -5,8 +5,9 @@
 
 from __future__ import annotations
 
+import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -198,7 +199,7 @@ def draw_timeline(
             axes.plot(stars, [row[name]] * len(stars), "*", color="white", markersize=7, markeredgewidth=0)
     axes.set_yticks(range(len(ids)), _shorten_names(ids), fontsize=8)
     ticks = np.unique(np.linspace(0, len(starts) - 1, min(len(starts), 6)).astype(int))
-    axes.set_xticks(ticks, [str(starts[k]) for k in ticks], fontsize=8)
+    axes.set_xticks(ticks, _write_times(starts[k] for k in ticks), fontsize=8)
     axes.set(xlim=(0, len(starts)), ylim=(len(ids) - 0.4, -0.6), xlabel="start of the window")
     patches = [axes.barh([0], 0, color=color, label=str(head)) for head, color in list(colors.items())[:9]]
     if patches:
@@ -248,7 +249,7 @@ def draw_probabilities(table: pd.DataFrame, colors: Mapping[Id, str], ax: Any = 
             style |= {"color": "black", "linestyle": ":"} if name is None else {"color": colors[name]}
         axes.plot(x, table[name], marker=".", **style)
     ticks = np.unique(np.linspace(0, len(table) - 1, min(len(table), 6)).astype(int))
-    axes.set_xticks(ticks, [str(table.index[k]) for k in ticks], fontsize=8)
+    axes.set_xticks(ticks, _write_times(table.index[ticks]), fontsize=8)
     axes.set(ylim=(-0.03, 1.03), xlim=(0, len(table)), xlabel="start of the window", ylabel="p")
     axes.set_title("Probability to lead (grey: ids that lead in no window)", fontsize=10)
     if axes.get_legend_handles_labels()[0]:
@@ -269,6 +270,11 @@ def _make_axes(ax: Any, width: float, height: float, box: Any = None) -> tuple[F
 def _place_on_circle(points: int) -> Any:
     angle = np.pi / 2 - 2 * np.pi * np.arange(points) / max(points, 1)
     return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def _write_times(times: Iterable[Any]) -> list[str]:
+    """Times of the file for an axis: those in ISO 8601 have two lines, the day and the time of day."""
+    return [re.sub(r"(\d)T(\d.*)Z$", r"\1\n\2", str(time)) for time in times]
 
 
 def _shorten_names(names: Any) -> list[str]:

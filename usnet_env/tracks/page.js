@@ -126,6 +126,13 @@ function drawLines(canvas, x, lines, low, high, xLabels, marks) {
   context.lineWidth = 1;
 }
 
+/** Seconds in a unit that reads well, as choose_unit does in Python. */
+function writeTime(seconds) {
+  const units = [["days", 86400, 2], ["h", 3600, 2], ["min", 60, 10]];
+  const [unit, size] = units.find(([, size, least]) => Math.abs(seconds) >= least * size) || ["s", 1];
+  return `${size === 1 ? seconds : Number((seconds / size).toPrecision(3))} ${unit}`;
+}
+
 /** How the velocity of a follower, or of all followers of a leader, repeats that of the leader. */
 function drawLags() {
   const link = windowAt(instant).links.find((each) => each.follower === chosen);
@@ -138,7 +145,7 @@ function drawLags() {
     color: [Number(i), leader].includes(chosen) ? data.colors[leader] : GREY, values, wide: Number(i) === chosen,
   }));
   const marks = [{ vertical: true, value: 0 }, { value: chance, dash: [4, 4] }];
-  const ends = [lags[0], lags[lags.length - 1]].map((seconds) => `${seconds} s`);
+  const ends = [lags[0], lags[lags.length - 1]].map(writeTime);
   drawLines(lagChart, lags, lines.sort((a, b) => a.wide - b.wide), -1, 1, ends, marks);
   find("lag-title").textContent =
     `Correlation with the velocity of ${data.ids[leader]}, by the time after it (dashed: at most by chance)`;
@@ -164,8 +171,8 @@ function describe() {
   const behind = now.links.filter((each) => each.head === chosen).length;
   if (now.leaders.includes(chosen)) return `${name} leads ${behind} id${behind === 1 ? "" : "s"} ${during}.`;
   if (!link) return now.end === "" ? `${name}: this time is in no window.` : `${name} follows no leader ${during}.`;
-  const late = link.delay === null ? "" : ` ${link.delay} s later`;
-  const range = link.low === null || link.delay === null ? "" : ` (95 %: ${link.low} to ${link.high} s)`;
+  const late = link.delay === null ? "" : ` ${writeTime(link.delay)} later`;
+  const range = link.low === null || link.delay === null ? "" : ` (95 %: ${writeTime(link.low)} to ${writeTime(link.high)})`;
   return `${name} follows ${data.ids[link.leader]}${link.direct ? "" : ", directly or not,"}${late}${range} ${during}.`;
 }
 
@@ -229,4 +236,4 @@ chanceChart.onclick = (event) => {
   if (data.window_of.includes(wanted)) show(data.window_of.indexOf(wanted));
 };
 window.addEventListener("resize", drawAll);
-show(data.begin);
+show(Math.max(data.begin, data.times.findIndex((_, t) => data.ids.every((_, i) => seenAt(i, t)))));
