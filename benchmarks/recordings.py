@@ -30,7 +30,7 @@ from zlib import crc32
 import numpy as np
 import pandas as pd
 from paper.shared import RESULTS, ROOT, read_rows, write_rows
-from pivot import mean, median, pivot
+from pivot import fold, mean, median, pivot
 
 from usnet_env import make_detector
 from usnet_env.objectives import find_roots
@@ -46,8 +46,8 @@ MOST, LARGEST = 6, 2**22  # windows of a recording; bytes of a file
 FRAMES, ARENA = 30, 145.0  # a second; mm that both animals together cross
 APART = {"Rs": 7.0, "Cf": 10.0}  # mm, the size of an animal with its antennae
 TITLES = {
-    "Rs": "Termites, *Reticulitermes speratus*: a female and the male behind her",
-    "Cf": "Termites, *Coptotermes formosanus*: a female and the male behind her",
+    "Rs": "Termites, <i>Reticulitermes speratus</i>: a female and the male behind her",
+    "Cf": "Termites, <i>Coptotermes formosanus</i>: a female and the male behind her",
     "platoons": "Cars: platoons of 4 to 11, whose first car has a track",
     "platoons-unseen": "Cars: platoons whose first car has no track; the first one with a track counts as their leader",
 }
@@ -145,8 +145,7 @@ def report(rows: pd.DataFrame) -> str:
     columns["seconds"] = median("seconds")
     rows = rows.sort_values("detector", key=lambda names: names.map(DETECTORS.index), kind="stable")
     lines = {"detector": "detector", "weights": "weights"}
-    tables = {name: pivot(rows[rows["set"] == name], lines, columns) for name in TITLES}
-    return "\n\n".join(f"### {TITLES[name]}\n\n{table}" for name, table in tables.items())
+    return "\n\n".join(fold(title, pivot(rows[rows["set"] == name], lines, columns)) for name, title in TITLES.items())
 
 
 def main(argv: list[str] | None = None) -> None:

@@ -31,7 +31,7 @@ import recordings
 import scenarios
 import track_links
 from paper.shared import RESULTS, ROOT, make_parser, read_rows
-from pivot import CellFormatter, across, markdown, mean, median, pivot, rate, size
+from pivot import CellFormatter, across, fold, markdown, mean, median, pivot, rate, size
 
 from usnet_env.evaluation import list_suites
 from usnet_env.files import write_text
@@ -159,7 +159,7 @@ def readme_block() -> str:
             "windows of the same prior, though fewer, without any feature of a pair of UAVs.",
             markdown(heads, body),
             "**Recorded tracks**: how many of the leaders each detector names, and how many of the ids that it names "
-            "are leaders. [Sources, intervals, more detectors](docs/results/tracks.md).",
+            "are leaders, in all windows together. [Sources, intervals, more detectors](docs/results/tracks.md).",
             recorded_block(),
         ]
     )
@@ -219,7 +219,7 @@ def tracks_block() -> str:
     }
     for name, part in rows[rows.chosen == 1].groupby("set", sort=False):
         steps = f"{part.step.min():g} to {part.step.max():g} s, chosen from each file"
-        parts += [f"## {titles[name]}; step {steps}", pivot(part, DETECTOR, columns)]
+        parts.append(fold(f"{titles[name]}; step {steps}", pivot(part, DETECTOR, columns)))
     return "\n\n".join(parts)
 
 
@@ -285,6 +285,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "rounds": paper_tables.rounds_block,
     "purity": paper_tables.purity_block,
     "tracks": tracks_block,
+    "recorded": recorded_block,
     "track-links": lambda: track_links.report(read_rows(track_links.ROWS)),
     "recordings": lambda: recordings.report(read_rows(recordings.ROWS)),
     "speed": speed_block,

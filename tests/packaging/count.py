@@ -35,10 +35,12 @@ def main() -> None:
         lines = sum(texts[path].count("\n") for path in paths)
         print(f"{part:12}{lines:8}{sum(map(code_lines, paths)):8}")
     pages = [path for path in texts if path.suffix == ".md" and path.is_relative_to(ROOT / "docs")]
-    words = {path: len(re.findall(r"\S*\w\S*", texts[path])) for path in pages}  # the bars of tables are none
-    written = sum(count for path, count in words.items() if not path.is_relative_to(ROOT / "docs/results"))
+    words, shown = (
+        sum(len(re.findall(r"\S*\w\S*", re.sub(hidden, "", texts[path]))) for path in pages)  # no bars of tables
+        for hidden in (r"(?!)", r"(?s)<details>.*?</details>")
+    )
     packages = [texts[path] for part in PARTS[:2] for path in sources[part]]
-    print(f"words of pages: {sum(words.values())}, without docs/results {written}")
+    print(f"words of pages: {shown}, and {words - shown} that a click opens")
     print(f"raise ArgumentError: {sum(text.count('raise ArgumentError') for text in packages)}")
     print(f"checkout: {sum(path.stat().st_size for path in files) / 1e6:.1f} MB")
     long = [path for path, text in texts.items() if path.suffix == ".py" and text.count("\n") > LONGEST_FILE]
