@@ -224,7 +224,7 @@ def report(rows: pd.DataFrame) -> str:
         return lambda part: f"{part.groupby('cell')[list(metrics)].mean().max().max():.2f}"
 
     led = rows[rows.heads > 0]
-    columns = {"led cells": lambda part: str(part["cell"].nunique()), "given away": count(*VIEWS)}
+    columns = {"cells with leaders": lambda part: str(part["cell"].nunique()), "given away": count(*VIEWS)}
     columns |= {"by one track": count("track"), "highest AUC of one track": highest("auc_track")}
     columns |= {"by positions": count("first", "last"), "highest AUC of positions": highest("auc_first", "auc_last")}
     columns["highest share of strange heads named"] = highest("strange_heads")

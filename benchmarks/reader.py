@@ -201,6 +201,7 @@ def report(rows: pd.DataFrame, study: str) -> str:
     columns = {name: partial(lambda say, part: say(part.drop_duplicates(KEYS)), say) for name, say in columns.items()}
     columns["calibration error"] = measure_calibration
     by_level = rows.sort_values("level", ascending=False, kind="stable")
+    rows = rows.replace({"leads": {"nobody": "no UAV"}})
     tables = (rows, {"set": "set", "leads": "leads"}), (rows, {"leads": "leads"}), (by_level, {"confidence": "level"})
     parts = [pivot(part, lines, columns) for part, lines in tables]
     is_law = {label: rows.set.isin(sets) for label, sets in LAWS.items()}

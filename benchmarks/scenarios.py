@@ -182,7 +182,7 @@ SCENARIOS: dict[str, tuple[Callable[..., Flight], float, float, float]] = {
 }
 CONFOUNDS = ("0 hidden driver", "0 same route")
 STAGES = ("named", "confirmed")
-AIMS = ("led (aim .97; .05)", "a driver or a route (aim .10)", "nobody leads (aim .05)")
+AIMS = ("some id leads (aim .97; .05)", "a driver or a route (aim .10)", "no id leads (aim .05)")
 
 
 def read_file(scenario: str, file: int, seed: int) -> Tracks:

@@ -29,7 +29,7 @@ _MAX_ROWS, _MAX_NAMES = 40, 6  # of a table that is printed; ids in a row
 _COLUMN = "Name of a column; without NAME, the role is left out. May be repeated."
 _HEADER = "Names of the columns, with commas, of a file without them in row 1."
 _LENGTH = "Unit of x, y and z; of z only if positions are degrees.  [default: m]"
-_DUPLICATES = "Of several places of an id at one time, keep one.  [default: error]"
+_DUPLICATES = "Which one to keep of several positions of an id at one time.  [default: error]"
 _FOLLOW = "Read lines of a CSV from standard input, TRACKS -, as they come, and print what changes; needs --step."
 _SIZE = "MiB to which a file of gzip, zip or NumPy may unpack."
 _EXAMPLES = """
@@ -86,7 +86,7 @@ def _parse_position(context: click.Context, option: click.Parameter, words: str 
 @click.option("--length-unit", type=click.Choice(["m", "cm", "mm", "km", "ft", "px"]), help=_LENGTH)
 @click.option("--duplicates", type=click.Choice(["error", "first", "mean"]), default="error", help=_DUPLICATES)
 @click.option("--skip-missing", "missing", flag_value="skip", default="refuse", help="Skip rows that can't be read.")
-@click.option("--missing", "missing_place", callback=_parse_position, metavar="X,Y", help="A place that means no fix.")
+@click.option("--missing", "missing_place", callback=_parse_position, metavar="X,Y", help="Position that means no fix.")
 @click.option("--min-confidence", type=float, help="Skip rows with a smaller confidence, likelihood or score.")
 @click.option("--split-gap", type=PositiveNumber(), help="Seconds; after a longer gap, the id counts as a new one.")
 @click.option("--pool", is_flag=True, help="Files are recordings of the same ids, each with its own time.")

@@ -41,6 +41,10 @@ _STRATEGY_WORDS = {  # what a follow strategy is
     "weak": "followers copy their head weakly",
     "late": "followers copy their head after 10 steps or more",
 }
+_GRAMMARS = {
+    "open": "laws composed of parts, with constants drawn at random: how the head is heard, and what is copied",
+    "second": "laws of another grammar, likewise: how the head is seen, what is answered, and when",
+}
 _RECOMMENDED, _MAX_COMPARED = "reader", 10_000  # the limit of detectors that compare UAVs
 _NAMES = ("envs", "detectors", *_REGISTRIES, "suites")
 
@@ -74,7 +78,13 @@ def _describe_parts(part: str) -> dict[str, str]:
 
         return dict(describe_environments())
     rows = _describe_registry("detector" if part == "detectors" else part)
-    return rows | {"none": "no UAV follows: followers fly like heads (a control)"} if part == "follow" else rows
+    if part != "follow":
+        return rows
+    for grammar, text in _GRAMMARS.items():  # many laws on one line
+        laws = [name for name in rows if name.startswith(f"{grammar}-")]
+        rows = {name: line for name, line in rows.items() if name not in laws}
+        rows[f"{laws[0]} to {laws[-1]}"] = text
+    return rows | {"none": "no UAV follows: followers fly like heads (a control)"}
 
 
 def _describe_registry(argument: str) -> dict[str, str]:
@@ -87,7 +97,7 @@ def _describe_registry(argument: str) -> dict[str, str]:
         modules[argument].load()
     (registry,) = [registry for registry in REGISTRIES.values() if registry.argument == argument]
     rows, words = {}, _STRATEGY_WORDS if argument == "follow" else {}
-    for name in sorted(registry) if argument == "detector" else registry:
+    for name in sorted(registry, key=lambda name: (name != _RECOMMENDED, name)) if argument == "detector" else registry:
         try:
             part = registry[name]
             texts = words.get(name.removesuffix("-led")), getattr(part, "description", "")
