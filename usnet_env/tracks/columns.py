@@ -156,14 +156,11 @@ def choose_columns(
     time = "frame" if "frame" in chosen and ("frame" in mapped or "t" not in chosen) else "t"
     needed = ["id", time, *plane, *["confidence"] * confidence]
     chosen = {role: name for role, name in chosen.items() if role in (*needed, "z", "leader")}
-    rule, names = "", list(chosen.values())
-    if missing := [role for role in needed if role not in chosen and not (one_id and role == "id")]:
-        if any(map(is_number, header)):
-            first = quote(" ".join(header)[:80])
-            hint = f"header=, or --columns, names its {len(header)} columns in order: id, t or frame, x, y, and others"
-            raise ArgumentError(f"row 1 of {source} must name its columns, got values: {first} ({hint}).")
-    elif len(set(names)) < len(names) or any(header.count(name) != 1 for name in names):
-        rule = f"give each role a column that {source} has once"
+    missing = [role for role in needed if role not in chosen and not (one_id and role == "id")]
+    if missing and any(map(is_number, header)):
+        first = quote(" ".join(header)[:80])
+        hint = f"header=, or --columns, names its {len(header)} columns in order: id, t or frame, x, y, and others"
+        raise ArgumentError(f"row 1 of {source} must name its columns, got values: {first} ({hint}).")
     listed = list_names(header, _MAX_LISTED, ", …")
     if missing:
         subject = f"column of {source} is" if len(missing) == 1 else f"columns of {source} are"
@@ -171,8 +168,12 @@ def choose_columns(
         hint = " (min_confidence needs it)" if "confidence" in missing else hint
         advice = f"name {'it' if len(missing) == 1 else 'them'} with --column {missing[0]}=NAME (columns= in Python)"
         raise ArgumentError(f"which {subject} {', '.join(missing)}? It has {listed}; {advice}{hint}.")
-    if rule:
-        raise ArgumentError(f"columns (--column) must {rule}, got {quote(chosen)}; its columns are {listed}.")
+    names = list(chosen.values())
+    for role, name in chosen.items():
+        if (header.count(name), names.count(name)) != (1, 1):
+            found = f"{header.count(name) or 'no'} column{'s' * (header.count(name) > 1)} {name!r}"
+            roles = " and ".join(other for other in chosen if chosen[other] == name)
+            raise ArgumentError(f"{source} has {found} for {roles} (--column {role}=NAME); its columns are {listed}.")
     return chosen
 
 
