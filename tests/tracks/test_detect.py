@@ -170,6 +170,20 @@ def test_copies_of_copies_have_no_direct_leader():
         assert [link.delay for link in window.links] == pytest.approx([1.0, 2.5], abs=0.05)
 
 
+def test_an_id_that_copies_two_has_no_direct_leader():
+    """c follows b and d, which have motions of their own and follow a; more of b, so that b alone predicts it best."""
+    rng = np.random.default_rng(3)
+    heading, own = np.cumsum(rng.normal(0, 0.3, 650)), rng.normal(0, 0.4, (3, 650, 2))
+    path = 4 * np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    b, d = np.roll(path, 2, axis=0) + own[0], np.roll(path, 3, axis=0) + own[1]
+    c = np.roll(0.6 * b + 0.4 * d, 2, axis=0) + own[2] / 4
+    place = np.cumsum(np.stack([path, b, c, d], axis=1), axis=0)
+    tracks = Tracks.from_samples([*"abcd"] * 650, np.repeat(np.arange(650) * 0.5, 4), place.reshape(-1, 2))
+    for window in find_leaders(tracks.resample(0.5), Sure(0)).windows:
+        direct = {link.follower: link.direct for link in window.links}
+        assert direct == {"b": True, "c": False, "d": True}
+
+
 def test_ids_that_are_seen_too_little_are_named(folder, run, tmp_path):
     lines = (folder / "flock.csv").read_text().splitlines()
     kept = [line for line in lines if not (line.startswith("bird-3,") and 60 < float(line.split(",")[1]) < 140)]

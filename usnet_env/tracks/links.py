@@ -115,14 +115,14 @@ def measure_delay(
 
 
 def find_peak(curves: Floats, half: int) -> Floats:
-    """``(C,)`` indices, with fractions, of the peaks of curves ``(C, K)``.
+    """``(…)`` indices, with fractions, of the peaks of curves ``(…, K)``.
 
     A peak is that of a parabola fitted to the largest value and ``half`` ones on each side.
     """
-    top, last = curves.argmax(axis=1), curves.shape[1] - 1
+    top, last = curves.argmax(axis=-1), curves.shape[-1] - 1
     middle = top.clip(half, last - half)
     at = np.arange(-half, half + 1)
-    near = np.take_along_axis(curves, middle[:, None] + at, axis=1)
+    near = np.take_along_axis(curves, middle[..., None] + at, axis=-1)
     square = at**2 - np.mean(at**2)
     slope, bend = near @ at / (at @ at), near @ square / (square @ square)
     inner = (top == middle) & (bend < 0)
@@ -185,8 +185,7 @@ def _compare_pairs(velocity: Floats, known: Mask, lags: Indices) -> _Pairs:
         sums = _sum_products(*shift_past(velocity, velocity[:, some], known, lags))
         square, cross, gram = (each.sum(axis=0) for each in sums)
         size = np.diagonal(gram, axis1=1, axis2=2)[..., None] * square
-        curves = (cross / np.sqrt(np.maximum(size, 1e-300))).transpose(0, 2, 1)
-        peak = np.stack([find_peak(each, 1) for each in curves])
+        peak = find_peak((cross / np.sqrt(np.maximum(size, 1e-300))).transpose(0, 2, 1), 1)
         top[:, some], lag[:, some] = np.rint(peak).T, peak.T + lags[0]
         left[:, :, some] = _leave_least(sums, top[:, some].T)
     share = left.sum(axis=0) / np.maximum(square, 1e-300)[:, None]
@@ -248,12 +247,11 @@ def _add_others(velocity: Floats, known: Mask, lags: Indices, pairs: _Pairs, par
         both = np.array([parent[i], *others[:_OTHERS]])
         own, past = shift_past(velocity[:, [i]], velocity[:, both], known[:, [i]], lags)
         near = _list_taps(pairs.top[i, both], len(lags))
-        first, *more = past[np.arange(len(both))[:, None], near].reshape(*near.shape, -1)
-        basis = np.linalg.qr(first.T).Q
+        taps = past[np.arange(len(both))[:, None], near].reshape(*near.shape, -1)
+        basis = np.linalg.qr(taps[0].T).Q
         rest = own.ravel() - basis @ (own.ravel() @ basis)
-        for past_of_other in more:
-            basis_of_other = np.linalg.qr((past_of_other - past_of_other @ basis @ basis.T).T).Q
-            most[i] = max(most[i], float(((rest @ basis_of_other) ** 2).sum() / max(rest @ rest, 1e-300)))
+        added = np.linalg.qr((taps[1:] - taps[1:] @ basis @ basis.T).transpose(0, 2, 1)).Q
+        most[i] = ((rest @ added) ** 2).sum(axis=1).max(initial=0.0) / max(rest @ rest, 1e-300)
     return most
 
 
