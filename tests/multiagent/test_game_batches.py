@@ -10,6 +10,7 @@ from usnet_env import ArgumentError
 
 MORE = [
     ("observers", {"fusion": "scores", "placement": "uniform", "miss_rate": 0.1, "max_rounds": 3}),
+    ("observers", {"fusion": "majority", "observer_speed": 20.0, "sample_every": 2, "max_rounds": 3}),
     ("evasion", {"max_rounds": 3}),
     ("evasion", {"follow": "f6", "decoys": 1, "mobilities": ("gauss_markov", "straight", "alike"), "max_rounds": 3}),
 ]

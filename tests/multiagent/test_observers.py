@@ -3,6 +3,7 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.utils.env_checker import data_equivalence
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_games import SMALL, assert_single_game, small
@@ -52,6 +53,46 @@ def test_an_observer_sees_only_the_uavs_in_range():
             np.testing.assert_array_equal(seen["velocity"], truth["velocity"] * both[..., None])
             np.testing.assert_array_equal(seen["legal"], (away <= limit).any(axis=0))
             Window.from_observation(seen)
+
+
+@pytest.mark.parametrize("sample_every", [1, 3])
+def test_an_observer_flies_in_the_arena_and_sees_what_is_in_range_of_where_it_is_then(sample_every):
+    arguments = {**SMALL, "sample_every": sample_every}
+    env = usnet_observers_v0.parallel_env(**arguments, observers=2, sensing_range=300.0, observer_speed=20.0)
+    everything = usnet_observers_v0.parallel_env(**arguments, observers=1, sensing_range=1e5)
+    places = {agent: seen["place"] for agent, seen in env.reset(seed=0)[0].items()}
+    everything.reset(seed=0)
+    elapsed = 4 + sample_every * np.arange(13)[:, None]  # after the unobserved steps
+    for flight in ([0.6, 0.0, 0.1], [-1.0, 1.0, 0.0], [0.0, 0.0, 0.0]):
+        actions = {agent: np.array([*[-1.0] * 20, *flight]) for agent in env.agents}
+        observations = env.step(actions)[0]
+        truth = everything.step({"observer_0": np.zeros(20)})[0]["observer_0"]
+        for agent, seen in observations.items():
+            velocity = 20.0 * np.array(flight) / max(np.linalg.norm(flight), 1.0)
+            way = np.clip(places[agent] + elapsed * velocity, 0.0, ARENA)
+            places[agent] = seen["place"]
+            np.testing.assert_allclose(seen["place"], way[-1], rtol=1e-6)
+            near = np.linalg.norm(truth["position"] - way[:, None], axis=-1) <= 300.0
+            np.testing.assert_array_equal(seen["seen"], near)
+            np.testing.assert_array_equal(seen["position"], truth["position"] * near[..., None])
+            np.testing.assert_array_equal(seen["legal"], near.any(axis=0))
+    assert env.list_observers() is None
+
+
+@pytest.mark.parametrize(("fusion", "no_vote"), [("union", -1.0), ("majority", 0.0), ("scores", 0.0)])
+def test_observers_that_could_fly_and_stand_play_the_game_of_those_that_stand(fusion, no_vote):
+    stands, flies = (small("observers", fusion=fusion, observer_speed=speed, max_rounds=4) for speed in (0.0, 5.0))
+    seen, rng = stands.reset(seed=3)[0], np.random.default_rng(0)
+    assert data_equivalence(seen, flies.reset(seed=3)[0], exact=True)
+    while stands.agents:
+        votes = {agent: (rng.random(22) < 0.1).astype(np.int8) for agent in stands.agents}
+        answers = stands.step(votes)
+        same = {
+            agent: np.where([*vote, 0, 0, 0], [*vote, 0, 0, 0], [no_vote] * 20 + [0] * 5)
+            for agent, vote in votes.items()
+        }
+        assert data_equivalence(answers, flies.step(same), exact=True)
+    assert not flies.agents
 
 
 @pytest.mark.parametrize("sample_every", [1, 3])
@@ -153,6 +194,7 @@ def test_observers_are_in_the_arena(observers, placement):
         ("placement", "gird"),
         ("fusion", "vote"),
         ("message_size", -1),
+        ("observer_speed", -1.0),
         ("max_cycles", 0),
     ],
 )
@@ -162,9 +204,14 @@ def test_bad_arguments_are_named(name, value):
 
 
 @pytest.mark.parametrize("fusion", ["union", "scores"])
+@pytest.mark.parametrize("speed", [0.0, 5.0])
 @pytest.mark.parametrize("action", [None, np.zeros(19), np.full(20, 2), np.full(20, np.nan), ["a"] * 20])
-def test_a_wrong_vote_is_refused(fusion, action):
-    env = small("observers", fusion=fusion, message_size=0)
+def test_a_wrong_vote_or_flight_is_refused(fusion, speed, action):
+    env = small("observers", fusion=fusion, message_size=0, observer_speed=speed)
     env.reset(seed=0)
-    with pytest.raises(ArgumentError, match="action of observer_1 must"):
+    if speed and np.shape(action) == (20,):
+        action = [*[0.0] * 20, *action[:3]]
+    with pytest.raises(
+        ArgumentError, match="action of observer_1 must .* last three" if speed else "action of observer_1 must"
+    ):
         env.step({**votes(env, [(), (), ()]), "observer_1": action})

@@ -30,9 +30,11 @@ pytestmark = [pytest.mark.filterwarnings(line) for line in ADVICE]
 both_games = pytest.mark.parametrize("game", list(GAMES))
 
 
-@both_games
-def test_parallel_api_seeds_and_state(game):
-    suites.parallel_api_test(small(game), num_cycles=20)
+@pytest.mark.parametrize(
+    ("game", "arguments"), [*((game, {}) for game in GAMES), ("observers", {"observer_speed": 5.0})]
+)
+def test_parallel_api_seeds_and_state(game, arguments):
+    suites.parallel_api_test(small(game, **arguments), num_cycles=20)
     suites.seed_test(lambda: small(game, "env"), num_cycles=10)
     suites.parallel_seed_test(lambda: small(game), num_cycles=10)
     state_test(small(game, "env"), small(game), num_cycles=4)
@@ -92,7 +94,11 @@ def test_agents_in_turn_play_the_parallel_game(game):
 
 @pytest.mark.parametrize(
     ("game", "more"),
-    [("observers", {"decoys": 1}), ("observers", {"kinematics": "varied_speed"}), ("evasion", {"decoys": 1})],
+    [
+        ("observers", {"decoys": 1}),
+        ("observers", {"kinematics": "varied_speed", "observer_speed": 20.0}),
+        ("evasion", {"decoys": 1}),
+    ],
 )
 def test_observations_and_states_stay_in_their_spaces_and_are_described(game, more):
     env = small(game, **more)

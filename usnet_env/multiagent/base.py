@@ -169,7 +169,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         return ""
 
     def list_observers(self) -> Floats | None:
-        """``(K, 4)``, position and sensing range of each observer in metres; ``None`` if the observer has no place."""
+        """``(K, 4)``, position and sensing range of each observer in metres; ``None`` if it has none, or flies."""
         return None
 
 

@@ -35,7 +35,7 @@ class Policy(ABC):
         return [np.flatnonzero(mask) for mask in masks]
 
     def pad_vote(self, vote: Array) -> Array:
-        """The action of an observer: a vote of N numbers, with zeros for the message."""
+        """The action of an observer: a vote of N numbers, with zeros for the message and the flight."""
         action: Array = np.zeros(self.action_space.shape, self.action_space.dtype)
         action[: len(vote)] = vote
         return action
@@ -110,7 +110,7 @@ class DetectorObserver(Policy):
         visible = Window(window.position, window.velocity, window.seen & seen, seen, window.round, window.step)
         detection = self.detector.detect(visible)
         named, probability = detection.candidates & legal, detection.extras.get("probability")
-        if not isinstance(self.action_space, spaces.Box):
+        if not isinstance(self.action_space, spaces.Box) or self.action_space.low[0] < 0:  # not scores
             return self.pad_vote(named)
         if probability is not None:
             return self.pad_vote(np.clip(probability, 0.0, 1.0))

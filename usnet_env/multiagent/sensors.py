@@ -9,7 +9,7 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from usnet_env.arrays import Floats, Mask
+from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.swarm import ObservationBatch, SwarmConfig
 from usnet_env.swarm.config import Few, Metres, Price, Rate
@@ -25,6 +25,7 @@ class SensorConfig(Config):
     miss_rate: Rate | Sequence[Rate] = Field(0.0, description="probability of a missed detection in range; likewise")
     placement: Literal["grid", "uniform"] = Field("grid", description="places of the observers: ``grid``, ``uniform``")
     message_size: Few = Field(0, description="B, how many numbers each observer sends to all others in a round")
+    observer_speed: Metres = Field(0.0, description="top speed of the observers, metres per step; 0: they stand")
 
     @model_validator(mode="after")
     def _check_lengths(self) -> Self:
@@ -52,6 +53,20 @@ class SensorConfig(Config):
         """The positions of the observers in an episode, ``(K, 3)`` metres, on a grid or uniform in the arena."""
         grid = self.placement == "grid"
         return _find_grid(self.observers) if grid else rng.uniform(0.0, ARENA, (self.observers, 3))
+
+
+def fly_observers(place: Floats, velocity: Floats, steps: Indices) -> Floats:
+    """Where observers are after some steps ``(T,)``; at the border of the arena they fly along it.
+
+    Args:
+        place: ``(..., 3)`` metres, where they begin.
+        velocity: ``(..., 3)`` metres per step.
+        steps: numbers of steps.
+
+    Returns:
+        ``(..., T, 3)`` metres.
+    """
+    return np.clip(place[..., None, :] + steps[:, None] * velocity[..., None, :], 0.0, ARENA)
 
 
 def merge_sightings(sightings: Sequence[ObservationBatch], sample_every: int) -> ObservationBatch:

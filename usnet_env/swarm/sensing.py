@@ -71,7 +71,8 @@ def sense(
         alive: ``(B, N)`` bool.
         rngs: one generator per observer; none is used if no sensor has faults.
         free: for each swarm its free UAVs, ``(B, n)`` or ``(B,)`` of arrays; the last are false tracks.
-        observer_position: ``(R, 3)`` metres, where the observers are, if there is a limit of what they see.
+        observer_position: ``(R, T_ob + 1, 3)`` metres, where the observers are at each instant, or ``(R, 1, 3)`` if
+            they stand; if there is a limit of what they see.
         reach: ``(R,)`` metres, this limit.
         first: the instant of the flight at which the window begins.
     """
@@ -113,7 +114,7 @@ def sense(
     shown = [np.empty((observers, length, 3 * uavs), np.float32) for length in (instants, instants - 1)]
     flown = [np.ascontiguousarray(track).reshape(*track.shape[:2], -1) for track in (position, velocity)]
     if reach is None:
-        observer_position, reach = np.zeros((observers, 3)), np.full(observers, np.inf)
+        observer_position, reach = np.zeros((observers, 1, 3)), np.full(observers, np.inf)
     limits = observer_position, reach
     sensing_kernels.observe(first, k, sensors, noisy, noise, differs, *limits, *flown, seen, *shown)
     seen_position, seen_velocity = (track.reshape(observers, -1, uavs, 3) for track in shown)

@@ -104,8 +104,9 @@ def observe(
     coordinates are seen. ``sensors`` ``(R, 4)`` float32 are the memory of the noise, the course noise minus 1, the
     bound and the scale. ``noisy`` ``(R,)`` are the rows of ``noise`` ``(n, T + 1, 3 N)``, which is changed in place,
     or -1. Velocities of observers that ``differs`` ``(R,)`` marks are differences of positions, the others
-    true ones. Observers at ``observer`` ``(R, 3)`` see as far as ``reach`` ``(R,)``; what is too far is taken out of
-    ``seen`` ``(R, T + 1, N)``. ``position`` ``(R, T + 1, 3 N)`` and ``velocity`` ``(R, T, 3 N)`` are filled.
+    true ones. Observers at ``observer`` ``(R, T + 1, 3)``, or ``(R, 1, 3)`` if they stand, see as far as ``reach``
+    ``(R,)``; what is too far is taken out of ``seen`` ``(R, T + 1, N)``. ``position`` ``(R, T + 1, 3 N)`` and
+    ``velocity`` ``(R, T, 3 N)`` are filled.
     Loops over all coordinates become vector instructions, and so does a bitwise and with a mask, which hides a number.
     """
     instants, uavs = seen.shape[1], seen.shape[2]
@@ -115,10 +116,11 @@ def observe(
     flat = mask.reshape(-1)
     shown, shown_way = position.view(np.int32), velocity.view(np.int32)
     for r in range(len(seen)):
-        b, near, far = r // each, observer[r], reach[r] * reach[r]
+        b, far = r // each, reach[r] * reach[r]
         sees = seen[r].reshape(-1)
         for m in range(len(sees) if far < np.inf else 0):
-            now, i = true_position[b, first + m // uavs * every], m % uavs * 3
+            t, i = m // uavs, m % uavs * 3
+            now, near = true_position[b, first + t * every], observer[r, t % observer.shape[1]]
             dx, dy, dz = now[i] - near[0], now[i + 1] - near[1], now[i + 2] - near[2]
             sees[m] &= dx * dx + dy * dy + dz * dz <= far
         for m in range(len(sees)):
