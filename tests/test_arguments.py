@@ -122,7 +122,7 @@ def try_value(call, valid, argument, value):
     except (ArgumentError, TypeError, ValueError) as error:
         names = (argument_name, *RELATED.get(argument_name, ()))
         named = any(re.search(rf"(?<!\w){re.escape(name)}(?!\w)", str(error)) for name in names)
-        named |= str(error).startswith(f"{value}: ")  # a file
+        named |= str(error).startswith(f"{usnet_env.config.printable(value)}: ")  # a file
         return "refused" if named and len(str(error)) < 2500 else f"{type(error).__name__}: {str(error)[:200]}"
     return "taken"
 

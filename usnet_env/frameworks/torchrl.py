@@ -87,8 +87,8 @@ class GamesEnv(_Batch):
 
     Each role is a group of n agents, which keep their rows until their game is over. Its entries are ``observation``
     ``(B, n, F)``, ``action`` ``(B, n)``, ``action_mask`` ``(B, n, A)``, ``active`` ``(B, n, 1)``, which agents play,
-    and ``reward`` ``(B, n, 1)``. An observer names one UAV by its index, or nobody by N. The choices of a head are
-    numbered together, the last one varying fastest. ``state`` ``(B, S)`` is Markov, for critics.
+    and ``reward`` ``(B, n, 1)``. An observer names one UAV by its index, or none by N, and doesn't fly. The choices of
+    a head are numbered together, the last one varying fastest. ``state`` ``(B, S)`` is Markov, for critics.
 
     Args:
         game: ``usnet_observers_v0`` or ``usnet_evasion_v0``.

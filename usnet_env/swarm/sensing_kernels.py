@@ -118,11 +118,11 @@ def observe(
     for r in range(len(seen)):
         b, far = r // each, reach[r] * reach[r]
         sees = seen[r].reshape(-1)
-        for m in range(len(sees) if far < np.inf else 0):
-            t, i = m // uavs, m % uavs * 3
+        for t in range(instants if far < np.inf else 0):
             now, near = true_position[b, first + t * every], observer[r, t % observer.shape[1]]
-            dx, dy, dz = now[i] - near[0], now[i + 1] - near[1], now[i + 2] - near[2]
-            sees[m] &= dx * dx + dy * dy + dz * dz <= far
+            for i in range(uavs):
+                dx, dy, dz = now[3 * i] - near[0], now[3 * i + 1] - near[1], now[3 * i + 2] - near[2]
+                seen[r, t, i] &= dx * dx + dy * dy + dz * dz <= far
         for m in range(len(sees)):
             flat[3 * m] = flat[3 * m + 1] = flat[3 * m + 2] = -1 if sees[m] else 0
         for t in range(instants):
