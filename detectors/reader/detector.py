@@ -25,7 +25,7 @@ _DECIMALS = 6  # of a probability: smaller differences are rounding errors, and 
 
 
 class Reader(Detector):
-    """Names heads by a network that was trained with labels on 56 families of simulated windows.
+    """Names heads by a network that was trained with labels on 57 families of simulated windows.
 
     f1 to f7 and the laws of the suite ``open`` are no families. The network reads statistics of every ordered pair of
     UAVs, and needs no PyTorch. More than 200 UAVs are read in neighbourhoods of UAVs that move alike.
