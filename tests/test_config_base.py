@@ -124,8 +124,8 @@ def test_quote_is_one_line_and_short(text):
 
 
 def test_unknown_name_lists_the_known_and_hints_at_the_nearest():
-    sentence = "metric must be one of J, rounds, got 'j' (did you mean 'J'?)."
-    assert str(unknown_name("metric", "j", ["rounds", "J"])) == sentence
+    sentence = "metric must be one of J, rounds, got 'ROUND' (did you mean 'rounds'?)."
+    assert str(unknown_name("metric", "ROUND", ["rounds", "J"])) == sentence
     assert str(unknown_name("follow", None, ["f1"])) == "follow must be one of f1, got None."
 
 
