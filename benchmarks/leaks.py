@@ -36,17 +36,17 @@ from usnet_env.evaluation import list_suites, load_suite
 from usnet_env.evaluation.play import episode_seeds
 
 ROWS = shared.RESULTS / "leaks.csv.gz"
-FEWEST, TRACKS, MOST = 48, 3000, 240_000  # swarms of a cell, at least; tracks of a cell, at least and at most
-DIFFERENT = 100  # up to so many UAVs, each strange track is of another swarm; else only of another cluster
-FOLDS, LEARNED = 5, 20_000  # parts of the cross-validation; tracks that a classifier learns from, at most
-LAGS, NEAR = (1, 2, 3, 4, 6, 8, 12, 16), (1, 2, 3, 5, 8, 12, 20)
+MIN_SWARMS, MIN_TRACKS, MAX_TRACKS = 48, 3000, 240_000  # of a cell
+MAX_DISTINCT = 100  # up to so many UAVs, each strange track is of another swarm; else only of another cluster
+FOLDS, MAX_LEARNED = 5, 20_000  # parts of the cross-validation; tracks that a classifier learns from, at most
+LAGS, NEIGHBOURS = (1, 2, 3, 4, 6, 8, 12, 16), (1, 2, 3, 5, 8, 12, 20)
 VIEWS = ("track", "first", "last")  # what a classifier sees: one track, positions at the first or last instant
-AUCS, GIVEN_AWAY = [f"auc_{view}" for view in VIEWS], 0.7  # a cell with a higher mean AUC is given away
+AUCS, LEAK_AUC = [f"auc_{view}" for view in VIEWS], 0.7  # a cell with a higher mean AUC is given away
 READER = "reader(policy='map')"
 MODEL = {"max_iter": 60, "max_leaf_nodes": 12, "max_bins": 63, "random_state": 0}
 
 
-class Flown(NamedTuple):
+class ObservedSwarms(NamedTuple):
     """The first windows of a cell's swarms, all with N UAVs, and what each UAV is.
 
     Args:
@@ -62,15 +62,15 @@ class Flown(NamedTuple):
     cluster: Indices
 
 
-def fly(env: Any, seed: int, swarms: int) -> Flown:
+def observe_swarms(env: Any, seed: int, swarms: int) -> ObservedSwarms:
     """Observe the first windows of so many swarms."""
     windows, states = [], []
     for swarm in range(swarms):
         windows.append(Window.from_observation(env.reset(seed=episode_seeds(seed, swarm)[0])[0]))
         states.append(env.swarm)
     roles = ("head", "decoy", "not_led", "root")
-    head, decoy, other, root = (np.stack([getattr(state, name) for state in states]) for name in roles)
-    return Flown(windows, head, head + 2 * decoy + 3 * other, root)
+    head, decoy, not_led, root = (np.stack([getattr(state, name) for state in states]) for name in roles)
+    return ObservedSwarms(windows, head, head + 2 * decoy + 3 * not_led, root)
 
 
 def describe_tracks(window: Window) -> Floats:
@@ -90,13 +90,13 @@ def describe_tracks(window: Window) -> Floats:
 
 def describe_positions(position: Floats) -> Floats:
     """Distances of each UAV ``(N, 3)`` to its k-th neighbour, to the middle of k neighbours, and of all, ``(N, F)``."""
-    near = np.minimum(NEAR, len(position) - 1)
-    distance, who = KDTree(position).query(position, near.max() + 1)
-    middles = [position[who[:, : k + 1]].mean(axis=1) for k in near] + [position.mean(axis=0)]
-    return np.column_stack([distance[:, near], *(np.linalg.norm(position - middle, axis=1) for middle in middles)])
+    ranks = np.minimum(NEIGHBOURS, len(position) - 1)
+    distance, nearest = KDTree(position).query(position, ranks.max() + 1)
+    middles = [position[nearest[:, : k + 1]].mean(axis=1) for k in ranks] + [position.mean(axis=0)]
+    return np.column_stack([distance[:, ranks], *(np.linalg.norm(position - middle, axis=1) for middle in middles)])
 
 
-def describe(window: Window) -> dict[str, Floats]:
+def describe_window(window: Window) -> dict[str, Floats]:
     """What each classifier sees of the UAVs, ``(N, F)``; samples that were missed are filled in."""
     filled = fill_gaps(window)
     tracks = np.column_stack([describe_tracks(filled), window.seen.mean(axis=0)])
@@ -107,92 +107,92 @@ def describe(window: Window) -> dict[str, Floats]:
 def classify(numbers: Floats, head: Mask) -> Floats:
     """Scores ``(S, N)`` of ``(S, N, F)`` numbers, each by a classifier that learned from other swarms."""
     columns, truth, score = numbers.reshape(head.size, -1), head.ravel(), np.zeros(head.size)
-    for learn, ask in GroupKFold(FOLDS).split(columns, groups=np.repeat(np.arange(len(head)), head.shape[1])):
-        chosen = learn[:: -(-len(learn) // LEARNED)]
+    for train, test in GroupKFold(FOLDS).split(columns, groups=np.repeat(np.arange(len(head)), head.shape[1])):
+        thinned = train[:: -(-len(train) // MAX_LEARNED)]
         model = HistGradientBoostingClassifier(**MODEL)
-        score[ask] = model.fit(columns[chosen], truth[chosen]).predict_proba(columns[ask])[:, 1]
+        score[test] = model.fit(columns[thinned], truth[thinned]).predict_proba(columns[test])[:, 1]
     return score.reshape(head.shape)
 
 
-def judge(flown: Flown) -> list[dict[str, Any]]:
+def classify_swarms(observed: ObservedSwarms) -> list[dict[str, Any]]:
     """What classifiers tell of each swarm; nothing where no UAV leads."""
-    found: list[dict[str, Any]] = [{} for _ in flown.windows]
-    if not flown.head.any():
-        return found
-    seen = [describe(window) for window in flown.windows]
+    rows: list[dict[str, Any]] = [{} for _ in observed.windows]
+    if not observed.head.any():
+        return rows
+    views = [describe_window(window) for window in observed.windows]
     for view in VIEWS:
-        scores = classify(np.stack([numbers[view] for numbers in seen]), flown.head)
-        for row, head, score, role in zip(found, flown.head, scores, flown.role, strict=True):
+        scores = classify(np.stack([numbers[view] for numbers in views]), observed.head)
+        for row, head, score, role in zip(rows, observed.head, scores, observed.role, strict=True):
             if head.any():
                 row[f"auc_{view}"] = roc_auc_score(head, score)
                 row[f"all_{view}"] = int(head[np.argsort(-score)[: head.sum()]].all())
             if head.any() and view == "track" and (role == 2).any():
                 row["auc_without_decoys"] = roc_auc_score(head[role != 2], score[role != 2])
-    return found
+    return rows
 
 
-def meet_strangers(flown: Flown, swarm: int) -> tuple[Window, Indices]:
+def meet_strangers(observed: ObservedSwarms, swarm: int) -> tuple[Window, Indices]:
     """A window of strange tracks with the roles of a swarm, and their roles ``(n,)``; n < N if too few are strange."""
-    rng, size = np.random.default_rng(swarm), flown.role.shape
+    rng, size = np.random.default_rng(swarm), observed.role.shape
     origin = np.repeat(np.arange(size[0]), size[1])
-    group = origin if size[0] >= size[1] else origin * (size[1] + 1) + flown.cluster.ravel() + 1
+    group = origin if size[0] >= size[1] else origin * (size[1] + 1) + observed.cluster.ravel() + 1
     chosen: list[int] = []
     for role in (1, 2, 3, 0):  # of the last there are enough
-        tracks = np.flatnonzero((flown.role.ravel() == role) & ~np.isin(group, group[chosen]))
+        tracks = np.flatnonzero((observed.role.ravel() == role) & ~np.isin(group, group[chosen]))
         tracks = rng.permutation(tracks)
-        strange = rng.permutation(tracks[np.unique(group[tracks], return_index=True)[1]])
-        chosen += list(strange[: (flown.role[swarm] == role).sum()])
-    at = [divmod(track, size[1]) for track in rng.permutation(chosen)]
+        candidates = rng.permutation(tracks[np.unique(group[tracks], return_index=True)[1]])
+        chosen += list(candidates[: (observed.role[swarm] == role).sum()])
+    picks = [divmod(track, size[1]) for track in rng.permutation(chosen)]
     arrays = [
-        np.stack([getattr(flown.windows[s], name)[:, i] for s, i in at], axis=1)
+        np.stack([getattr(observed.windows[s], name)[:, i] for s, i in picks], axis=1)
         for name in ("position", "velocity", "seen")
     ]
-    return Window(*arrays, np.ones(len(at), bool)), np.array([flown.role[each] for each in at])
+    return Window(*arrays, np.ones(len(picks), bool)), np.array([observed.role[pick] for pick in picks])
 
 
-def read_strangers(flown: Flown) -> list[dict[str, Any]]:
+def read_strangers(observed: ObservedSwarms) -> list[dict[str, Any]]:
     """Which shares of heads' and of followers' tracks the reader names in each window of strangers."""
-    reader, found = make_detector(READER), []
-    for swarm in range(len(flown.windows)):
-        window, role = meet_strangers(flown, swarm)
+    reader, rows = make_detector(READER), []
+    for swarm in range(len(observed.windows)):
+        window, role = meet_strangers(observed, swarm)
         reader.reset(swarm)
         named = reader.detect(window).candidates
         kinds = {"heads": named[role == 1], "followers": named[role == 0]}
-        found.append({f"strange_{kind}": part.mean() for kind, part in kinds.items() if len(part)})
-    return found
+        rows.append({f"strange_{kind}": part.mean() for kind, part in kinds.items() if len(part)})
+    return rows
 
 
 def play(game: Game, swarms: int | None = None) -> list[dict[str, Any]]:
     """Fly the swarms of a cell; one row a swarm, with a window of strangers."""
     suite, env = load_suite(game["suite"]), shared.open_cell(game["suite"], game["cell"])
     uavs = env.config.uavs
-    needed = max(FEWEST, TRACKS // uavs, uavs if uavs <= DIFFERENT else 0)
-    flown = fly(env, suite.tuning_seed, swarms or min(needed, MOST // uavs))
+    default = max(MIN_SWARMS, MIN_TRACKS // uavs, uavs if uavs <= MAX_DISTINCT else 0)
+    observed = observe_swarms(env, suite.tuning_seed, swarms or min(default, MAX_TRACKS // uavs))
     metrics = [*AUCS, *(f"all_{view}" for view in VIEWS), "auc_without_decoys", "strange_heads", "strange_followers"]
-    rows = zip(flown.head, judge(flown), read_strangers(flown), strict=True)
+    rows = zip(observed.head, classify_swarms(observed), read_strangers(observed), strict=True)
     return [
-        {**game, "episode": swarm, "uavs": uavs, "heads": head.sum(), **dict.fromkeys(metrics), **told, **strange}
-        for swarm, (head, told, strange) in enumerate(rows)
+        {**game, "episode": swarm, "uavs": uavs, "heads": head.sum(), **dict.fromkeys(metrics), **scores, **named}
+        for swarm, (head, scores, named) in enumerate(rows)
     ]
 
 
-def show(*metrics: str, scale: int = 1, digits: int = 2) -> CellFormatter:
+def format_means(*metrics: str, scale: int = 1, digits: int = 2) -> CellFormatter:
     """Means of the metrics, – of those without values."""
     return lambda rows: "; ".join(f"{scale * rows[metric].mean():.{digits}f}" for metric in metrics).replace("nan", "–")
 
 
 def find_leaks(rows: pd.DataFrame, views: Sequence[str] = VIEWS) -> list[str]:
     """By which of some views a cell is given away."""
-    return [view for view in views if rows[f"auc_{view}"].mean() > GIVEN_AWAY]
+    return [view for view in views if rows[f"auc_{view}"].mean() > LEAK_AUC]
 
 
 #: What a table says of the rows of a cell.
 CONTROLS: dict[str, CellFormatter] = {
     "swarms": size,
-    "one track: AUC; without decoys": show("auc_track", "auc_without_decoys"),
-    "positions, first; last: AUC": show("auc_first", "auc_last"),
-    "all heads by one track, %": show("all_track", scale=100, digits=0),
-    "strangers named, %: heads; followers": show("strange_heads", "strange_followers", scale=100, digits=0),
+    "one track: AUC; without decoys": format_means("auc_track", "auc_without_decoys"),
+    "positions, first; last: AUC": format_means("auc_first", "auc_last"),
+    "all heads by one track, %": format_means("all_track", scale=100, digits=0),
+    "strangers named, %: heads; followers": format_means("strange_heads", "strange_followers", scale=100, digits=0),
     "**given away** by": lambda rows: ", ".join(find_leaks(rows)) or "–",
 }
 
@@ -217,19 +217,20 @@ def format_controls(suite: str) -> dict[str, CellFormatter]:
 def report(rows: pd.DataFrame) -> str:
     """A line for each suite: how many of its cells are given away, and by what."""
 
-    def count(*views: str) -> CellFormatter:
+    def count_leaks(*views: str) -> CellFormatter:
         return lambda part: str(sum(bool(find_leaks(cell, views)) for _, cell in part.groupby("cell")))
 
-    def highest(*metrics: str) -> CellFormatter:
+    def format_highest(*metrics: str) -> CellFormatter:
         return lambda part: f"{part.groupby('cell')[list(metrics)].mean().max().max():.2f}"
 
-    led = rows[rows.heads > 0]
-    columns = {"cells with leaders": lambda part: str(part["cell"].nunique()), "given away": count(*VIEWS)}
-    columns |= {"by one track": count("track"), "highest AUC of one track": highest("auc_track")}
-    columns |= {"by positions": count("first", "last"), "highest AUC of positions": highest("auc_first", "auc_last")}
-    columns["highest share of strange heads named"] = highest("strange_heads")
-    widest = 1.96 * led.groupby(["suite", "cell"])[AUCS].sem().max().max()
-    return f"{pivot(led, {'suite': 'suite'}, columns)}\n\nThe 95 % interval of a cell's AUC is ±{widest:.2f} at most."
+    rows = rows[rows.heads > 0]
+    columns = {"cells with leaders": lambda part: str(part["cell"].nunique()), "given away": count_leaks(*VIEWS)}
+    columns |= {"by one track": count_leaks("track"), "highest AUC of one track": format_highest("auc_track")}
+    columns["by positions"] = count_leaks("first", "last")
+    columns["highest AUC of positions"] = format_highest("auc_first", "auc_last")
+    columns["highest share of strange heads named"] = format_highest("strange_heads")
+    widest = 1.96 * rows.groupby(["suite", "cell"])[AUCS].sem().max().max()
+    return f"{pivot(rows, {'suite': 'suite'}, columns)}\n\nThe 95 % interval of a cell's AUC is ±{widest:.2f} at most."
 
 
 def main(argv: list[str] | None = None) -> None:

@@ -118,10 +118,10 @@ def rounds_block() -> str:
     headings = {"follow": ("f", "follow"), "clusters": ("M", "clusters")}
     for study, swarms in STUDIES.items():
         heading, column = headings.get(study, ("N", "uavs"))
-        part = rows[rows[list(swarms)].isin(swarms).all(axis=1)].sort_values(column, kind="stable")
-        table = pivot(part, {heading: column, "detector": "detector"}, columns)
-        found = [_found_by_round(rows[rows.uavs == 185])] if study == "example" else []
-        parts.append(fold(TITLES[study], f"The paper, in words: {words[study]}.", table, *found))
+        study_rows = rows[rows[list(swarms)].isin(swarms).all(axis=1)].sort_values(column, kind="stable")
+        table = pivot(study_rows, {heading: column, "detector": "detector"}, columns)
+        extra = [_found_by_round(rows[rows.uavs == 185])] if study == "example" else []
+        parts.append(fold(TITLES[study], f"The paper, in words: {words[study]}.", table, *extra))
     return "\n\n".join(parts)
 
 
@@ -131,10 +131,10 @@ def _found_by_round(rows: pd.DataFrame) -> str:
         rows[name].astype(str).str.split(expand=True).fillna(0).astype(int).reindex(columns=range(4), fill_value=0)
         for name in ("named", "hits")
     )
-    found = 100 * hits.cumsum(axis=1) / 8
+    found_share = 100 * hits.cumsum(axis=1) / 8
 
     def format_cell(part: pd.DataFrame, number: int) -> str:
-        return f"{named.loc[part.index, number].mean():.1f} / {found.loc[part.index, number].mean():.0f}"
+        return f"{named.loc[part.index, number].mean():.1f} / {found_share.loc[part.index, number].mean():.0f}"
 
     columns: dict[str, CellFormatter] = {
         f"round {number + 1}": partial(format_cell, number=number) for number in range(4)
@@ -172,10 +172,10 @@ def paper_algorithms() -> str:
         part = games[games.detector == name]
         return f"{mean('J')(part)}; {len(part)}"
 
-    least, most = (words[f"rounds_{end}"] + words[f"redundant_{end}"] / 82 for end in ("low", "high"))
+    lowest, highest = (words[f"rounds_{end}"] + words[f"redundant_{end}"] / 82 for end in ("low", "high"))
     uavs = rows.followers.unique() + 1
     chance = [f"{100 * (1 / (uavs + decoys)).mean():.1f}, computed" for _, decoys in DECOYS]
-    body = [["the paper", *hits("the paper"), f"{least:.2f}–{most:.2f}; –"]]
+    body = [["the paper", *hits("the paper"), f"{lowest:.2f}–{highest:.2f}; –"]]
     body += [[line, *hits(single), cost(several)] for line, (single, several) in ALGORITHMS.items()]
     body += [["`random`, one UAV a round", *chance, cost("random")]]
     body += [["`destroy-all`", "0, computed", "0, computed", cost("destroy-all")]]

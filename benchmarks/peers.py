@@ -101,27 +101,32 @@ def draw_structure(rng: np.random.Generator, grown: bool) -> Drawn:
 def draw_flock(rng: np.random.Generator, kind: str, uavs: int = 10, steps: int = 100) -> Drawn:
     """A flock with zones of repulsion (1), alignment and attraction (20), led by ranks, by a course or by positions."""
     order, position = rng.permutation(uavs), rng.uniform(0, 6, (uavs, 2))
-    going, own = rng.standard_normal((2, uavs, 2))
-    heard = order[None] < order[:, None] if kind == "ranks" else ~np.eye(uavs, dtype=bool)
+    course, own_course = rng.standard_normal((2, uavs, 2))
+    links = order[None] < order[:, None] if kind == "ranks" else ~np.eye(uavs, dtype=bool)
     leads, target, positions = order == 0, rng.uniform(-30, 30, 2), []
     for _ in range(50 + steps + 1):
         positions.append(position)
         gap = position[None] - position[:, None]
-        far = np.linalg.norm(gap, axis=2, keepdims=True) + np.eye(uavs)[..., None]
-        near, seen = (far < 1.0) & (far > 0) & ~np.eye(uavs, dtype=bool)[..., None], heard[..., None] & (far < 20)
-        away, mates = -(near * gap / far).sum(axis=1), np.maximum(seen.sum(axis=1), 1)
-        social = (seen * (0.5 * gap / far + going / np.linalg.norm(going, axis=1, keepdims=True))).sum(axis=1) / mates
-        own = own + 0.3 * rng.standard_normal((uavs, 2)) - 0.05 * own
-        known = target - position if kind == "places" else own
+        distance = np.linalg.norm(gap, axis=2, keepdims=True) + np.eye(uavs)[..., None]
+        is_close = (distance < 1.0) & (distance > 0) & ~np.eye(uavs, dtype=bool)[..., None]
+        is_mate = links[..., None] & (distance < 20)
+        repulsion, attraction = -(is_close * gap / distance).sum(axis=1), 0.5 * gap / distance
+        social = (is_mate * (attraction + course / np.linalg.norm(course, axis=1, keepdims=True))).sum(axis=1)
+        social /= np.maximum(is_mate.sum(axis=1), 1)
+        own_course = own_course + 0.3 * rng.standard_normal((uavs, 2)) - 0.05 * own_course
+        aim = target - position if kind == "places" else own_course
         if kind == "places" and np.linalg.norm(target - position[leads]) < 3:
             target = position[leads][0] + rng.uniform(-30, 30, 2)
-        goal = known / np.maximum(np.linalg.norm(known, axis=1, keepdims=True), 1e-9)
-        wanted = np.where(near.any(axis=1), away, social) + (1.0 if kind == "ranks" else 0.7) * goal * leads[:, None]
-        wanted += 0.1 * rng.standard_normal((uavs, 2))
-        turned = 0.5 * going + 0.5 * wanted / np.maximum(np.linalg.norm(wanted, axis=1, keepdims=True), 1e-9)
-        going = turned / np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-9)
-        position = position + 0.3 * going
-    return np.stack(positions[50:]), heard, leads
+        goal = aim / np.maximum(np.linalg.norm(aim, axis=1, keepdims=True), 1e-9)
+        pull = (
+            np.where(is_close.any(axis=1), repulsion, social)
+            + (1.0 if kind == "ranks" else 0.7) * goal * leads[:, None]
+        )
+        pull += 0.1 * rng.standard_normal((uavs, 2))
+        mixed = 0.5 * course + 0.5 * pull / np.maximum(np.linalg.norm(pull, axis=1, keepdims=True), 1e-9)
+        course = mixed / np.maximum(np.linalg.norm(mixed, axis=1, keepdims=True), 1e-9)
+        position = position + 0.3 * course
+    return np.stack(positions[50:]), links, leads
 
 
 def fly_chaos(rng: np.random.Generator, steps: int) -> np.ndarray:
@@ -140,17 +145,17 @@ def fly_chaos(rng: np.random.Generator, steps: int) -> np.ndarray:
 
 def draw_chaos(rng: np.random.Generator, lag: int, uavs: int = 5, steps: int = 300) -> Drawn:
     """Chaotic roots and mixtures of them along a growing graph; one edge in ten more has a lag."""
-    now, late = grow_graph(rng, uavs), np.zeros((uavs, uavs), bool)
+    direct, lagged = grow_graph(rng, uavs), np.zeros((uavs, uavs), bool)
     if lag:
-        late = np.tril(rng.random((uavs, uavs)) < 0.1, -1) & ~now
+        lagged = np.tril(rng.random((uavs, uavs)) < 0.1, -1) & ~direct
     position = np.zeros((steps + 1 + lag, uavs, 3))
     for i in range(uavs):
-        if not (now | late)[i].any():
+        if not (direct | lagged)[i].any():
             position[:, i] = fly_chaos(rng, len(position))
-        for j in np.flatnonzero((now | late)[i]):
+        for j in np.flatnonzero((direct | lagged)[i]):
             mixed = position[:, j] @ rng.normal(0, 3**-0.5, (3, 3)) + rng.normal(0, 0.1, 3)
-            position[:, i] += np.roll(mixed, lag, axis=0) if late[i, j] else mixed
-    order, edges = rng.permutation(uavs), now | late
+            position[:, i] += np.roll(mixed, lag, axis=0) if lagged[i, j] else mixed
+    order, edges = rng.permutation(uavs), direct | lagged
     edges, position = edges[np.ix_(order, order)], position[lag:, order]
     return position, edges, edges.any(axis=0) & ~edges.any(axis=1)
 
@@ -189,10 +194,10 @@ def run_pcmci(runs: np.ndarray, python: Path | None) -> np.ndarray:
     if python is None or not python.exists():
         raise ArgumentError(f"tigramite must be a Python that has tigramite, for the detector pcmci+, got {python}.")
     with tempfile.TemporaryDirectory() as folder:
-        given, found = Path(folder) / "runs.npy", Path(folder) / "found.npy"
-        np.save(given, runs)
-        subprocess.run([str(python), "-c", PCMCI, str(given), str(found)], check=True, capture_output=True)
-        return np.load(found)
+        positions, links = Path(folder) / "runs.npy", Path(folder) / "found.npy"
+        np.save(positions, runs)
+        subprocess.run([str(python), "-c", PCMCI, str(positions), str(links)], check=True, capture_output=True)
+        return np.load(links)
 
 
 def fit_var(position: np.ndarray, ridge: float = 1e-9, lags: int = 2) -> np.ndarray:
@@ -208,13 +213,14 @@ def fit_var(position: np.ndarray, ridge: float = 1e-9, lags: int = 2) -> np.ndar
 def fit_forces(position: np.ndarray) -> np.ndarray:
     """Strengths ``(N, N)`` of links: how much the way to j explains i's acceleration; kicks of walls are left out."""
     uavs, speed = position.shape[1], np.diff(position, axis=0)
-    pushes, found = np.diff(speed, axis=0), np.zeros((uavs, uavs))
+    accelerations, strengths = np.diff(speed, axis=0), np.zeros((uavs, uavs))
     for i in range(uavs):
-        ways = np.delete(position[1:-1] - position[1:-1, i : i + 1], i, axis=1).swapaxes(1, 2).reshape(-1, uavs - 1)
-        inputs, push = np.column_stack([ways, speed[:-1, i].ravel()]), pushes[:, i].ravel()
-        kept = np.abs(push) < 8 * np.median(np.abs(push)) + 1e-12
-        found[i, np.arange(uavs) != i] = np.abs(np.linalg.lstsq(inputs[kept], push[kept], rcond=None)[0][:-1])
-    return found
+        offsets = np.delete(position[1:-1] - position[1:-1, i : i + 1], i, axis=1).swapaxes(1, 2).reshape(-1, uavs - 1)
+        inputs, acceleration = np.column_stack([offsets, speed[:-1, i].ravel()]), accelerations[:, i].ravel()
+        is_smooth = np.abs(acceleration) < 8 * np.median(np.abs(acceleration)) + 1e-12
+        weights = np.linalg.lstsq(inputs[is_smooth], acceleration[is_smooth], rcond=None)[0][:-1]
+        strengths[i, np.arange(uavs) != i] = np.abs(weights)
+    return strengths
 
 
 RULES: dict[str, Callable[[np.ndarray], np.ndarray]] = {  # scores of positions, one track or one instant at a time
@@ -233,20 +239,20 @@ def find_links(
         return [(np.full(edges.shape, np.nan), RULES[name](position), True) for position, edges, _ in runs]
     if name in FITS or name == "pcmci+":
         links = map(FITS[name], positions) if name in FITS else run_pcmci(positions, python)
-        off = [values * ~np.eye(len(values), dtype=bool) for values in links]
-        return [(values, values.sum(axis=0) - values.sum(axis=1), True) for values in off]
-    found = []
+        off_diagonal = [values * ~np.eye(len(values), dtype=bool) for values in links]
+        return [(values, values.sum(axis=0) - values.sum(axis=1), True) for values in off_diagonal]
+    answers = []
     for number, (position, _, _) in enumerate(runs):
-        detector, flown = make_detector(name), np.pad(position, ((0, 0), (0, 0), (0, 3 - position.shape[2])))
+        detector, padded = make_detector(name), np.pad(position, ((0, 0), (0, 0), (0, 3 - position.shape[2])))
         detector.reset(seed + number)
-        everyone = np.ones(flown.shape[:2], bool)
-        answer, _ = ask(detector, Window(flown, np.diff(flown, axis=0), everyone, everyone[0], step=1.0))
+        seen = np.ones(padded.shape[:2], bool)
+        answer, _ = ask(detector, Window(padded, np.diff(padded, axis=0), seen, seen[0], step=1.0))
         links = answer.attention
         if links is None:
-            leader = answer.leader if answer.leader is not None else np.full(len(everyone[0]), -1)
+            leader = answer.leader if answer.leader is not None else np.full(len(seen[0]), -1)
             links = leader[:, None] == np.arange(len(leader))
-        found.append((np.asarray(links, float), answer.scores, bool(answer.candidates.any())))
-    return found
+        answers.append((np.asarray(links, float), answer.scores, bool(answer.candidates.any())))
+    return answers
 
 
 def play(game: Game, seed: int, python: Path | None) -> list[dict[str, Any]]:
@@ -256,11 +262,11 @@ def play(game: Game, seed: int, python: Path | None) -> list[dict[str, Any]]:
     rows = []
     for k, (links, scores, named) in enumerate(find_links(game["detector"], runs, seed, python)):
         _, edges, leads = runs[k]
-        off = ~np.eye(len(edges), dtype=bool)
-        truth, best = edges[off], scores == scores.max()
+        is_pair = ~np.eye(len(edges), dtype=bool)
+        truth, strength, best = edges[is_pair], links[is_pair], scores == scores.max()
         row = {"run": k, "auroc": np.nan, "auprc": np.nan, "top": np.nan, "chance": np.nan, "named": int(named)}
-        if 0 < truth.mean() < 1 and np.isfinite(links[off]).all():
-            row |= {"auroc": roc_auc_score(truth, links[off]), "auprc": average_precision_score(truth, links[off])}
+        if 0 < truth.mean() < 1 and np.isfinite(strength).all():
+            row |= {"auroc": roc_auc_score(truth, strength), "auprc": average_precision_score(truth, strength)}
         if leads.any():
             row |= {"top": leads[best].mean(), "chance": leads.mean()}
         rows.append(game | row)
@@ -277,10 +283,8 @@ def report(rows: pd.DataFrame) -> str:
     pairs = across("detector", names, find_pairs, "`{}`")
     top = across("detector", names, mean("top", group="run"), "`{}`") | {"chance": mean("chance", group="run")}
     published = (f"Published, AUROC/AUPRC, {suite}: {text}." for suite, text in PUBLISHED.items())
-    found, named = rows[rows.auroc.notna()], rows[rows.top.notna()]
-    return "\n\n".join(
-        ["AUROC/AUPRC of the pairs:", pivot(found, suite, pairs), "`top`:", pivot(named, suite, top), *published]
-    )
+    tables = pivot(rows[rows.auroc.notna()], suite, pairs), pivot(rows[rows.top.notna()], suite, top)
+    return "\n\n".join(["AUROC/AUPRC of the pairs:", tables[0], "`top`:", tables[1], *published])
 
 
 def main(argv: list[str] | None = None) -> None:

@@ -45,8 +45,8 @@ def mean(metric: str, digits: int = 2, scale: float = 1.0, group: str = "episode
         if not rows[metric].notna().any():
             return "–"
         bounds = interval(rows, metric, group)
-        middle, low, high = (f"{scale * value:.{digits}f}" for value in bounds)
-        return middle if bounds.low == bounds.high else f"{middle} ({low}–{high})"
+        centre, low, high = (f"{scale * value:.{digits}f}" for value in bounds)
+        return centre if bounds.low == bounds.high else f"{centre} ({low}–{high})"
 
     return format_cell
 
@@ -57,10 +57,20 @@ def rate(metric: str, count: bool = False, group: str = "episode") -> CellFormat
     def format_cell(rows: pd.DataFrame) -> str:
         if not len(rows):
             return "–"
-        middle, low, high = (f"{100 * value:.1f}" for value in interval(rows, metric, group))
-        return f"{middle} % ({low}–{high})" + (f"; {len(rows):,}" if count else "")
+        centre, low, high = (f"{100 * value:.1f}" for value in interval(rows, metric, group))
+        return f"{centre} % ({low}–{high})" + (f"; {len(rows):,}" if count else "")
 
     return format_cell
+
+
+def mean_by_recording(metric: str) -> CellFormatter:
+    """The mean with its interval; a recording is one value."""
+    return lambda rows: mean(metric, group="recording")(rows.groupby("recording", as_index=False)[metric].mean())
+
+
+def share(part: str, whole: str, digits: int = 1) -> CellFormatter:
+    """The sum of one column as a share of another one's, in percent; – if there is none."""
+    return lambda rows: f"{rows[part].sum() / rows[whole].sum():.{digits}%}" if rows[whole].any() else "–"
 
 
 def median(metric: str, form: str = ".2g") -> CellFormatter:

@@ -26,7 +26,7 @@ def read_policies(path: Path) -> dict[str, dict[str, Any]]:
     import torch
 
     policies: dict[str, dict[str, Any]] = defaultdict(dict)
-    for where, array in read_arrays(path).items():
-        name, _, key = where.partition("/")
-        policies[name][key] = torch.from_numpy(array)
+    for key, array in read_arrays(path).items():
+        name, _, name_in_policy = key.partition("/")
+        policies[name][name_in_policy] = torch.from_numpy(array)
     return dict(sorted(policies.items()))

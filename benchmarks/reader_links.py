@@ -40,20 +40,20 @@ def measure_window(game: shared.Game) -> list[dict[str, Any]]:
     detector = shared.cached(make_detector, game["detector"])
     detector.reset(0)
     detection = detector.detect(Window(position, velocity, seen, np.ones(len(head), bool)))
-    follows, right = leader != np.arange(len(head)), detection.leader == leader
+    follows, is_right = leader != np.arange(len(head)), detection.leader == leader
     pairs = np.isfinite(link) & ~np.eye(len(head), dtype=bool)
     truth, score = link[pairs] > 0, detection.attention[pairs]
-    told = 0 < truth.sum() < truth.size  # of windows with and without links
-    late = np.abs(detection.extras["delay"] - delay)[follows & right & np.isfinite(delay)]
+    has_both = 0 < truth.sum() < truth.size  # of windows with and without links
+    error = np.abs(detection.extras["delay"] - delay)[follows & is_right & np.isfinite(delay)]
     return [
         game
         | {
-            "direct": _mean(right[follows]),
-            "below": _mean(right[follows & (leader != root)]),
+            "direct": _mean(is_right[follows]),
+            "below": _mean(is_right[follows & (leader != root)]),
             "root": _mean((detection.extras["root"] == root)[follows]),
-            "auroc": roc_auc_score(truth, score) if told else np.nan,
-            "auprc": average_precision_score(truth, score) if told else np.nan,
-            "delay": _mean(late),
+            "auroc": roc_auc_score(truth, score) if has_both else np.nan,
+            "auprc": average_precision_score(truth, score) if has_both else np.nan,
+            "delay": _mean(error),
         }
     ]
 

@@ -30,7 +30,7 @@ from zlib import crc32
 import numpy as np
 import pandas as pd
 from paper.shared import RESULTS, ROOT, read_rows, write_rows
-from pivot import fold, mean, median, pivot
+from pivot import CellFormatter, fold, mean_by_recording, median, pivot, share
 
 from usnet_env import make_detector
 from usnet_env.objectives import find_roots
@@ -42,9 +42,9 @@ DETECTORS = (
     "reader(policy='map')", "reader", "reader(weights='blind')", "reader(weights='untrained')", "lagged-network",
     "mflica", "front-most", "central-most", "track-outlier", "destroy-all", "random", "none",
 )  # fmt: skip
-MOST, LARGEST = 6, 2**22  # windows of a recording; bytes of a file
+MAX_WINDOWS, MAX_BYTES = 6, 2**22  # windows of a recording; bytes of a file
 FRAMES, ARENA = 30, 145.0  # a second; mm that both animals together cross
-APART = {"Rs": 7.0, "Cf": 10.0}  # mm, the size of an animal with its antennae
+MAX_DISTANCE = {"Rs": 7.0, "Cf": 10.0}  # mm, the size of an animal with its antennae
 TITLES = {
     "Rs": "Termites, <i>Reticulitermes speratus</i>: a female and the male behind her",
     "Cf": "Termites, <i>Coptotermes formosanus</i>: a female and the male behind her",
@@ -62,30 +62,31 @@ def name_ids(recording: str, count: int) -> list[str]:
 def read_termites(folder: Path) -> Iterator[Recording]:
     """The films of tandem runs; pixels become metres by the range of both animals, as in the authors' code."""
     for path in sorted(folder.glob("analysis/*/**/*_tandem*position*.csv")):
-        wide, kind = pd.read_csv(path), path.relative_to(folder).parts[1]
-        places = wide[["x0", "y0", "x1", "y1"]].to_numpy().reshape(-1, 2, 2)  # (T, animals, axes)
-        places = (places - np.nanmin(places, axis=(0, 1))) * ARENA / np.ptp(places, axis=(0, 1))
+        table, kind = pd.read_csv(path), path.relative_to(folder).parts[1]
+        positions = table[["x0", "y0", "x1", "y1"]].to_numpy().reshape(-1, 2, 2)  # (T, animals, axes)
+        positions = (positions - np.nanmin(positions, axis=(0, 1))) * ARENA / np.ptp(positions, axis=(0, 1))
         ids, parts = name_ids(path.stem, 2), []
-        near = np.linalg.norm(places[:, 0] - places[:, 1], axis=1) <= APART[kind]
-        for k, leader in enumerate(("", np.where(near, ids[0], ""))):
-            x, y = places[:, k].T / 1000
-            parts.append(pd.DataFrame({"id": ids[k], "t": wide["position"] / FRAMES, "x": x, "y": y, "leader": leader}))
+        in_tandem = np.linalg.norm(positions[:, 0] - positions[:, 1], axis=1) <= MAX_DISTANCE[kind]
+        for k, leader in enumerate(("", np.where(in_tandem, ids[0], ""))):
+            x, y = positions[:, k].T / 1000
+            samples = {"id": ids[k], "t": table["position"] / FRAMES, "x": x, "y": y, "leader": leader}
+            parts.append(pd.DataFrame(samples))
         yield kind, path.stem, pd.concat(parts).sort_values("id", kind="stable")
 
 
 def read_platoons(folder: Path) -> Iterator[Recording]:
     """The platoons; the number in the name of a column is the position of the car in the order."""
     for path in sorted(folder.glob("data/OpenACC_data/*/*_part*.csv")):
-        if path.stat().st_size >= LARGEST:
+        if path.stat().st_size >= MAX_BYTES:
             continue
-        wide = pd.read_csv(path, skiprows=5)
-        cars = sorted(int(name[1:]) for name in wide if re.fullmatch(r"E\d+", name))
-        leader, parts = np.full(len(wide), "", object), []
+        table = pd.read_csv(path, skiprows=5)
+        cars = sorted(int(name[1:]) for name in table if re.fullmatch(r"E\d+", name))
+        leader, parts = np.full(len(table), "", object), []
         for car, name in zip(cars, name_ids(path.stem, len(cars)), strict=True):
-            places = wide[["Time", f"E{car}", f"N{car}"]].set_axis(["t", "x", "y"], axis=1)
-            seen = places.notna().all(axis=1)
-            parts.append(places.assign(id=name, leader=leader)[seen])
-            leader = np.where(seen, name, leader)  # of the cars behind, at each time
+            samples = table[["Time", f"E{car}", f"N{car}"]].set_axis(["t", "x", "y"], axis=1)
+            is_seen = samples.notna().all(axis=1)
+            parts.append(samples.assign(id=name, leader=leader)[is_seen])
+            leader = np.where(is_seen, name, leader)  # of the cars behind, at each time
         yield (
             "platoons" if cars[0] == 1 else "platoons-unseen",
             path.stem,
@@ -93,47 +94,41 @@ def read_platoons(folder: Path) -> Iterator[Recording]:
         )
 
 
-def play(even: Tracks, detector: Any, seed: int) -> list[dict[str, Any]]:
+def play(tracks: Tracks, detector: Any, seed: int) -> list[dict[str, Any]]:
     """A detector's answers to the windows that count; seconds are those of a window with the test of its leaders."""
-    rows, number, since = [], 0, process_time()
+    rows, number, start = [], 0, process_time()
 
-    def score(cut: Any, answer: Any, found: Any) -> None:
-        nonlocal number, since
-        seconds, truth, everyone = process_time() - since, cut.leader, np.arange(cut.window.uavs)
-        follows, roots = (truth >= 0) & (truth != everyone), find_roots(truth)
+    def score(section: Any, answer: Any, detected: Any) -> None:
+        nonlocal number, start
+        seconds, truth, window, links = process_time() - start, section.leader, section.window, detected.links
+        everyone, index, roots = np.arange(window.uavs), section.ids.index, find_roots(truth)
+        follows = (truth >= 0) & (truth != everyone)
         head = ~follows & np.isin(everyone, roots[follows])
-        if follows.any() and cut.window.velocity.any():
-            of, sure = cut.ids.index, np.isin(cut.ids, [leader.id for leader in found.leaders])
-            row = {"window": number, "step": cut.step, "length": len(cut.window.velocity), "uavs": len(everyone)}
-            row |= {"heads": head.sum(), "followers": follows.sum(), "confirmed": sure.sum(), "links": len(found.links)}
+        if follows.any() and window.velocity.any():
+            confirmed = np.isin(section.ids, [leader.id for leader in detected.leaders])
+            row = {"window": number, "step": section.step, "length": len(window.velocity), "uavs": len(everyone)}
+            row |= {"heads": head.sum(), "followers": follows.sum(), "confirmed": confirmed.sum(), "links": len(links)}
             row |= {"named": answer.candidates.sum(), "named_right": (answer.candidates & head).sum()}
-            row |= {"confirmed_right": (sure & head).sum(), "seconds": seconds}
-            row["links_right"] = sum(truth[of(link.follower)] == of(link.leader) for link in found.links)
+            row |= {"confirmed_right": (confirmed & head).sum(), "seconds": seconds}
+            row["links_right"] = sum(truth[index(link.follower)] == index(link.leader) for link in links)
             row["direct"] = None if answer.leader is None else (answer.leader == truth)[follows].mean()
             rows.append(row)
-        number, since = number + 1, process_time()
+        number, start = number + 1, process_time()
 
-    length = even.choose_length()
-    stride = max(length, -(-(round(even.duration / even.step) - length) // (MOST - 1)))
-    find_leaders(even, detector, length=length, stride=stride, seed=seed, on_window=score)
+    length = tracks.choose_length()
+    stride = max(length, -(-(round(tracks.duration / tracks.step) - length) // (MAX_WINDOWS - 1)))
+    find_leaders(tracks, detector, length=length, stride=stride, seed=seed, on_window=score)
     return rows
 
 
-def edition(weights: Path = SHIPPED) -> str:
+def hash_weights(weights: Path = SHIPPED) -> str:
     """The first digits of the hash of a file of weights."""
     return sha256(weights.read_bytes()).hexdigest()[:8]
 
 
 def report(rows: pd.DataFrame) -> str:
     """A table for each set; a recording is one value of a mean."""
-
-    def mean_by_recording(metric: str) -> Any:
-        return lambda part: mean(metric, group="recording")(part.groupby("recording", as_index=False)[metric].mean())
-
-    def share(part: str, whole: str) -> Any:
-        return lambda rows: f"{rows[part].sum() / rows[whole].sum():.1%}" if rows[whole].any() else "–"
-
-    columns: dict[str, Any] = {"windows; recordings": lambda part: f"{len(part)}; {part.recording.nunique()}"}
+    columns: dict[str, CellFormatter] = {"windows; recordings": lambda part: f"{len(part)}; {part.recording.nunique()}"}
     for named in ("named", "confirmed"):
         rows[f"{named}_alone"] = (rows[named] == rows.heads) & (rows[f"{named}_right"] == rows.heads)
         columns[f"{named}: the leader alone"] = mean_by_recording(f"{named}_alone")
@@ -154,23 +149,23 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("--rows", type=Path, default=ROWS)
     parser.add_argument("--weights", type=Path, help="a file for the reader instead of the shipped one")
     parser.add_argument("--detector", action="append", help="may repeat; by default all of the table")
-    given = parser.parse_args(argv)
-    old = read_rows(given.rows) if given.rows.exists() else pd.DataFrame({"detector": [], "weights": []})
-    weights_hash, players, rows = edition(given.weights or SHIPPED), {}, []
-    for name in given.detector or DETECTORS:
+    options = parser.parse_args(argv)
+    old = read_rows(options.rows) if options.rows.exists() else pd.DataFrame({"detector": [], "weights": []})
+    shipped_hash, players, rows = hash_weights(options.weights or SHIPPED), {}, []
+    for name in options.detector or DETECTORS:
         trained = name.startswith("reader") and "weights" not in name
-        how = {"weights": str(given.weights)} if trained and given.weights else {}
-        players[name, weights_hash if trained else "–"] = make_detector(name, **how)
-    for known in zip(old.detector, old.weights, strict=True):
-        players.pop(known, None)
-    for reads, folder in ((read_termites, "termites"), (read_platoons, "platoons")):
-        for kind, recording, samples in reads(given.folder / folder) if players else ():
-            even = read_tracks(samples).resample()
+        arguments = {"weights": str(options.weights)} if trained and options.weights else {}
+        players[name, shipped_hash if trained else "–"] = make_detector(name, **arguments)
+    for played in zip(old.detector, old.weights, strict=True):
+        players.pop(played, None)
+    for read, folder in ((read_termites, "termites"), (read_platoons, "platoons")):
+        for kind, recording, samples in read(options.folder / folder) if players else ():
+            tracks = read_tracks(samples).resample()
             for (name, weights), player in players.items():
-                about = {"set": kind, "recording": recording, "detector": name, "weights": weights}
-                rows += [about | row for row in play(even, player, crc32(recording.encode()))]
+                keys = {"set": kind, "recording": recording, "detector": name, "weights": weights}
+                rows += [keys | row for row in play(tracks, player, crc32(recording.encode()))]
             print(kind, recording, f"{len(rows)} rows", flush=True)
-    write_rows(given.rows, pd.DataFrame([*old.to_dict("records"), *rows]).round(4))
+    write_rows(options.rows, pd.DataFrame([*old.to_dict("records"), *rows]).round(4))
 
 
 if __name__ == "__main__":

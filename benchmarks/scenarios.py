@@ -26,7 +26,7 @@ from scipy.signal import lfilter
 from usnet_env.objectives import find_roots
 from usnet_env.tracks import Tracks, find_leaders, read_tracks
 
-LENGTH, SPEED, BEFORE = 100, 1.5, 30.0  # steps of a window, metres a second, seconds that are flown but not recorded
+LENGTH, SPEED, WARM_UP = 100, 1.5, 30.0  # steps of a window, metres a second, seconds that are flown but not recorded
 Grid = tuple[np.random.Generator, int, float, int]  # S instants, the seconds between them, 2 or 3 axes
 Flight = tuple[np.ndarray, np.ndarray]  # (S, N, d) metres, and (S, N) whom each follows at that time, -1: nobody
 Plan = tuple[tuple[float, tuple[int, ...]], ...]  # from which share of the record on each follows whom
@@ -35,10 +35,10 @@ Plan = tuple[tuple[float, tuple[int, ...]], ...]  # from which share of the reco
 def drift(grid: Grid, uavs: int, memory: float) -> np.ndarray:
     """``(S, N)`` Ornstein-Uhlenbeck processes of variance 1 with a memory in seconds."""
     rng, steps, dt, _ = grid
-    keep = np.exp(-dt / memory)
-    pushes = rng.standard_normal((steps, uavs)) * np.sqrt(1 - keep**2)
-    pushes[0] /= np.sqrt(1 - keep**2)
-    return lfilter([1.0], [1.0, -keep], pushes, axis=0)
+    phi = np.exp(-dt / memory)
+    noise = rng.standard_normal((steps, uavs)) * np.sqrt(1 - phi**2)
+    noise[0] /= np.sqrt(1 - phi**2)
+    return lfilter([1.0], [1.0, -phi], noise, axis=0)
 
 
 def walk(grid: Grid, uavs: int) -> np.ndarray:
@@ -58,16 +58,16 @@ def fly_star(
     rng, steps, dt, axes = grid
     plan = plan or ((0.0, (-1, *[0] * (uavs - 1))),)
     velocity, leader = walk(grid, uavs), np.empty((steps, uavs), np.int64)
-    alone, late = velocity.copy(), np.round(delay * rng.uniform(0.8, 1.2, uavs) / dt).astype(int)
-    before = round(BEFORE / dt)
-    begins = [before + round(share * (steps - before)) if share else 0 for share, _ in plan]
+    own_walk, lags = velocity.copy(), np.round(delay * rng.uniform(0.8, 1.2, uavs) / dt).astype(int)
+    warm_up = round(WARM_UP / dt)
+    begins = [warm_up + round(share * (steps - warm_up)) if share else 0 for share, _ in plan]
     for (_, row), begin, end in zip(plan, begins, [*begins[1:], steps], strict=True):
-        leader[begin:end], done = row, [i for i in range(uavs) if row[i] < 0]
-        while len(done) < uavs:  # leaders first
-            i = next(i for i in range(uavs) if i not in done and row[i] in done)
-            at = np.maximum(np.arange(begin, end) - late[i], 0)
-            velocity[begin:end, i] = gain * velocity[at, row[i]] + own * alone[begin:end, i]
-            done.append(i)
+        leader[begin:end], flown = row, [i for i in range(uavs) if row[i] < 0]
+        while len(flown) < uavs:  # leaders first
+            i = next(i for i in range(uavs) if i not in flown and row[i] in flown)
+            past = np.maximum(np.arange(begin, end) - lags[i], 0)
+            velocity[begin:end, i] = gain * velocity[past, row[i]] + own * own_walk[begin:end, i]
+            flown.append(i)
     position = rng.uniform(0, 30, (uavs, axes)) + np.cumsum(velocity, axis=0) * dt
     return (position[:, 1:], np.full((steps, uavs - 1), -1)) if hidden else (position, leader)
 
@@ -75,9 +75,9 @@ def fly_star(
 def fly_path(grid: Grid, uavs: int = 6, delay: float = 3.0, file: bool = False) -> Flight:
     """UAVs go to the positions of their leader some seconds later, or in a file of the one before."""
     rng, steps, dt, axes = grid
-    late = delay * (np.arange(uavs) if file else np.append(0, rng.uniform(0.6, 1.4, uavs - 1)))
-    way = np.cumsum(walk(grid, 1)[:, 0], axis=0) * dt
-    position = way[np.maximum(np.arange(steps)[:, None] - np.round(late / dt).astype(int), 0)]
+    delays = delay * (np.arange(uavs) if file else np.append(0, rng.uniform(0.6, 1.4, uavs - 1)))
+    path = np.cumsum(walk(grid, 1)[:, 0], axis=0) * dt
+    position = path[np.maximum(np.arange(steps)[:, None] - np.round(delays / dt).astype(int), 0)]
     position += 0.5 * np.stack([drift(grid, uavs, 10.0) for _ in range(axes)], axis=2)
     leader = np.arange(uavs) - 1 if file else np.minimum(np.arange(uavs) - 1, 0)
     return position, np.broadcast_to(leader, (steps, uavs))
@@ -86,38 +86,38 @@ def fly_path(grid: Grid, uavs: int = 6, delay: float = 3.0, file: bool = False) 
 def set_off(grid: Grid, uavs: int = 6) -> Flight:
     """UAVs at rest set off one after another, on nearly straight lines side by side."""
     rng, steps, dt, axes = grid
-    begins = BEFORE + 0.5 * (steps * dt - BEFORE) * (np.arange(uavs) + rng.uniform(0.1, 0.4, uavs)) / uavs
-    going = np.clip(np.arange(steps)[:, None] * dt - begins, 0, 1)
+    begins = WARM_UP + 0.5 * (steps * dt - WARM_UP) * (np.arange(uavs) + rng.uniform(0.1, 0.4, uavs)) / uavs
+    speed = np.clip(np.arange(steps)[:, None] * dt - begins, 0, 1)
     step = SPEED * np.eye(axes)[0] + 0.05 * rng.standard_normal((steps, uavs, axes))
-    position = np.arange(uavs)[:, None] * 2.0 * np.eye(axes)[1] + np.cumsum(going[..., None] * step, axis=0) * dt
+    position = np.arange(uavs)[:, None] * 2.0 * np.eye(axes)[1] + np.cumsum(speed[..., None] * step, axis=0) * dt
     return position, np.broadcast_to(np.minimum(np.arange(uavs) - 1, 0), (steps, uavs))
 
 
 def walk_route(grid: Grid, uavs: int = 6) -> Flight:
     """Walks along one winding path, with a start and changes of speed of each UAV's own."""
     rng, steps, dt, axes = grid
-    way = np.cumsum(walk((rng, 2 * steps, dt, axes), 1)[:, 0], axis=0) * dt
-    length = np.append(0, np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1)))
+    path = np.cumsum(walk((rng, 2 * steps, dt, axes), 1)[:, 0], axis=0) * dt
+    length = np.append(0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
     speed = SPEED * rng.uniform(0.9, 1.1, uavs) * np.exp(0.15 * drift(grid, uavs, 10.0))
-    gone = rng.uniform(0, 30 * SPEED, uavs) + np.cumsum(speed, axis=0) * dt
-    position = np.stack([np.interp(gone, length, axis) for axis in way.T], axis=2)
+    distance = rng.uniform(0, 30 * SPEED, uavs) + np.cumsum(speed, axis=0) * dt
+    position = np.stack([np.interp(distance, length, axis) for axis in path.T], axis=2)
     return position + 0.3 * rng.standard_normal((1, uavs, axes)), np.full((steps, uavs), -1)
 
 
 def drive_ring(grid: Grid, uavs: int = 8, closed: bool = False) -> Flight:
     """Cars on a circular road by the optimal velocity model (Bando et al. 1995); in an open convoy the first leads."""
     rng, steps, dt, axes = grid
-    around = 20.0 * uavs * (1 if closed else 3)
-    at, speed = -20.0 * np.arange(uavs) + rng.normal(0, 1, uavs), np.full(uavs, 10.0)
-    first, positions = 10.0 + 4.0 * drift(grid, 1, 6.0)[:, 0], np.empty((steps, uavs))
+    length = 20.0 * uavs * (1 if closed else 3)
+    arc, speed = -20.0 * np.arange(uavs) + rng.normal(0, 1, uavs), np.full(uavs, 10.0)
+    lead_speed, positions = 10.0 + 4.0 * drift(grid, 1, 6.0)[:, 0], np.empty((steps, uavs))
     for t in range(steps):
-        positions[t] = at
-        gap = np.roll(at, 1) - at + around * (np.arange(uavs) == 0)
-        wanted = 10.0 * (np.tanh((gap - 20.0) / 8.0) + 1.0)
-        wanted[0] = wanted[0] if closed else first[t]
-        speed = speed + 1.0 * (wanted - speed) * dt + 0.3 * np.sqrt(dt) * rng.standard_normal(uavs)
-        at = at + np.maximum(speed, 0) * dt
-    angle, radius = 2 * np.pi * positions / around, around / (2 * np.pi)
+        positions[t] = arc
+        gap = np.roll(arc, 1) - arc + length * (np.arange(uavs) == 0)
+        goal = 10.0 * (np.tanh((gap - 20.0) / 8.0) + 1.0)
+        goal[0] = goal[0] if closed else lead_speed[t]
+        speed = speed + 1.0 * (goal - speed) * dt + 0.3 * np.sqrt(dt) * rng.standard_normal(uavs)
+        arc = arc + np.maximum(speed, 0) * dt
+    angle, radius = 2 * np.pi * positions / length, length / (2 * np.pi)
     position = radius * np.stack([np.cos(angle), np.sin(angle), 0 * angle][:axes], axis=2)
     return position, np.broadcast_to(np.full(uavs, -1) if closed else np.arange(uavs) - 1, (steps, uavs))
 
@@ -125,27 +125,27 @@ def drive_ring(grid: Grid, uavs: int = 8, closed: bool = False) -> Flight:
 def fly_flock(grid: Grid, uavs: int = 15, delay: float = 0.0, reach: float = 12.0, driven: bool = False) -> Flight:
     """A flock that aligns, at once or some time later; a driver, the last UAV, may push it from behind."""
     rng, steps, dt, axes = grid
-    position, course = rng.uniform(0, 20, (uavs, axes)), walk(grid, 1)[:, 0] / SPEED
-    going = np.eye(axes)[0] + 0.5 * rng.standard_normal((uavs, axes))
-    late, flown, positions = np.round(delay * rng.uniform(0.5, 1.5, uavs) / dt).astype(int), [going], []
+    position, driver_course = rng.uniform(0, 20, (uavs, axes)), walk(grid, 1)[:, 0] / SPEED
+    course = np.eye(axes)[0] + 0.5 * rng.standard_normal((uavs, axes))
+    lags, past, positions = np.round(delay * rng.uniform(0.5, 1.5, uavs) / dt).astype(int), [course], []
     members = uavs - driven
     for t in range(steps):
         positions.append(position)
-        then = np.stack(flown)[-1 - np.minimum(late, len(flown) - 1)] if delay else None  # (i, j, d): what i sees of j
+        seen = np.stack(past)[-1 - np.minimum(lags, len(past) - 1)] if delay else course  # (i, j, d), or (j, d) of all
         gap = position[None] - position[:, None]
-        far = np.linalg.norm(gap, axis=2) + np.eye(uavs)
-        near = ((far < reach) & ~np.eye(uavs, dtype=bool))[..., None] * (np.arange(uavs) < members)[:, None]
-        mean = (near * (going if then is None else then)).sum(1) / np.maximum(near.sum(1), 1)
-        push = (gap / far[..., None] ** 2 * (far < 3.0)[..., None]).sum(1)
-        middle = position[:members].mean(axis=0)
-        turn = 1.5 * (mean - going) * (near.sum(1) > 0) - 1.5 * push + 0.02 * (middle - position)
+        distance = np.linalg.norm(gap, axis=2) + np.eye(uavs)
+        is_near = ((distance < reach) & ~np.eye(uavs, dtype=bool))[..., None] * (np.arange(uavs) < members)[:, None]
+        mean = (is_near * seen).sum(1) / np.maximum(is_near.sum(1), 1)
+        push = (gap / distance[..., None] ** 2 * (distance < 3.0)[..., None]).sum(1)
+        centre = position[:members].mean(axis=0)
+        turn = 1.5 * (mean - course) * (is_near.sum(1) > 0) - 1.5 * push + 0.02 * (centre - position)
         if driven:
-            turn -= 3.0 * gap[:, -1] / far[:, -1:] * (far[:, -1:] < 15.0)
-            turn[-1] = 2.0 * ((middle - 12.0 * course[t] - position[-1]) / 5.0 - going[-1])
-        going = going + turn * dt + 0.4 * np.sqrt(dt) * rng.standard_normal((uavs, axes))
-        going /= np.maximum(np.linalg.norm(going, axis=1, keepdims=True), 1e-6)
-        flown = [*flown[-round(2 * delay / dt) :], going] if delay else flown
-        position = position + SPEED * going * dt
+            turn -= 3.0 * gap[:, -1] / distance[:, -1:] * (distance[:, -1:] < 15.0)
+            turn[-1] = 2.0 * ((centre - 12.0 * driver_course[t] - position[-1]) / 5.0 - course[-1])
+        course = course + turn * dt + 0.4 * np.sqrt(dt) * rng.standard_normal((uavs, axes))
+        course /= np.maximum(np.linalg.norm(course, axis=1, keepdims=True), 1e-6)
+        past = [*past[-round(2 * delay / dt) :], course] if delay else past
+        position = position + SPEED * course * dt
     return np.stack(positions), np.full((steps, uavs), -1)
 
 
@@ -191,8 +191,8 @@ def read_file(scenario: str, file: int, seed: int) -> Tracks:
     fly, hertz, seconds, noise = SCENARIOS[scenario]
     every, axes = int(np.ceil(10 / hertz)), 2 + file % 2
     dt = 1 / (hertz * every)
-    flown = fly((rng, round((BEFORE + seconds) / dt) + 1, dt, axes))
-    position, leader = (values[round(BEFORE / dt) :: every] for values in flown)
+    flown = fly((rng, round((WARM_UP + seconds) / dt) + 1, dt, axes))
+    position, leader = (values[round(WARM_UP / dt) :: every] for values in flown)
     position = position + noise * rng.standard_normal(position.shape)
     samples, uavs = leader.shape
     names = np.array([f"u{k:02d}" for k in rng.permutation(uavs)] + [""])
@@ -209,17 +209,17 @@ def play(game: Game, seed: int) -> list[dict[str, Any]]:
     tracks = cached(read_file, game["scenario"], game["file"], seed)
     owner, rows = np.repeat(np.arange(len(tracks.ids)), np.diff(tracks.offsets)), []
 
-    def score(cut: Any, answer: Any, found: Any) -> None:
-        following = np.full(cut.window.uavs, -1) if cut.leader is None else cut.leader
-        inside = (tracks.time >= cut.start) & (tracks.time < cut.end)
+    def score(section: Any, answer: Any, detected: Any) -> None:
+        leaders = np.full(section.window.uavs, -1) if section.leader is None else section.leader
+        inside = (tracks.time >= section.start) & (tracks.time < section.end)
         leader, follower = tracks.leader[inside] if tracks.leader is not None else owner[:0], owner[inside]
-        ever = np.isin(cut.rows, leader) & np.isin(cut.rows, follower[: len(leader)][leader < 0])
-        roots = find_roots(following)
+        was_head = np.isin(section.rows, leader) & np.isin(section.rows, follower[: len(leader)][leader < 0])
+        roots = find_roots(leaders)
         due = np.isin(np.arange(len(roots)), roots[roots != np.arange(len(roots))])
-        sure = np.isin(np.arange(len(roots)), [cut.ids.index(one.id) for one in found.leaders])
-        row = {"step": cut.step, "window": len(rows), "due": due.sum()}
-        for stage, chosen in zip(STAGES, (answer.candidates, sure), strict=True):
-            row |= {f"{stage}_right": (chosen & due).sum(), f"{stage}_wrong": (chosen & ~ever).sum()}
+        confirmed = np.isin(np.arange(len(roots)), [section.ids.index(head.id) for head in detected.leaders])
+        row = {"step": section.step, "window": len(rows), "due": due.sum()}
+        for stage, chosen in zip(STAGES, (answer.candidates, confirmed), strict=True):
+            row |= {f"{stage}_right": (chosen & due).sum(), f"{stage}_wrong": (chosen & ~was_head).sum()}
         rows.append(game | row)
 
     find_leaders(tracks, game["detector"], length=min(LENGTH, round(tracks.duration / tracks.step)), on_window=score)

@@ -11,11 +11,9 @@ from __future__ import annotations
 
 import importlib
 import json
-import os
 import subprocess
 import sys
 from collections.abc import Callable
-from contextlib import ExitStack
 from functools import partial
 from itertools import cycle
 from pathlib import Path
@@ -30,7 +28,6 @@ from paper.shared import FOLLOW, RESULTS, ROOT, make_parser
 import usnet_env  # noqa: F401  registers the environments
 from usnet_env import Window, make_detector
 from usnet_env.files import write_text
-from usnet_env.plugins import DETECTORS
 from usnet_env.provenance import machine, versions
 from usnet_env.swarm import SwarmConfig, advance, register_formation, start
 from usnet_env.swarm.follow import FIELD_MODELS
@@ -41,16 +38,11 @@ EPISODES, UAVS = 256, 82
 GAMES = 64  # in a batch
 BATCHES = ("SingleCluster-Tiny-v0", "SingleCluster-Small-v0", "MultiCluster-v0", "MultiCluster-Small-v0", "Field-v1")
 SEVERAL = ("usnet_observers_v0", "usnet_evasion_v0")
-FEW: dict[str, Any] = {"clusters": 3, "uavs": 12, "observation_steps": 20}
+SMALL_GAME: dict[str, Any] = {"clusters": 3, "uavs": 12, "observation_steps": 20}
 SIZES = [100, 300, 1000, 3000, 10_000]
 REFERENCE = "lagged-correlation"
 TIMED = ("lagged-regression", "granger", "factions", "net-lag-regression", "reader")
-LARGE = (("reader", 82), ("reader", 2000))
-FEWER_STEPS = {
-    "gassl": "gassl(steps=10)",
-    "mc-gassl": "mc-gassl(gassl={'steps': 10})",
-    "neural-granger": "neural-granger(steps=20)",
-}
+Play = tuple[int, Callable[[], object]]  # a function that plays, and the decisions of a call
 # Not getrusage: a child begins with the peak of the process that started it.
 MEMORY = """
 import numpy as np, gymnasium as gym, usnet_env
@@ -60,23 +52,6 @@ for _ in range(3):
     envs.step(np.random.default_rng(0).random((1000, 82)) < 0.05)
 lines = open("/proc/self/status").read().splitlines()
 print(1024 * next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")))
-"""
-# It answers a window for each line that it reads, and writes the wall and CPU seconds of the answer.
-PLAYER = """
-import sys, time
-import gymnasium as gym, usnet_env
-name, uavs = sys.argv[1], int(sys.argv[2])
-env = gym.make("USNET/MultiCluster-v0", uavs=uavs)
-window = usnet_env.Window.from_observation(env.reset(seed=0)[0])
-detector = usnet_env.make_detector(name)
-def answer():
-    detector.reset(0)
-    detector.detect(window)
-answer()
-for _ in sys.stdin:
-    wall, cpu = time.perf_counter(), time.process_time()
-    answer()
-    print(time.perf_counter() - wall, time.process_time() - cpu, flush=True)
 """
 
 
@@ -89,12 +64,12 @@ def take_turns(turns: int, *contestants: Callable[[], object]) -> np.ndarray:
     )
 
 
-def describe(what: str, ratios: np.ndarray, **values: object) -> dict[str, object]:
+def describe(title: str, ratios: np.ndarray, **values: object) -> dict[str, object]:
     """What a ratio is of, its median, and that of each turn."""
-    return {"what": what, **values, "ratio": float(np.median(ratios)), "ratios": ratios.tolist()}
+    return {"what": title, **values, "ratio": float(np.median(ratios)), "ratios": ratios.tolist()}
 
 
-def stepping(turns: int, **arguments: Any) -> dict[str, object]:
+def measure_stepping(turns: int, **arguments: Any) -> dict[str, object]:
     """A batch of swarms flies one round; NumPy draws as many float32 normals as that takes."""
     config = SwarmConfig(uavs=UAVS, **arguments)
     rngs = [np.random.default_rng(seed) for seed in range(EPISODES)]
@@ -106,100 +81,64 @@ def stepping(turns: int, **arguments: Any) -> dict[str, object]:
         for _ in range(EPISODES):
             rng.standard_normal(out=buffer, dtype=np.float32)
 
-    taken = take_turns(turns, lambda: advance(config, state, rngs), draw)
-    rate = EPISODES * UAVS * config.steps / float(np.median(taken[:, 0]))
-    what = "rate of stepping over rate of drawing the same normals"
-    return describe(what, taken[:, 1] / taken[:, 0], uav_steps_per_second=rate)
+    seconds = take_turns(turns, lambda: advance(config, state, rngs), draw)
+    rate = EPISODES * UAVS * config.steps / float(np.median(seconds[:, 0]))
+    title = "rate of stepping over rate of drawing the same normals"
+    return describe(title, seconds[:, 1] / seconds[:, 0], uav_steps_per_second=rate)
 
 
-def scaling(follow: str, turns: int) -> dict[str, object]:
+def measure_scaling(follow: str, turns: int) -> dict[str, object]:
     """One cluster of N UAVs flies one round; the sizes take turns.
 
     The density doesn't depend on N: 10,000 UAVs fill the arena of 1000 m x 1000 m x 100 m.
     """
 
-    def spread(rng: np.random.Generator, roles: Roles) -> np.ndarray:
+    def place_uavs(rng: np.random.Generator, roles: Roles) -> np.ndarray:
         side = 1000.0 * np.sqrt(len(roles.root) / SIZES[-1])
         return rng.uniform(0.0, (side, side, 100.0), (len(roles.root), 3))
 
-    register_formation("spread", spread, replace=True)
-    how: dict[str, Any] = {"clusters": 1, "memory": 12, "observation_steps": 20, "mobility": "straight"}
-    configs = [SwarmConfig(follow=follow, formation="spread", uavs=uavs, **how) for uavs in SIZES]
+    register_formation("spread", place_uavs, replace=True)
+    arguments: dict[str, Any] = {"clusters": 1, "memory": 12, "observation_steps": 20, "mobility": "straight"}
+    configs = [SwarmConfig(follow=follow, formation="spread", uavs=uavs, **arguments) for uavs in SIZES]
     rngs = [np.random.default_rng(0)]
-    taken = take_turns(turns, *(partial(advance, config, start(config, rngs), rngs) for config in configs))
-    seconds = np.median(taken, axis=0) / [uavs * configs[0].steps for uavs in SIZES]
-    what = "seconds of a UAV-step against N, one cluster at a fixed density"
-    return {"what": what, "uavs": SIZES, "seconds_per_uav_step": seconds.tolist()}
+    times = take_turns(turns, *(partial(advance, config, start(config, rngs), rngs) for config in configs))
+    seconds = np.median(times, axis=0) / [uavs * configs[0].steps for uavs in SIZES]
+    title = "seconds of a UAV-step against N, one cluster at a fixed density"
+    return {"what": title, "uavs": SIZES, "seconds_per_uav_step": seconds.tolist()}
 
 
-def memory(_: int) -> dict[str, object]:
+def measure_memory(_: int) -> dict[str, object]:
     """Peak resident memory of a process that plays 1,000 swarms of N=82 at once."""
-    found = subprocess.run([sys.executable, "-c", MEMORY], check=True, capture_output=True, text=True, cwd=ROOT).stdout
-    return {"what": "peak resident bytes, 1,000 swarms of 82 UAVs", "bytes": int(found)}
+    output = subprocess.run([sys.executable, "-c", MEMORY], check=True, capture_output=True, text=True, cwd=ROOT).stdout
+    return {"what": "peak resident bytes, 1,000 swarms of 82 UAVs", "bytes": int(output)}
 
 
-def detectors(turns: int) -> dict[str, object]:
+def time_detectors(turns: int) -> dict[str, object]:
     """The same 20 windows (f1, N = 82) for each detector, and for the fastest baseline."""
     env = gym.make(GAME)
     windows = [Window.from_observation(env.reset(seed=seed)[0]) for seed in range(20)]
 
-    def answer(name: str) -> Callable[[], object]:
+    def make_answer(name: str) -> Callable[[], object]:
         detector = make_detector(name)
         detector.reset(0)
         return lambda: [detector.detect(window) for window in windows]
 
-    taken = take_turns(turns, *map(answer, (REFERENCE, *TIMED)))
-    what = f"seconds of a window (f1, N = 82) over those of {REFERENCE}"
+    times = take_turns(turns, *map(make_answer, (REFERENCE, *TIMED)))
+    title = f"seconds of a window (f1, N = 82) over those of {REFERENCE}"
     return {
-        name: describe(what, seconds / taken[:, 0], seconds=float(np.median(seconds)) / len(windows))
-        for name, seconds in zip(TIMED, taken.T[1:], strict=True)
+        name: describe(title, seconds / times[:, 0], seconds=float(np.median(seconds)) / len(windows))
+        for name, seconds in zip(TIMED, times.T[1:], strict=True)
     }
 
 
-def ask_by_turns(turns: int, players: list[subprocess.Popen[str]]) -> np.ndarray:
-    """Wall and CPU seconds ``(turns, players, 2)`` of an answer of each player."""
-    taken = np.empty((turns, len(players), 2))
-    for turn in range(turns):
-        for place, player in enumerate(players):
-            print(file=player.stdin, flush=True)
-            taken[turn, place] = [float(word) for word in player.stdout.readline().split()]
-    return taken
+def race(title: str, turns: int, fast: Play, slow: Play) -> dict[str, object]:
+    """The speed of two ways to play."""
+    times = take_turns(turns, fast[1], slow[1])
+    rate = fast[0] / float(np.median(times[:, 0]))
+    return describe(title, (times[:, 1] / slow[0]) / (times[:, 0] / fast[0]), decisions_per_second=rate)
 
 
-def threads(name: str, uavs: int, turns: int) -> dict[str, object]:
-    """A detector's seconds with threads as they come over those with one thread, alone and beside two busy loops."""
-    unset = {key: value for key, value in os.environ.items() if not key.endswith("_NUM_THREADS")}
-    command = [sys.executable, "-c", PLAYER, name, str(uavs)]
-    pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "cwd": ROOT}
-    result: dict[str, object] = {}
-    with ExitStack() as stack:
-        environments = (unset, unset | {"OMP_NUM_THREADS": "1"})
-        players = [stack.enter_context(subprocess.Popen(command, env=env, **pipes)) for env in environments]
-        for beside, loops in (("alone", 0), ("two busy loops", 2)):
-            busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(loops)]
-            try:
-                taken = ask_by_turns(turns, players)
-            finally:
-                for loop in busy:
-                    loop.kill()
-                    loop.wait()
-            for what, seconds in zip(("wall", "CPU"), np.moveaxis(taken, -1, 0), strict=True):
-                title = f"{what} seconds, threads unset over one thread, {beside}"
-                ratios = seconds[:, 0] / seconds[:, 1]
-                result[f"{beside}, {what}"] = describe(title, ratios, seconds=float(np.median(seconds[:, 1])))
-        for player in players:
-            player.stdin.close()
-    return result
-
-
-def race(what: str, turns: int, fast: tuple[int, Callable[[], object]], slow: tuple[int, Callable[[], object]]) -> dict:
-    """Two ways to play, each with the decisions of a call."""
-    taken = take_turns(turns, fast[1], slow[1])
-    rate = fast[0] / float(np.median(taken[:, 0]))
-    return describe(what, (taken[:, 1] / slow[0]) / (taken[:, 0] / fast[0]), decisions_per_second=rate)
-
-
-def play_one(name: str) -> tuple[int, Callable[[], object]]:
+def play_one(name: str) -> Play:
     """Ten rounds of a single environment, in which nobody is named."""
     env = gym.make(name, disable_env_checker=True).unwrapped
     env.reset(seed=0)
@@ -214,7 +153,7 @@ def play_one(name: str) -> tuple[int, Callable[[], object]]:
     return 10, play
 
 
-def play_batch(name: str) -> tuple[int, Callable[[], object]]:
+def play_batch(name: str) -> Play:
     """The number of games of a batch, and a function that plays a round of them and names no UAV."""
     envs = gym.make_vec(name, GAMES, autoreset_mode="SameStep")
     envs.reset(seed=0)
@@ -222,17 +161,17 @@ def play_batch(name: str) -> tuple[int, Callable[[], object]]:
     return GAMES, lambda: envs.step(actions)
 
 
-def batch(name: str, turns: int) -> dict[str, object]:
+def race_batch(name: str, turns: int) -> dict[str, object]:
     """A batch of games against a single environment."""
     return race(f"a batch of {GAMES} games over a single one", turns, play_batch(name), play_one(name))
 
 
-def several_agents(name: str, turns: int) -> dict[str, object]:
+def race_several_agents(name: str, turns: int) -> dict[str, object]:
     """A batch of small games of several agents against a single one; observers do nothing, heads choose at random."""
     module, count, rng = importlib.import_module(f"usnet_env.multiagent.{name}"), 4 * GAMES, np.random.default_rng(0)
-    games, env = module.batch_env(count, **FEW), module.parallel_env(**FEW)
-    for each in (games, env):
-        each.reset(seed=0)
+    games, env = module.batch_env(count, **SMALL_GAME), module.parallel_env(**SMALL_GAME)
+    games.reset(seed=0)
+    env.reset(seed=0)
 
     def act(role: str) -> np.ndarray:
         space, shape = games.action_spaces[role], (count, games.roles[role])
@@ -256,11 +195,11 @@ def several_agents(name: str, turns: int) -> dict[str, object]:
 
     agents = len(env.possible_agents)
     choices = ", heads choose at random" * ("head" in games.roles)
-    what = f"a batch of {count} games over a single one, N = {FEW['uavs']}{choices}"
-    return race(what, turns, (agents * count, play_all), (agents * len(plans), play_alone))
+    title = f"a batch of {count} games over a single one, N = {SMALL_GAME['uavs']}{choices}"
+    return race(title, turns, (agents * count, play_all), (agents * len(plans), play_alone))
 
 
-def sb3(turns: int) -> dict[str, object]:
+def race_sb3(turns: int) -> dict[str, object]:
     """The batch in Stable-Baselines3 against its vectorisation of single environments."""
     from stable_baselines3.common.vec_env import DummyVecEnv
 
@@ -274,7 +213,7 @@ def sb3(turns: int) -> dict[str, object]:
     return race("SwarmVecEnv of Stable-Baselines3 over its DummyVecEnv, without learning", turns, *plays)
 
 
-def torchrl(turns: int) -> dict[str, object]:
+def race_torchrl(turns: int) -> dict[str, object]:
     """The batch in TorchRL against its vectorisation of single environments."""
     from torchrl.envs import GymWrapper, SerialEnv
 
@@ -283,33 +222,29 @@ def torchrl(turns: int) -> dict[str, object]:
 
     name = f"USNET/{BATCHES[0]}"
     single = SerialEnv(8, lambda: GymWrapper(BoxMasks(gym.make(name, disable_env_checker=True))))
-    many = SwarmEnv(name, GAMES)
+    vector = SwarmEnv(name, GAMES)
 
     def roll(envs: Any) -> Callable[[], object]:
         return lambda: envs.rollout(10, break_when_any_done=False)
 
-    what = "SwarmEnv of TorchRL over its SerialEnv, random actions"
-    return race(what, turns, (10 * GAMES, roll(many)), (80, roll(single)))
+    title = "SwarmEnv of TorchRL over its SerialEnv, random actions"
+    return race(title, turns, (10 * GAMES, roll(vector)), (80, roll(single)))
 
 
 PARTS: dict[str, Callable[[int], dict[str, object]]] = {
-    "stepping": lambda turns: {follow: stepping(turns, follow=follow) for follow in FOLLOW},
-    "field": lambda turns: {follow: stepping(turns, follow=follow, memory=12) for follow in FIELD_MODELS},
+    "stepping": lambda turns: {follow: measure_stepping(turns, follow=follow) for follow in FOLLOW},
+    "field": lambda turns: {follow: measure_stepping(turns, follow=follow, memory=12) for follow in FIELD_MODELS},
     "kinematics": lambda turns: {
-        name: stepping(turns, kinematics=name) for name in ("varied_speed", "lagged", "limited", "layered")
+        name: measure_stepping(turns, kinematics=name) for name in ("varied_speed", "lagged", "limited", "layered")
     },
-    "scaling": lambda turns: {follow: scaling(follow, turns) for follow in ("pigeons", "vicsek", "couzin")},
+    "scaling": lambda turns: {follow: measure_scaling(follow, turns) for follow in ("pigeons", "vicsek", "couzin")},
     "batches": lambda turns: (
-        {name: batch(f"USNET/{name}", turns) for name in BATCHES}
-        | {name: several_agents(name, turns) for name in SEVERAL}
-        | {"Stable-Baselines3": sb3(turns), "TorchRL": torchrl(turns)}
+        {name: race_batch(f"USNET/{name}", turns) for name in BATCHES}
+        | {name: race_several_agents(name, turns) for name in SEVERAL}
+        | {"Stable-Baselines3": race_sb3(turns), "TorchRL": race_torchrl(turns)}
     ),
-    "memory": memory,
-    "detectors": detectors,
-    "threads": lambda turns: {
-        f"{name}, N = {uavs}": threads(FEWER_STEPS.get(name, name), uavs, turns)
-        for name, uavs in (*((name, 30) for name in sorted(DETECTORS)), *LARGE)
-    },
+    "memory": measure_memory,
+    "detectors": time_detectors,
 }
 
 

@@ -45,15 +45,14 @@ TIME_LIMITS = {"scale": 60.0}  # seconds for an answer
 WEIGHTS = ROOT / "detectors/reader/data/reader.safetensors"
 
 
-def play(suite: Suite, detectors: list[str], episodes: int | None, folder: Path, **how: Any) -> list[pd.DataFrame]:
+def play(suite: Suite, detectors: list[str], episodes: int | None, folder: Path, **settings: Any) -> list[pd.DataFrame]:
     """Play detectors; those with the same number of episodes share a folder, from which the same call goes on."""
     counts = {name: episodes or FEWER.get(suite.name, {}).get(name, suite.episodes) for name in detectors}
-    how |= {"time_limit": TIME_LIMITS.get(suite.name), "progress": True}
+    settings |= {"time_limit": TIME_LIMITS.get(suite.name), "progress": True}
+    groups = {count: [name for name in counts if counts[name] == count] for count in counts.values()}
     return [
-        evaluate_suite(
-            suite, [name for name in counts if counts[name] == count], episodes=count, out=folder / str(count), **how
-        ).rows
-        for count in dict.fromkeys(counts.values())
+        evaluate_suite(suite, names, episodes=count, out=folder / str(count), **settings).rows
+        for count, names in groups.items()
     ]
 
 
@@ -99,9 +98,9 @@ def draw_seed(path: Path, weights: Path) -> int:
     committed = git("log", "-1", "--format=%H", f"-S{digest}", "--", path).strip()  # the commit that named the weights
     if f"\nseed: {suite.seed}\n" not in git("show", f"{committed}:./{path.name}"):
         raise ValueError(f"the seed in {path.name} was drawn after these weights; another draw needs other weights.")
-    drawn = secrets.randbits(63)
-    write_text(path, path.read_text(encoding="utf-8").replace(f"seed: {suite.seed}", f"seed: {drawn}"))
-    return drawn
+    seed = secrets.randbits(63)
+    write_text(path, path.read_text(encoding="utf-8").replace(f"seed: {suite.seed}", f"seed: {seed}"))
+    return seed
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -129,8 +128,8 @@ def main(argv: list[str] | None = None) -> None:
         pack(suite, [EvaluationResult.load(folder).rows for folder in options.add], path)
     else:
         names = options.detector or list(DETECTORS)
-        how = {"seed": options.seed or published_seed(suite), "workers": options.workers}
-        pack(suite, play(suite, names, options.episodes, options.out / suite.name, **how), path)
+        settings = {"seed": options.seed or published_seed(suite), "workers": options.workers}
+        pack(suite, play(suite, names, options.episodes, options.out / suite.name, **settings), path)
 
 
 if __name__ == "__main__":

@@ -31,7 +31,7 @@ import recordings
 import scenarios
 import track_links
 from paper.shared import RESULTS, ROOT, make_parser, read_rows
-from pivot import CellFormatter, across, fold, markdown, mean, median, pivot, rate, size
+from pivot import CellFormatter, across, fold, markdown, mean, mean_by_recording, median, pivot, rate, share, size
 
 from usnet_env.evaluation import list_suites
 from usnet_env.files import write_text
@@ -168,7 +168,7 @@ def readme_block() -> str:
 def recorded_block() -> str:
     """A line for each set of recordings: leaders that are named, and named ids that lead, of some detectors."""
     known, new = read_rows(RESULTS / "tracks.csv.gz"), read_rows(recordings.ROWS)
-    new = new[~new.detector.str.startswith("reader") | (new.weights == recordings.edition())]
+    new = new[~new.detector.str.startswith("reader") | (new.weights == recordings.hash_weights())]
     parts = known[known.chosen == 1].rename(columns={"named_heads": "named_right"}), new
     rows = pd.concat([part.assign(unseen=unseen) for part, unseen in zip(parts, ("no", "yes"), strict=True)])
 
@@ -201,20 +201,13 @@ def tracks_block() -> str:
         "ants": "Ants: tandem runs, a leader and a follower",
         "cars": "Cars: platoons of five, each after the next",
     }
-
-    def by_recording(metric: str) -> CellFormatter:
-        return lambda part: mean(metric, group="recording")(part.groupby("recording", as_index=False)[metric].mean())
-
-    def right(heads: str, named: str) -> CellFormatter:
-        return lambda part: f"{part[heads].sum() / part[named].sum():.0%}" if part[named].sum() else "–"
-
     columns: dict[str, CellFormatter] = {
         "windows; recordings": lambda part: f"{len(part)}; {part.recording.nunique()}",
-        "leader has the highest score": by_recording("group_leader"),
-        "named": by_recording("named"),
-        "of them right": right("named_heads", "named"),
-        "confirmed": by_recording("confirmed"),
-        "of these right": right("confirmed_heads", "confirmed"),
+        "leader has the highest score": mean_by_recording("group_leader"),
+        "named": mean_by_recording("named"),
+        "of them right": share("named_heads", "named", 0),
+        "confirmed": mean_by_recording("confirmed"),
+        "of these right": share("confirmed_heads", "confirmed", 0),
         "seconds": median("seconds"),
     }
     for name, part in rows[rows.chosen == 1].groupby("set", sort=False):
@@ -276,9 +269,10 @@ BLOCKS: dict[str, Callable[[], str]] = {
     **{name: _report(name, lambda rows, name=name: reader.report(rows, name)) for name in reader.STUDIES},
     "links": _report("links", reader_links.report),
     "peers": _report("peers", peers.report),
-    "live": lambda: live.report(read_rows(live.ROWS)),
-    **{one.ROWS.name.partition(".")[0]: lambda one=one: one.report(read_rows(one.ROWS)) for one in (probing, evasion)},
-    "leaks": lambda: leaks.report(read_rows(leaks.ROWS)),
+    **{
+        module.__name__.replace("_", "-"): lambda module=module: module.report(read_rows(module.ROWS))
+        for module in (evasion, leaks, live, probing, recordings, track_links)
+    },
     "algorithms": paper_tables.paper_algorithms,
     "table2": paper_tables.table2_block,
     "learning": paper_tables.learning_block,
@@ -286,8 +280,6 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "purity": paper_tables.purity_block,
     "tracks": tracks_block,
     "recorded": recorded_block,
-    "track-links": lambda: track_links.report(read_rows(track_links.ROWS)),
-    "recordings": lambda: recordings.report(read_rows(recordings.ROWS)),
     "speed": speed_block,
 }
 

@@ -26,7 +26,7 @@ from usnet_env.tracks import Tracks, read_tracks
 from usnet_env.tracks.confirm import confirm_leaders
 from usnet_env.tracks.leaders import answer_window
 
-LENGTH, MOST, STEP = 100, 12, 0.5
+LENGTH, MAX_WINDOWS, STEP = 100, 12, 0.5
 DETECTORS = (
     "random", "front-most", "directional-delays", "lagged-network", "net-lag-regression", "transfer-entropy", "mflica",
     "flica", "lagged-correlation", "lagged-regression", "granger", "factions", "reader",
@@ -34,27 +34,27 @@ DETECTORS = (
 )  # fmt: skip
 
 
-def score(tracks: Tracks, cut: Any, name: str, seed: int) -> dict[str, Any]:
+def score(tracks: Tracks, section: Any, name: str, seed: int) -> dict[str, Any]:
     """Answer one window, and compare the answer with the file's leaders."""
-    detector, window = make_detector(name), cut.window
+    detector, window = make_detector(name), section.window
     start = process_time()
-    answer, finest = answer_window(detector, tracks, cut, seed)
+    answer, finest = answer_window(detector, tracks, section, seed)
     seconds = process_time() - start
     everyone = np.arange(window.uavs)
-    roots = find_roots(cut.leader)
+    roots = find_roots(section.leader)
     head = np.isin(everyone, roots[roots != everyone])
     named = np.flatnonzero(answer.candidates)
-    found = answer.leader if answer.leader is not None else np.full(window.uavs, -1)
-    groups = [np.flatnonzero((find_roots(found) == i) & (everyone != i)).tolist() for i in named]
-    sure, _ = confirm_leaders(window, named, groups, finest.window)
+    leader = answer.leader if answer.leader is not None else np.full(window.uavs, -1)
+    groups = [np.flatnonzero((find_roots(leader) == i) & (everyone != i)).tolist() for i in named]
+    is_confirmed, _ = confirm_leaders(window, named, groups, finest.window)
     return {
         "uavs": window.uavs,
         "heads": int(head.sum()),
-        "group_leader": group_leader_accuracy(cut.leader, answer.scores),
+        "group_leader": group_leader_accuracy(section.leader, answer.scores),
         "named": len(named),
         "named_heads": int(head[named].sum()),
-        "confirmed": int(sure.sum()),
-        "confirmed_heads": int(head[named[sure]].sum()),
+        "confirmed": int(is_confirmed.sum()),
+        "confirmed_heads": int(head[named[is_confirmed]].sum()),
         "seconds": seconds,
     }
 
@@ -63,11 +63,11 @@ def play(game: Game, folder: Path) -> list[dict[str, Any]]:
     """All rows of a detector in one recording with one step, chosen from the file or :data:`STEP`."""
     step = None if game["chosen"] else STEP
     tracks = cached(read_resampled, folder / game["set"] / f"{game['recording']}.csv", step)
-    cuts = [cut for cut in tracks.windows(LENGTH) if cut.window.velocity.any()]
-    rows = []
-    for k in np.unique(np.linspace(0, len(cuts) - 1, min(MOST, len(cuts))).astype(int)) if cuts else ():
+    sections = [section for section in tracks.windows(LENGTH) if section.window.velocity.any()]
+    count, rows = min(MAX_WINDOWS, len(sections)), []
+    for k in np.unique(np.linspace(0, len(sections) - 1, count).astype(int)).tolist():
         seed = crc32(f"{game['recording']} {step} {k}".encode())
-        rows.append({**game, "step": tracks.step, "window": int(k), **score(tracks, cuts[k], game["detector"], seed)})
+        rows.append({**game, "step": tracks.step, "window": k, **score(tracks, sections[k], game["detector"], seed)})
     return rows
 
 

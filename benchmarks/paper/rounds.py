@@ -39,15 +39,15 @@ def play(game: Game, seed: int) -> list[dict[str, Any]]:
     env = gym.make("USNET/MultiCluster-v0", **swarm)
     record = record_episode(env, make_detector(name), *episode_seeds(seed, game["episode"]), label=name)
     hits, redundant = np.asarray(record.hits), np.asarray(record.redundant)
-    named, found = (" ".join(map(str, counts)) for counts in (hits + redundant, hits))
-    return [{**game, **record_metrics(record), "redundant": int(redundant.sum()), "named": named, "hits": found}]
+    rounds = {name: " ".join(map(str, counts)) for name, counts in (("named", hits + redundant), ("hits", hits))}
+    return [{**game, **record_metrics(record), "redundant": int(redundant.sum()), **rounds}]
 
 
-def said(metric: str, words: pd.Series, uavs: int) -> tuple[float, float]:
+def find_bounds(metric: str, words: pd.Series, uavs: int) -> tuple[float, float]:
     """The least and the largest value of a metric that the paper's words allow."""
-    fewest, most = (0.0 if np.isnan(words.redundant_low) else words.redundant_low) / uavs, words.redundant_high / uavs
+    low, high = (0.0 if np.isnan(words.redundant_low) else words.redundant_low) / uavs, words.redundant_high / uavs
     rounds = 1.0 if np.isnan(words.rounds_low) else words.rounds_low, words.rounds_high
-    return {"rounds": rounds, "redundancy": (fewest, most), "J": (rounds[0] + fewest, rounds[1] + most)}[metric]
+    return {"rounds": rounds, "redundancy": (low, high), "J": (rounds[0] + low, rounds[1] + high)}[metric]
 
 
 def draw(rows: pd.DataFrame, folder: Path) -> None:
@@ -61,7 +61,7 @@ def draw(rows: pd.DataFrame, folder: Path) -> None:
         chosen, x = rows[rows[list(swarms)].isin(swarms).all(axis=1)], study if study in swarms else "follow"
         sizes = np.broadcast_to(swarms["uavs"], len(swarms[x]))
         for axes, (metric, (label, scale)) in zip(line, PANELS.items(), strict=True):
-            bounds = scale * np.array([said(metric, words.loc[study], uavs) for uavs in sizes])
+            bounds = scale * np.array([find_bounds(metric, words.loc[study], uavs) for uavs in sizes])
             edges = np.repeat(np.arange(len(bounds)), 2) + np.tile([-0.5, 0.5], len(bounds))
             axes.fill_between(edges, *np.repeat(bounds, 2, axis=0).T, color="#cccccc", label="the paper, in words")
             shared.draw_intervals(axes, chosen, x, swarms[x], metric, styles, scale)

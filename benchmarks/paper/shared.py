@@ -102,19 +102,19 @@ def run_missing(options: argparse.Namespace, games: Sequence[Game], play: Play) 
     path: Path = options.rows
     if options.draw:
         return read_rows(path)
-    keys, columns, known = list(games[0]), None, set()
+    keys, columns, played = list(games[0]), None, set()
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.exists():
         old = read_rows(path)
-        columns, known = list(old), set(old[keys].itertuples(index=False, name=None))
-    missing = [game for game in games if tuple(game.values()) not in known]
+        columns, played = list(old), set(old[keys].itertuples(index=False, name=None))
+    missing = [game for game in games if tuple(game.values()) not in played]
     with progress_bar("games") as progress:
-        for done, found in enumerate(map_tasks(play, missing, workers=options.workers), 1):
-            if found:
-                rows = pd.DataFrame(found, columns=columns)
+        for count, new_rows in enumerate(map_tasks(play, missing, workers=options.workers), 1):
+            if new_rows:
+                rows = pd.DataFrame(new_rows, columns=columns)
                 rows.to_csv(path, mode="a", header=columns is None, index=False, lineterminator="\n")
                 columns = list(rows)
-            progress(done, len(missing))
+            progress(count, len(missing))
     if missing:
         write_rows(path, read_rows(path).sort_values(keys, kind="stable").round(4))
     return read_rows(path)
@@ -125,8 +125,8 @@ def interval(rows: pd.DataFrame, metric: str, group: str = "episode") -> Interva
 
     Rows without a value, such as those of a detector without clusters, are left out.
     """
-    known = rows.loc[rows[metric].notna(), [metric, group]]
-    values, groups = known[metric].to_numpy(float), known[group].to_numpy()
+    rows_with_value = rows.loc[rows[metric].notna(), [metric, group]]
+    values, groups = rows_with_value[metric].to_numpy(float), rows_with_value[group].to_numpy()
     return rate_interval(values, groups=groups) if metric in RATES else mean_interval(values, groups=groups)
 
 
@@ -136,10 +136,10 @@ def describe_counts(rows: pd.DataFrame, keys: Sequence[str]) -> str:
     return f"n = {counts.min()}" if counts.nunique() == 1 else f"n = {counts.min()} to {counts.max()}"
 
 
-def panels(width: float, height: float, rows: int = 1, columns: int = 1, **how: Any) -> tuple[Figure, np.ndarray]:
+def panels(width: float, height: float, rows: int = 1, columns: int = 1, **options: Any) -> tuple[Figure, np.ndarray]:
     """A figure of so many inches, and its panels ``(rows, columns)``."""
     figure = Figure(figsize=(width, height), layout="constrained")
-    grid = figure.subplots(rows, columns, squeeze=False, **how)
+    grid = figure.subplots(rows, columns, squeeze=False, **options)
     for axes in grid.ravel():
         axes.grid(color="#e4e4e4", lw=0.7)
         axes.set_axisbelow(True)
@@ -161,10 +161,11 @@ def draw_intervals(
     ``styles`` has arguments of ``Axes.errorbar`` for each detector.
     """
     for number, (name, style) in enumerate(styles.items()):
-        found = {ticks.index(value): interval(cell, metric) for value, cell in rows[rows.detector == name].groupby(x)}
-        mean, low, high = scale * np.array(list(found.values())).reshape(-1, 3).T
-        at = np.array(list(found)) + 0.75 * ((number + 0.5) / len(styles) - 0.5)
-        axes.errorbar(at, mean, [mean - low, high - mean], ls="none", lw=1.2, label=name, **style)
+        cells = rows[rows.detector == name].groupby(x)
+        intervals = {ticks.index(value): interval(cell, metric) for value, cell in cells}
+        mean, low, high = scale * np.array(list(intervals.values())).reshape(-1, 3).T
+        position = np.array(list(intervals)) + 0.75 * ((number + 0.5) / len(styles) - 0.5)
+        axes.errorbar(position, mean, [mean - low, high - mean], ls="none", lw=1.2, label=name, **style)
     axes.set_xticks(range(len(ticks)), ticks)
 
 
@@ -175,10 +176,10 @@ def save_figure(figure: Figure, path: Path, title: str, caption: str) -> None:
     """
     lines = textwrap.fill(caption, int(12.5 * figure.get_figwidth()))
     figure.suptitle(f"{title}\n{lines}", fontsize=10, x=0.01, ha="left")
-    labels = {label: line for one in figure.axes for line, label in zip(*one.get_legend_handles_labels(), strict=True)}
-    if labels:
-        about: dict[str, Any] = {"loc": "outside lower center", "ncols": 4, "fontsize": 9, "frameon": False}
-        figure.legend(labels.values(), labels.keys(), **about)
+    legends = [axes.get_legend_handles_labels() for axes in figure.axes]
+    if labels := {label: line for legend in legends for line, label in zip(*legend, strict=True)}:
+        options: dict[str, Any] = {"loc": "outside lower center", "ncols": 4, "fontsize": 9, "frameon": False}
+        figure.legend(labels.values(), labels.keys(), **options)
     content = io.BytesIO()
     figure.savefig(content, format="png", dpi=_DPI)
     path.parent.mkdir(parents=True, exist_ok=True)

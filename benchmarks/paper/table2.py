@@ -30,7 +30,7 @@ DETECTORS = ("gassl", "gassl(steps=0)", "neural-granger", "lagged-regression(clu
 DETECTORS += ("central-most(reach=100)", "track-outlier(threshold=1000)")  # they name one UAV, and see no pairs
 COMPARED = ("gassl", "gassl(steps=0)", "neural-granger")  # trained, untrained, and an attention that learns
 PAPER = Path(__file__).parent / "data" / "table2_detection_rate.csv"  # percent of 1,000 runs
-MANY, FEW = 100, 30  # episodes of a cell with up to 15 followers, and with more
+EPISODES, FEWER_EPISODES = 100, 30  # episodes of a cell with up to 15 followers, and with more
 
 
 def make_seed(seed: int, game: Game, branch: int) -> int:
@@ -47,12 +47,12 @@ def play(game: Game, seed: int) -> list[dict[str, Any]]:
     window, detector = Window.from_observation(observation), make_detector(game["detector"])
     detector.reset(make_seed(seed, game, 1))
     answer, seconds = ask(detector, window)
-    found = {
+    metrics = {
         "named": int(answer.candidates.any()),
         "hit": int(np.array_equal(answer.candidates, env.swarm.head)),
         "explained": float(np.mean(answer.extras.get("explained", np.nan))),
     }
-    return [{**game, **found, "seconds": seconds}]
+    return [{**game, **metrics, "seconds": seconds}]
 
 
 def draw(rows: pd.DataFrame, folder: Path) -> None:
@@ -104,7 +104,8 @@ def main(argv: list[str] | None = None) -> None:
     parser = shared.make_parser(__doc__, shared.RESULTS / "paper" / "table2.csv.gz")
     parser.add_argument("--detector", action="append", help="may repeat; by default those of the table")
     parser.add_argument("--cells", default=",".join(FOLLOW), help="such as f1:2,f4:15 or f1; by default all 70")
-    parser.add_argument("--episodes", type=int, help=f"of each cell; by default {MANY} up to m = 15, else {FEW}")
+    episodes = f"{EPISODES} up to m = 15, else {FEWER_EPISODES}"
+    parser.add_argument("--episodes", type=int, help=f"of each cell; by default {episodes}")
     parser.add_argument("--decoys", type=int, default=0)
     parser.add_argument("--mobility", default="iid")
     parser.add_argument("--head-jitter", action="store_true")
@@ -116,7 +117,7 @@ def main(argv: list[str] | None = None) -> None:
         | {"mobility": options.mobility, "head_jitter": options.head_jitter, "episode": episode}
         for follow, followers in sorted(cells, key=lambda cell: cell[1])  # small swarms first
         for name in options.detector or DETECTORS
-        for episode in range(options.episodes or (MANY if followers <= 15 else FEW))
+        for episode in range(options.episodes or (EPISODES if followers <= 15 else FEWER_EPISODES))
     ]
     draw(shared.run_missing(options, games, partial(play, seed=options.seed)), options.images)
 

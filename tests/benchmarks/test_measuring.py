@@ -221,7 +221,7 @@ def test_controls_tell_heads_where_something_gives_them_away(suite, tmp_path, ca
 def test_strange_tracks_are_of_other_clusters_and_keep_their_roles(suite):
     env = leaks.shared.open_cell(str(suite), "hidden")
     for swarms, different in ((11, 11), (6, 6)):  # from a swarm at most one track, or from a cluster
-        flown = leaks.fly(env, 1, swarms)
+        flown = leaks.observe_swarms(env, 1, swarms)
         window, role = leaks.meet_strangers(flown, 2)
         where = {
             window.position[:, i].tobytes(): (s, k)

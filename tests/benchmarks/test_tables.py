@@ -182,10 +182,10 @@ def test_rounds_are_those_that_evaluate_plays(run, tmp_path):
 
 def test_the_paper_s_words_bound_the_metrics():
     words = pd.read_csv(rounds.WORDS, index_col="study")
-    assert rounds.said("rounds", words.loc["follow"], 82) == (3, 4)
-    assert rounds.said("J", words.loc["follow"], 82) == (pytest.approx(3 + 5 / 82), pytest.approx(4 + 5 / 82))
-    assert rounds.said("rounds", words.loc["clusters"], 82) == (1, 7)  # the paper gives the largest value alone
-    assert rounds.said("redundancy", words.loc["clusters"], 82) == (0, pytest.approx(18.2 / 82))
+    assert rounds.find_bounds("rounds", words.loc["follow"], 82) == (3, 4)
+    assert rounds.find_bounds("J", words.loc["follow"], 82) == (pytest.approx(3 + 5 / 82), pytest.approx(4 + 5 / 82))
+    assert rounds.find_bounds("rounds", words.loc["clusters"], 82) == (1, 7)  # the paper gives the largest value alone
+    assert rounds.find_bounds("redundancy", words.loc["clusters"], 82) == (0, pytest.approx(18.2 / 82))
 
 
 def test_purity_is_that_of_the_answered_clusters(run, tmp_path, monkeypatch):
