@@ -44,12 +44,12 @@ def algorithm_1(
         for step in range(steps):  # line 3
             phi_i.requires_grad_(True)
             gamma.requires_grad_(True)
-            loss, _ = compute_loss(inputs, i, phi_i, gamma, agat, ifsn)
+            loss, _ = find_loss(inputs, i, phi_i, gamma, agat, ifsn)
             d_phi, d_gamma = torch.autograd.grad(loss, (phi_i, gamma))
             phi_i = phi_i.detach() - learning_rate * d_phi  # line 4, equation (24)
             gamma = gamma.detach() - learning_rate * d_gamma  # line 4, equation (25)
             losses[i, step] = loss.detach()
-        final, alpha = compute_loss(inputs, i, phi_i, gamma, agat, ifsn)  # alpha_{i,i',l} at all times, (T_0 + 1, R, n)
+        final, alpha = find_loss(inputs, i, phi_i, gamma, agat, ifsn)  # alpha_{i,i',l} at all times, (T_0 + 1, R, n)
         attn_heads[i] = alpha.mean(dim=1)  # over the times: decision (t)
         weight = alpha.mean(dim=0)  # equation (12), (R, n)
         chosen = (weight == weight.amax(dim=1, keepdim=True)).float()  # line 6, equation (19) at each time
@@ -59,9 +59,7 @@ def algorithm_1(
     return Fit(attn_heads.numpy(), votes.numpy(), gamma.numpy(), losses.numpy(), explained.numpy())
 
 
-def compute_loss(
-    inputs: Inputs, i: int, phi: Tensor, gamma: Tensor, agat: AgatSizes, ifsn: int
-) -> tuple[Tensor, Tensor]:
+def find_loss(inputs: Inputs, i: int, phi: Tensor, gamma: Tensor, agat: AgatSizes, ifsn: int) -> tuple[Tensor, Tensor]:
     """L_B(Θ_i), equation (23), and alpha_{i,i',l} at all times, ``(T_0 + 1, R, n)``."""
     network = _split_parameters(phi, agat.shapes())
     value = torch.from_numpy(inputs.value).to(phi.dtype).permute(0, 3, 1, 2)  # (T_0 + 1, R, 3, n)

@@ -15,15 +15,8 @@ from detectors.gassl.ifsn import draw_ifsn
 from detectors.gassl.topology_matrix import build_batch
 from detectors.gassl.training import Fit, train
 from detectors.parameters import Count
+from detectors.series import votes
 from detectors.series.designs import check_pairs, check_steps
-from detectors.series.votes import (
-    choose_heads,
-    count_votes,
-    name_at_random,
-    scatter_to_swarm,
-    select_top,
-    shows_evidence,
-)
 from usnet_env.arrays import Singles
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
@@ -68,8 +61,8 @@ class Gassl(Detector):
 
     def check_arguments(self) -> tuple[AgatSizes, Any]:
         """Check every argument; return the widths of the AGAT, and all arguments."""
-        arguments = super().check_arguments()
-        return arguments.part(AgatSizes), arguments
+        settings = super().check_arguments()
+        return settings.part(AgatSizes), settings
 
     def detect(self, window: Window) -> Detection:
         """Train on one window and name the candidates.
@@ -86,16 +79,16 @@ class Gassl(Detector):
         check_pairs(window.uavs)
         check_steps(window, self.memory)
         members = np.flatnonzero(window.alive)
-        if not shows_evidence(window, members):  # decision (x)
-            candidates = name_at_random(members, self.top_k, window.uavs, self.rng)
+        if not votes.shows_evidence(window, members):  # decision (x)
+            candidates = votes.name_at_random(members, self.top_k, window.uavs, self.rng)
             return Detection(candidates=candidates, scores=np.zeros(window.uavs))
         fit = self.fit_cluster(window, members, None, self.rng)
         return answer_cluster(window, members, fit, self, self.rng)
 
     def draw_gamma(self, rng: np.random.Generator) -> Singles:
         """An initial Γ, ``(parameters,)``."""
-        agat, arguments = self.check_arguments()
-        return draw_ifsn(6 * agat.attn_heads, arguments.ifsn_hidden, rng)
+        agat, settings = self.check_arguments()
+        return draw_ifsn(6 * agat.attn_heads, settings.ifsn_hidden, rng)
 
     def fit_cluster(
         self, window: Window, members: NDArray[np.intp], gamma: Singles | None, rng: np.random.Generator
@@ -104,18 +97,17 @@ class Gassl(Detector):
 
         ``gamma`` is the Γ to begin with, such as the one that another cluster left; it is drawn for ``None``.
         """
-        agat, arguments = self.check_arguments()
-        inputs, phi = build_batch(window, members, arguments.memory), draw_agat(agat, len(members), rng)
+        agat, settings = self.check_arguments()
+        inputs, phi = build_batch(window, members, settings.memory), draw_agat(agat, len(members), rng)
         gamma = self.draw_gamma(rng) if gamma is None else gamma
-        training = arguments.steps, arguments.learning_rate
+        descent = settings.steps, settings.learning_rate
         if self.implementation == "compiled":
-            return train(inputs, phi, gamma, agat, *training)
+            return train(inputs, phi, gamma, agat, *descent)
         import torch  # an extra, which the compiled loops don't need
 
         from detectors.gassl.algorithm_1 import algorithm_1
 
-        tensors = torch.from_numpy(phi), torch.from_numpy(gamma)
-        return algorithm_1(inputs, *tensors, agat, arguments.ifsn_hidden, *training)
+        return algorithm_1(inputs, torch.from_numpy(phi), torch.from_numpy(gamma), agat, settings.ifsn_hidden, *descent)
 
 
 def answer_cluster(
@@ -123,15 +115,15 @@ def answer_cluster(
 ) -> Detection:
     """Lines 6 to 8 of Algorithm 1: votes of the n UAVs of a cluster, written out for all N of the window."""
     attention = fit.attention.astype(np.float64)
-    other_choice = choose_heads(attention, True, rng)
-    choice = choose_heads(attention, False, rng)
-    c = count_votes(choice)
+    other_choice = votes.choose_heads(attention, True, rng)
+    choice = votes.choose_heads(attention, False, rng)
+    c = votes.count_votes(choice)
     if settings.times == "votes":
-        choice = choose_heads(fit.votes, False, rng)
+        choice = votes.choose_heads(fit.votes, False, rng)
         c = np.where(np.eye(len(members), dtype=bool), 0.0, fit.votes).sum(axis=0) / len(members)
     is_named = np.zeros(len(members), bool)
-    is_named[select_top(c, settings.top_k, rng)] = True
-    wide = partial(scatter_to_swarm, members=members, uavs=window.uavs)
+    is_named[votes.select_top(c, settings.top_k, rng)] = True
+    wide = partial(votes.scatter_to_swarm, members=members, uavs=window.uavs)
     extras = {
         "choice": wide(members[choice], fill=-1),
         "attention_heads": wide(fit.attn_heads.swapaxes(0, 1), pairs=True),

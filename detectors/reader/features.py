@@ -352,8 +352,7 @@ def _fill_joint(out: Singles, s: _Signals) -> list[Singles]:
 
 def _log(x: Singles, least: float = 1e-4) -> Singles:
     """Logarithm of a power that may be 0."""
-    out: Singles = np.log(x + np.float32(least))
-    return out
+    return np.asarray(np.log(x + np.float32(least)))
 
 
 def _describe_uavs(s: _Signals, bearings: list[Singles]) -> list[Singles]:

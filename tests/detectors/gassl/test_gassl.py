@@ -8,7 +8,7 @@ from synthetic_windows import answer
 
 from detectors.gassl import Gassl
 from detectors.gassl.agat import AgatSizes, draw_agat
-from detectors.gassl.algorithm_1 import algorithm_1, compute_loss
+from detectors.gassl.algorithm_1 import algorithm_1, find_loss
 from detectors.gassl.ifsn import draw_ifsn
 from detectors.gassl.topology_matrix import build_batch
 from detectors.gassl.training import compute_gradient, train
@@ -107,7 +107,7 @@ def test_the_compiled_loss_and_gradients_are_those_of_the_readable_loss(case):
     for i in (0, inputs.uavs - 1):
         found, d_phi, d_gamma = compute_gradient(phi[i], gamma, agat.numbers(), inputs.of(i))
         phi_i, of_all = doubles(phi[i], gamma)
-        loss, _ = compute_loss(inputs, i, phi_i, of_all, agat, ifsn)
+        loss, _ = find_loss(inputs, i, phi_i, of_all, agat, ifsn)
         assert found == pytest.approx(loss.item(), rel=1e-4)
         for got, expected in zip((d_phi, d_gamma), torch.autograd.grad(loss, (phi_i, of_all)), strict=True):
             largest = float(expected.abs().max())

@@ -97,9 +97,8 @@ def draw_herd(rng: np.random.Generator, stage: Stage) -> Flight:
         offset = current - current[:, :1]
         distance = np.linalg.norm(offset, axis=-1, keepdims=True) + 1e-9
         goal_velocity = 1.5 * np.exp(-distance / reach) * offset / distance + acts[0] + align * acts[1] + pull * acts[2]
-        post = herd.mean(1, keepdims=True) - course[:, t] * (reach + herd.std((1, 2), keepdims=True))
-        way = post - current[:, :1]
-        goal_velocity[:, :1] = 1.2 * way / np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 3.0)
+        aim = herd.mean(1, keepdims=True) - course[:, t] * (reach + herd.std((1, 2), keepdims=True)) - current[:, :1]
+        goal_velocity[:, :1] = 1.2 * aim / np.maximum(np.linalg.norm(aim, axis=-1, keepdims=True), 3.0)
         return goal_velocity
 
     start = 0.15 * reach * np.sqrt(stage.uavs) * stage.draw_normals(rng, stage.uavs)
