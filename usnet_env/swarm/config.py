@@ -146,8 +146,8 @@ class SwarmConfig(SensorArguments, SizeArguments, BystanderArguments, MobilityAr
     @property
     def followers(self) -> int:
         """Number of followers of all clusters at the start."""
-        others = self.decoys + self.bystanders + self.traffic + self.clutter + self.absent
-        return self.uavs - self.clusters - others
+        unled = self.decoys + self.bystanders + self.traffic + self.clutter + self.absent
+        return self.uavs - self.clusters - unled
 
     @property
     def unseen_levels(self) -> tuple[int, int]:

@@ -174,8 +174,8 @@ class Frontness(FormationSlots):
     def draw_slots(self, rng: np.random.Generator, uavs: int) -> Singles:
         """Draw the place of the head and the slots about it."""
         slots = super().draw_slots(rng, uavs)
-        place = int(rng.integers(-1, 2)) if self.place is None else self.place
-        slots[0] -= np.float32(place * self.offset)
+        position = int(rng.integers(-1, 2)) if self.place is None else self.place
+        slots[0] -= np.float32(position * self.offset)
         return slots
 
 

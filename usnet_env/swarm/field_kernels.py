@@ -54,8 +54,8 @@ def fly_links(
     A follower that doesn't answer in a block flies on with the noise ``idle_noise``.
     """
     uavs = table.shape[2]
-    above = np.empty((uavs, MOST_LINKS), np.int64)
-    late = np.empty((uavs, MOST_LINKS), np.int64)
+    copied = np.empty((uavs, MOST_LINKS), np.int64)
+    delays = np.empty((uavs, MOST_LINKS), np.int64)
     count = np.empty(uavs, np.int64)
     salt = np.empty(uavs, np.float32)
     for b in range(len(motion)):
@@ -68,27 +68,27 @@ def fly_links(
                     break
                 delay += np.int64(table[b, DELAY, a])
                 a = source[b, a]
-                above[i, count[i]], late[i, count[i]] = a, delay
+                copied[i, count[i]], delays[i, count[i]] = a, delay
                 count[i] += 1
-            shared = response_unit == EACH_CLUSTER and source[b, i] >= 0  # by all that copy the same UAV
-            salt[i] = table[b, SALT, source[b, i] % uavs if shared else i]
+            is_shared = response_unit == EACH_CLUSTER and source[b, i] >= 0  # by all that copy the same UAV
+            salt[i] = table[b, SALT, source[b, i] % uavs if is_shared else i]
         for s in range(noise.shape[1]):
             t = start + s
             begin_step(b, s, t, motion, plan, noise, position, velocity)
-            now = (clock[b] + s) // block_steps
+            block = (clock[b] + s) // block_steps
             for i in followers:
                 x, y, z = velocity[b, t - 1, i, 0], velocity[b, t - 1, i, 1], velocity[b, t - 1, i, 2]
                 noise_scale = table[b, NOISE, i]
-                if count[i] == 0 or (response_unit != ALWAYS and hash_draw(salt[i], now) >= response_probability):
+                if count[i] == 0 or (response_unit != ALWAYS and hash_draw(salt[i], block) >= response_probability):
                     finish_step(b, s, t, i, x, y, z, idle_noise, noise, velocity)
                     continue
                 if strength > _ZERO:
                     vx, vy, vz = x, y, z
                     for k in range(count[i]):
-                        a = above[i, k]
+                        a = copied[i, k]
                         dx, dy, dz = displacement(position, b, t, a, i)
-                        near = (dx * dx + dy * dy + dz * dz) / (scale * scale)
-                        weight = strength / (np.float32(count[i]) * np.float32((_ONE + near) ** np.float32(0.4)))
+                        ratio = (dx * dx + dy * dy + dz * dz) / (scale * scale)
+                        weight = strength / (np.float32(count[i]) * np.float32((_ONE + ratio) ** np.float32(0.4)))
                         v = velocity[b, t - 1, a]
                         x, y, z = x + weight * (v[0] - vx), y + weight * (v[1] - vy), z + weight * (v[2] - vz)
                 else:
@@ -96,7 +96,7 @@ def fly_links(
                     weight = gain / np.float32(count[i])
                     x, y, z = (_ONE - gain) * x, (_ONE - gain) * y, (_ONE - gain) * z
                     for k in range(count[i]):
-                        v = velocity[b, t - late[i, k], above[i, k]]
+                        v = velocity[b, t - delays[i, k], copied[i, k]]
                         x, y, z = x + weight * v[0], y + weight * v[1], z + weight * v[2]
                 finish_step(b, s, t, i, x, y, z, noise_scale, noise, velocity)
             end_step(b, s, t, motion, plan, position, velocity)
@@ -113,15 +113,15 @@ def fly_mixed(response_unit, block_steps, reach, table, source, clock, motion, s
     for b in range(len(motion)):
         followers, _ = split_links(motion[b], source[b])
         for i in followers:
-            shared = response_unit == EACH_CLUSTER and source[b, i] >= 0  # by all that copy the same UAV
-            salt[i] = table[b, SALT, source[b, i] % uavs if shared else i]
+            is_shared = response_unit == EACH_CLUSTER and source[b, i] >= 0  # by all that copy the same UAV
+            salt[i] = table[b, SALT, source[b, i] % uavs if is_shared else i]
         for s in range(noise.shape[1]):
             t = start + s
             begin_step(b, s, t, motion, plan, noise, position, velocity)
-            now = (clock[b] + s) // block_steps if response_unit == EACH_CLUSTER else 0
+            block = (clock[b] + s) // block_steps if response_unit == EACH_CLUSTER else 0
             for i in followers:
                 h = source[b, i]
-                kind = int(np.float32(MIXED) * hash_draw(salt[i], now))
+                kind = int(np.float32(MIXED) * hash_draw(salt[i], block))
                 x, y, z = _ZERO, _ZERO, _ZERO
                 square = kind == 3 or kind == 4
                 lags = kind - 1 if square else (1 if kind == 5 else kind + 1)

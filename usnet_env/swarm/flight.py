@@ -21,7 +21,7 @@ from usnet_env.swarm.sensing import Generators, draw_normals
 from usnet_env.swarm.state import SwarmState
 from usnet_env.swarm.strategy import TrajectoryBatch
 
-OTHERS = ("smooth_turn", "straight", "gauss_markov")  # the mobilities of bystanders, traffic and false tracks
+UNLED_MOBILITIES = ("smooth_turn", "straight", "gauss_markov")  # those of bystanders, traffic and false tracks
 JITTER = 0.05  # kappa_n of the head jitter with follow="none", which has no follow strategy to define it
 
 
@@ -46,13 +46,13 @@ def fly_steps(
         return _fly(configs[0], state, rngs, steps)
     flights = [_fly(config, state.rows(rows), [rngs[b] for b in rows], steps) for config, rows in groups]
     order = np.argsort(np.concatenate([rows for _, rows in groups]))
-    after = SwarmState.join([flight[0] for flight in flights]).rows(order)
+    next_state = SwarmState.join([flight[0] for flight in flights]).rows(order)
     width = max(position.shape[2] for _, position, _ in flights)
     position, velocity = (np.zeros((len(rngs), track.shape[1], width, 3), np.float32) for track in flights[0][1:])
     for (_, rows), (_, *tracks) in zip(groups, flights, strict=True):
         for joined, track in zip((position, velocity), tracks, strict=True):
             joined[rows, :, : track.shape[2]] = track
-    return after, position, velocity
+    return next_state, position, velocity
 
 
 def _fly(config: SwarmConfig, state: SwarmState, rngs: Generators, steps: int) -> tuple[SwarmState, Singles, Singles]:
@@ -64,9 +64,9 @@ def _fly(config: SwarmConfig, state: SwarmState, rngs: Generators, steps: int) -
     position[:, : memory + 1, :uavs], velocity[:, :memory, :uavs] = state.past_position, state.past_velocity
     position[:, : memory + 1, uavs:], velocity[:, :memory, uavs:] = state.reference_position, state.reference_velocity
     # Drawn for destroyed UAVs too, so the draws of the others do not depend on which UAVs live.
-    noisy = strategy is not None or config.head_jitter
+    has_noise = strategy is not None or config.head_jitter
     shape = steps, all_uavs
-    noise = draw_normals(rngs, *shape, 3) if noisy else np.empty((episodes, *shape, 3), np.float32)
+    noise = draw_normals(rngs, *shape, 3) if has_noise else np.empty((episodes, *shape, 3), np.float32)
     plan = draw_plan(config, state.free, state.mobility_state.copy(), steps, rngs)._replace(
         kinematic_noise=draw_normals(rngs, *shape, kinematics.normals),
         kinematic_state=state.kinematic_state.copy(),
@@ -75,15 +75,15 @@ def _fly(config: SwarmConfig, state: SwarmState, rngs: Generators, steps: int) -
     swarm = state.root, state.parameters, source, state.not_led, state.clock
     flight = TrajectoryBatch(position, velocity, noise, _find_motion(state, all_uavs), *swarm, plan)
     mobility_compiled = isinstance(config.head_mobility, CompiledMobility)
-    leading_compiled = strategy is None or not strategy.has_followers or strategy.compiled
+    follow_compiled = strategy is None or not strategy.has_followers or strategy.compiled
     if isinstance(kinematics, Unit):
         fly_free(config, flight.start, flight.start, plan, flight.motion, noise, position, velocity, rngs)
         _fly_followers(config, flight)
-    elif isinstance(kinematics, CompiledKinematics) and mobility_compiled and leading_compiled:
+    elif isinstance(kinematics, CompiledKinematics) and mobility_compiled and follow_compiled:
         _fly_followers(config, flight)
     else:
         _fly_step_by_step(config, flight, rngs)
-    after = replace(
+    next_state = replace(
         state,
         past_position=position[:, steps:, :uavs].copy(),
         past_velocity=velocity[:, steps:, :uavs].copy(),
@@ -93,7 +93,7 @@ def _fly(config: SwarmConfig, state: SwarmState, rngs: Generators, steps: int) -
         reference_position=position[:, steps:, uavs:].copy(),
         reference_velocity=velocity[:, steps:, uavs:].copy(),
     )
-    return after, position, velocity
+    return next_state, position, velocity
 
 
 def _find_motion(state: SwarmState, all_uavs: int) -> NDArray[np.int8]:
@@ -111,9 +111,9 @@ def find_mobilities(config: SwarmConfig, free: int) -> list[tuple[Mobility, slic
     """
     groups = config.bystanders, config.traffic, config.clutter
     ends = np.cumsum([free - sum(groups), *groups]).tolist()
-    mobilities = config.head_mobility, *(MOBILITIES[name] for name in OTHERS)
-    each = zip(mobilities, [0, *ends], ends, strict=False)
-    return [(mobility, slice(first, end)) for mobility, first, end in each if first < end]
+    mobilities = config.head_mobility, *(MOBILITIES[name] for name in UNLED_MOBILITIES)
+    groups_of_columns = zip(mobilities, [0, *ends], ends, strict=False)
+    return [(mobility, slice(first, end)) for mobility, first, end in groups_of_columns if first < end]
 
 
 def draw_plan(
@@ -148,14 +148,14 @@ def _fly_followers(config: SwarmConfig, flight: TrajectoryBatch) -> None:
 
 def _fly_step_by_step(config: SwarmConfig, flight: TrajectoryBatch, rngs: Generators) -> None:
     """Fly with other kinematics than ``unit`` where a part has no compiled loop, in place."""
-    strategy, first, plan = config.follow_strategy, flight.start, flight.plan
+    strategy, start, plan = config.follow_strategy, flight.start, flight.plan
     for s in range(flight.steps):
-        t = first + s
-        until = flight.velocity[:, : t + 1]
-        fly_free(config, first, t, plan, flight.motion, flight.noise, flight.position, until, rngs)
+        t = start + s
+        velocity = flight.velocity[:, : t + 1]
+        fly_free(config, start, t, plan, flight.motion, flight.noise, flight.position, velocity, rngs)
         if strategy is not None and strategy.has_followers:
             position, noise = flight.position[:, s : t + 2], np.ascontiguousarray(flight.noise[:, s : s + 1])
-            step = replace(flight, position=position, velocity=until[:, s:], noise=noise, clock=flight.clock + s)
+            step = replace(flight, position=position, velocity=velocity[:, s:], noise=noise, clock=flight.clock + s)
             strategy.fly(replace(step, plan=kernels.FLOWN))
         noise = plan.kinematic_noise[:, s]
         config.kinematics_model.fly(t, flight.motion, noise, plan.kinematic_state, flight.position, flight.velocity)
@@ -169,14 +169,14 @@ def fly_free(
     kernels.fly_free(start, first, plan, motion, noise, position, velocity)
     if isinstance(config.head_mobility, CompiledMobility):
         return
-    heads, swarms = find_mobilities(config, len(plan.codes))[0][1], np.arange(len(rngs))[:, None]
-    columns, steps = plan.free[:, heads], velocity.shape[1] - first
-    state, present = plan.mobility_state[:, heads], position[swarms, first, columns]
-    wanted = normalise(config.head_mobility.fly_batch(state, present, steps, rngs).astype(np.float32))
+    columns, swarms = find_mobilities(config, len(plan.codes))[0][1], np.arange(len(rngs))[:, None]
+    uavs, steps = plan.free[:, columns], velocity.shape[1] - first
+    state, present = plan.mobility_state[:, columns], position[swarms, first, uavs]
+    direction = normalise(config.head_mobility.fly_batch(state, present, steps, rngs).astype(np.float32))
     if plan.jitter[0] > 0:
-        added = noise[swarms, first - start : first - start + steps, columns].swapaxes(1, 2)
-        wanted = normalise(wanted + plan.jitter[0] * added)
-    velocity[swarms, first : first + steps, columns] = wanted.swapaxes(1, 2)
+        jitter = noise[swarms, first - start : first - start + steps, uavs].swapaxes(1, 2)
+        direction = normalise(direction + plan.jitter[0] * jitter)
+    velocity[swarms, first : first + steps, uavs] = direction.swapaxes(1, 2)
     velocity[:, first:].swapaxes(1, 2)[motion == kernels.DESTROYED] = 0.0
 
 

@@ -35,9 +35,9 @@ class Flock(FieldStrategy):
         """Compiled loop."""
         ranges = np.array([self.repulsion, self.alignment, self.attraction], np.float32)
         weights = np.array([self.align, self.attract], np.float32)
-        others = map(np.float32, (self.flight, self.flee, self.standoff, self.link))
+        scalars = map(np.float32, (self.flight, self.flee, self.standoff, self.link))
         swarm = self.table(flight), flight.root, flight.source, flight.not_led
-        flock_kernels.fly_flock(ranges, weights, self.chaser, *others, *swarm, *flight.loop_arguments)
+        flock_kernels.fly_flock(ranges, weights, self.chaser, *scalars, *swarm, *flight.loop_arguments)
 
 
 @dataclass(frozen=True)
@@ -65,8 +65,8 @@ class Informed(Couzin):
     def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
         """Draw the informed UAVs of each cluster, the drawn head first."""
         head, source, root = roles.head.copy(), roles.source.copy(), roles.root.copy()
-        for cluster, first in enumerate(roles.initial_heads):
-            members = np.append(first, rng.permutation(roles.members(cluster)))
+        for cluster, drawn_head in enumerate(roles.initial_heads):
+            members = np.append(drawn_head, rng.permutation(roles.members(cluster)))
             informed = members[: max(1, round(self.share * len(members)))]
             source[members], root[members] = len(source) + cluster, -1
             head[informed], root[informed] = True, informed
@@ -83,12 +83,12 @@ class Linked(Informed):
         """Draw the informed UAVs of each cluster, and the one that each of the others copies."""
         roles = super().arrange(rng, roles)
         source, root = roles.source.copy(), roles.root.copy()
-        for cluster, first in enumerate(roles.initial_heads):
+        for cluster, top in enumerate(roles.initial_heads):
             members = np.flatnonzero(roles.source == len(source) + cluster)
             informed = members[roles.head[members]]
-            source[informed] = first
-            others = members[~roles.head[members]]
-            source[others] = root[others] = rng.choice(informed, len(others))
+            source[informed] = top
+            uninformed = members[~roles.head[members]]
+            source[uninformed] = root[uninformed] = rng.choice(informed, len(uninformed))
         return roles._replace(source=source, root=root)
 
 

@@ -15,15 +15,15 @@ from usnet_env.swarm.kernels import DESTROYED, FOLLOWS, begin_step, end_step, fi
 NO_CHASER, PREDATOR, DRIVER = range(3)
 
 _ONE, _ZERO, _TINY = np.float32(1.0), np.float32(0.0), np.float32(1e-12)
-_ALONE = np.float32(1.5)  # a UAV counts itself: with a larger count it has neighbours
+_OWN_COUNT = np.float32(1.5)  # a UAV counts itself: with a larger count it has neighbours
 _SMALL, _MIDDLE = 64, 128  # sizes up to which a flock is searched as a whole: unsorted, or sorted by cell
 # Rows of `rows`, with numbers of up to _MIDDLE UAVs of a flock: position, velocity, noise, what they want; then the
 # sums: repulsion, alignment, attraction, and three counts. The compiler sees from their distance that none overlap;
 # at a power of two, memory would wait for stores of rows with the same low bits of their addresses.
-_APART = _MIDDLE + 16
-_END = 24 * _APART
-_X, _Y, _Z, _UX, _UY, _UZ, _NX, _NY, _NZ, _WX, _WY, _WZ = range(0, 12 * _APART, _APART)
-_RX, _RY, _RZ, _OX, _OY, _OZ, _AX, _AY, _AZ, _REPELLED, _ALIGNED, _ATTRACTED = range(12 * _APART, _END, _APART)
+_ROW = _MIDDLE + 16
+_END = 24 * _ROW
+_X, _Y, _Z, _UX, _UY, _UZ, _NX, _NY, _NZ, _WX, _WY, _WZ = range(0, 12 * _ROW, _ROW)
+_RX, _RY, _RZ, _OX, _OY, _OZ, _AX, _AY, _AZ, _REPELLED, _ALIGNED, _ATTRACTED = range(12 * _ROW, _END, _ROW)
 
 
 @compiled(inner=True, error_model="numpy")
@@ -33,10 +33,10 @@ def _hash_cell(x, y, z, size):
 
 
 @compiled(inner=True, error_model="numpy")
-def _build_cells(first, last, p, v, width, bucket, begin, cell, near_p, near_v):
+def _build_cells(first, last, p, v, width, bucket, begin, cell, cell_p, cell_v):
     """Sort the UAVs first..last-1 by the bucket of their cell, so that UAVs of a cell lie side by side in memory.
 
-    ``bucket`` gets that of each UAV. ``begin[h]`` is where bucket h begins in ``cell``, ``near_p`` and ``near_v``.
+    ``bucket`` gets that of each UAV. ``begin[h]`` is where bucket h begins in ``cell``, ``cell_p`` and ``cell_v``.
     """
     begin[:] = 0
     for c in range(first, last):
@@ -50,16 +50,16 @@ def _build_cells(first, last, p, v, width, bucket, begin, cell, near_p, near_v):
         k = begin[bucket[c]]
         for axis in range(3):
             cell[axis, k] = int(np.floor(p[axis, c] / width))
-            near_p[axis, k], near_v[axis, k] = p[axis, c], v[axis, c]
+            cell_p[axis, k], cell_v[axis, k] = p[axis, c], v[axis, c]
 
 
 @compiled(inner=True, error_model="numpy")
-def _sort_by_cell(low, p, width, key, rank):
-    """Sort ``rank``, the UAVs of a flock that begins at ``low``, by cell as :func:`_sum_cells` does: sums are equal."""
+def _sort_by_cell(first, p, width, key, rank):
+    """Sort ``rank``, the UAVs of a flock from ``first`` on, by cell as :func:`_sum_cells` does: sums are equal."""
     for c in rank:
         key[c] = 0
         for axis in range(3):
-            key[c] = (key[c] << 18) + int(np.floor(p[axis, low + c] / width))
+            key[c] = (key[c] << 18) + int(np.floor(p[axis, first + c] / width))
         key[c] = (key[c] << 9) - c
     for k in range(1, len(rank)):  # few are out of order, since the order is that of the step before
         c, j = rank[k], k
@@ -101,16 +101,16 @@ def _sum_cells(k, width, repel, align, attract, size, begin, cell, p, v, rows):
 
 
 @compiled(inner=True, error_model="numpy")
-def _sum_all(seen, size, repel, align, attract, rows):
+def _sum_all(visible, size, repel, align, attract, rows):
     """Fill the sums in ``rows`` for all UAVs of a small flock.
 
     The inner loop is over the UAVs that get a term, so the sums have the same bits with all vector instructions. It
     goes over whole vectors, and the rest is not read.
     """
     last = (size + 7) // 8 * 8
-    for row in range(_RX, _END, _APART):
+    for row in range(_RX, _END, _ROW):
         rows[row : row + last] = _ZERO
-    for d in range(seen):
+    for d in range(visible):
         x, y, z = rows[_X + d], rows[_Y + d], rows[_Z + d]
         ux, uy, uz = rows[_UX + d], rows[_UY + d], rows[_UZ + d]
         for c in range(last // 8 * 8):  # tells the compiler that no vector is cut
@@ -142,14 +142,14 @@ def _choose(size, weights, mx, my, mz, rows):
     All three are computed for all UAVs, in vectors, which takes less time than to decide for each.
     """
     for k in range((size + 7) // 8 * 8):
-        repelled = rows[_REPELLED + k] > _ALONE
+        repelled = rows[_REPELLED + k] > _OWN_COUNT
         x = rows[_RX + k] if repelled else mx - rows[_X + k]
         y = rows[_RY + k] if repelled else my - rows[_Y + k]
         z = rows[_RZ + k] if repelled else mz - rows[_Z + k]
         x, y, z = norm(x, y, z)
         align = weights[0] / max(rows[_ALIGNED + k], _ONE)
         attract = weights[1] / max(rows[_ATTRACTED + k] - _ONE, _ONE)
-        joins = not repelled and max(rows[_ALIGNED + k], rows[_ATTRACTED + k]) > _ALONE
+        joins = not repelled and max(rows[_ALIGNED + k], rows[_ATTRACTED + k]) > _OWN_COUNT
         rows[_WX + k] = align * rows[_OX + k] + attract * rows[_AX + k] if joins else x
         rows[_WY + k] = align * rows[_OY + k] + attract * rows[_AY + k] if joins else y
         rows[_WZ + k] = align * rows[_OZ + k] + attract * rows[_AZ + k] if joins else z
@@ -186,7 +186,7 @@ def _sort_members(motion, source, not_led, uavs, label, order, first):
 
 
 @compiled(inner=True, error_model="numpy")
-def _steer_chaser(chaser, standoff, i, first, last, top, t, p, middle, position, velocity):
+def _steer_chaser(chaser, standoff, i, first, last, top, t, p, centre, position, velocity):
     """The direction of a predator, to the nearest UAV of its flock, or of a driver, to a point behind the flock."""
     if chaser == PREDATOR:
         x, y, z, best = velocity[t - 1, i, 0], velocity[t - 1, i, 1], velocity[t - 1, i, 2], np.float32(np.inf)
@@ -197,10 +197,10 @@ def _steer_chaser(chaser, standoff, i, first, last, top, t, p, middle, position,
                 x, y, z, best = dx, dy, dz, square
     else:
         ux, uy, uz = velocity[t, top, 0], velocity[t, top, 1], velocity[t, top, 2]
-        back = standoff / np.sqrt(ux * ux + uy * uy + uz * uz + _TINY)
-        x = middle[0] - back * ux - position[t, i, 0]
-        y = middle[1] - back * uy - position[t, i, 1]
-        z = middle[2] - back * uz - position[t, i, 2]
+        scale = standoff / np.sqrt(ux * ux + uy * uy + uz * uz + _TINY)
+        x = centre[0] - scale * ux - position[t, i, 0]
+        y = centre[1] - scale * uy - position[t, i, 1]
+        z = centre[2] - scale * uz - position[t, i, 2]
     return norm(x, y, z)
 
 
@@ -221,14 +221,14 @@ def fly_flock(
     repel, align, attract = ranges[0] * ranges[0], ranges[1] * ranges[1], ranges[2] * ranges[2]
     outer = max(ranges[0], ranges[1], ranges[2])
     cell, bucket = np.empty((3, uavs), np.int64), np.empty(uavs, np.int64)
-    near_p, near_v = np.empty((3, uavs), np.float32), np.empty((3, uavs), np.float32)
+    cell_p, cell_v = np.empty((3, uavs), np.float32), np.empty((3, uavs), np.float32)
     buckets = 1
     while buckets < 2 * uavs:
         buckets *= 2
     begin = np.empty(buckets + 1, np.int64)
     rank, key = np.empty(uavs, np.int64), np.empty(_MIDDLE, np.int64)
     rows = np.zeros(_END, np.float32)
-    middle = np.zeros((width, 3), np.float32)
+    centre = np.zeros((width, 3), np.float32)
     for b in range(len(motion)):
         members = _sort_members(motion[b], source[b], not_led[b], uavs, label, order, first)
         has_followers[:] = False
@@ -245,47 +245,47 @@ def fly_flock(
                 for axis in range(3):
                     p[axis, c], v[axis, c] = position[b, t, order[c], axis], velocity[b, t - 1, order[c], axis]
             for f in flocks:
-                low, size = first[f], first[f + 1] - first[f]
+                base, size = first[f], first[f + 1] - first[f]
                 seen = size  # the unseen UAVs come last: they fly by the flock, which does not see them
-                while order[low + seen - 1] >= root.shape[1]:
+                while order[base + seen - 1] >= root.shape[1]:
                     seen -= 1
-                px, py, pz = p[0, low : low + seen], p[1, low : low + seen], p[2, low : low + seen]
+                px, py, pz = p[0, base : base + seen], p[1, base : base + seen], p[2, base : base + seen]
                 mx, my, mz = px.mean(), py.mean(), pz.mean()
-                middle[f, 0], middle[f, 1], middle[f, 2] = mx, my, mz
-                small = 1
+                centre[f, 0], centre[f, 1], centre[f, 2] = mx, my, mz
+                used = 1
                 if _SMALL < size <= _MIDDLE:
-                    _sort_by_cell(low, p, outer, key, rank[low : low + seen])
+                    _sort_by_cell(base, p, outer, key, rank[base : base + seen])
                 if size > _MIDDLE:
-                    while small < 2 * size:
-                        small *= 2
-                    _build_cells(low, low + seen, p, v, outer, bucket, begin[: small + 1], cell, near_p, near_v)
-                for block in range(low, low + size, _MIDDLE):
-                    count = min(_MIDDLE, low + size - block)
+                    while used < 2 * size:
+                        used *= 2
+                    _build_cells(base, base + seen, p, v, outer, bucket, begin[: used + 1], cell, cell_p, cell_v)
+                for block in range(base, base + size, _MIDDLE):
+                    count = min(_MIDDLE, base + size - block)
                     for k in range(count):
-                        c = low + rank[block + k]
+                        c = base + rank[block + k]
                         i = order[c]
                         for axis in range(3):
-                            rows[_X + axis * _APART + k] = p[axis, c]
-                            rows[_UX + axis * _APART + k] = v[axis, c]
-                            rows[_NX + axis * _APART + k] = table[b, NOISE, i] * noise[b, s, i, axis]
+                            rows[_X + axis * _ROW + k] = p[axis, c]
+                            rows[_UX + axis * _ROW + k] = v[axis, c]
+                            rows[_NX + axis * _ROW + k] = table[b, NOISE, i] * noise[b, s, i, axis]
                     if size <= _MIDDLE:
                         _sum_all(seen, size, repel, align, attract, rows)
                     else:
                         for k in range(count):
-                            _sum_cells(k, outer, repel, align, attract, small, begin, cell, near_p, near_v, rows)
-                    for k in range(max(seen - block + low, 0), count):  # an unseen UAV counts itself too
+                            _sum_cells(k, outer, repel, align, attract, used, begin, cell, cell_p, cell_v, rows)
+                    for k in range(max(seen - block + base, 0), count):  # an unseen UAV counts itself too
                         for row in (_REPELLED, _ALIGNED, _ATTRACTED):
                             rows[row + k] += _ONE
-                        for axis in range(0, 3 * _APART, _APART):
+                        for axis in range(0, 3 * _ROW, _ROW):
                             rows[_OX + axis + k] += rows[_UX + axis + k]
                     _choose(count, weights, mx, my, mz, rows)
                     for k in range(count if link > _ZERO or len(chasers) else 0):
-                        i = order[low + rank[block + k]]
+                        i = order[base + rank[block + k]]
                         if link > _ZERO and (i >= root.shape[1] or root[b, i] >= 0) and motion[b, i] == FOLLOWS:
                             x, y, z = norm(rows[_WX + k], rows[_WY + k], rows[_WZ + k])
-                            led = velocity[b, t - 1, source[b, i]]
-                            rows[_WX + k], rows[_WY + k] = x + link * led[0], y + link * led[1]
-                            rows[_WZ + k] = z + link * led[2]
+                            copied = velocity[b, t - 1, source[b, i]]
+                            rows[_WX + k], rows[_WY + k] = x + link * copied[0], y + link * copied[1]
+                            rows[_WZ + k] = z + link * copied[2]
                         for h in chasers:
                             dx, dy = rows[_X + k] - position[b, t, h, 0], rows[_Y + k] - position[b, t, h, 1]
                             dz = rows[_Z + k] - position[b, t, h, 2]
@@ -297,14 +297,14 @@ def fly_flock(
                                 rows[_WZ + k] += scale * dz
                     _finish(count, rows)
                     for k in range(count):
-                        i = order[low + rank[block + k]]
+                        i = order[base + rank[block + k]]
                         if motion[b, i] == FOLLOWS:
                             for axis in range(3):
-                                velocity[b, t, i, axis] = rows[_UX + axis * _APART + k]
+                                velocity[b, t, i, axis] = rows[_UX + axis * _ROW + k]
             for i in chasers:
                 f = find_top(i, motion[b], source[b])
                 x, y, z = _steer_chaser(
-                    chaser, standoff, i, first[f], first[f + 1], f, t, p, middle[f], position[b], velocity[b]
+                    chaser, standoff, i, first[f], first[f + 1], f, t, p, centre[f], position[b], velocity[b]
                 )
                 finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], noise, velocity)
             end_step(b, s, t, motion, plan, position, velocity)

@@ -278,14 +278,14 @@ _PAPER = {
     "f5": LaggedSum(3, square=True), "f6": StayInRange(), "f7": TanhNetworkStrategy(),
 }  # fmt: skip
 _RANDOM = {"random": EpisodeRandomStrategy()}
-_OWN = {**_PAPER, **_RANDOM, **FIELD_MODELS, **CONTROLS, **LIMIT_MODELS, **LED_MODELS}
-_OWN |= {**OPEN_LAWS, **SECOND_LAWS}
+_BUILT_IN = {**_PAPER, **_RANDOM, **FIELD_MODELS, **CONTROLS, **LIMIT_MODELS, **LED_MODELS}
+_BUILT_IN |= {**OPEN_LAWS, **SECOND_LAWS}
 
 Lags, Network = LaggedSum, TanhNetworkStrategy  # their names in version 0.1.0
 
 #: All follow strategies by name; ``"none"`` selects the control without followers.
 FOLLOW_STRATEGIES = Registry(
-    "follow strategy", "follow", "usnet.follow_strategies", __name__, accept_strategy, _OWN, reserved=("none",)
+    "follow strategy", "follow", "usnet.follow_strategies", __name__, accept_strategy, _BUILT_IN, reserved=("none",)
 )
 
 

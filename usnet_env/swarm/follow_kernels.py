@@ -140,24 +140,24 @@ def fly_mlp(parameters, position_scale, noise_scale, source, motion, start, nois
 
 
 @compiled(inner=True)
-def _add_term(term, now, before, total):
-    """Add a term of a random strategy; ``now`` is the head's velocity at its lag, ``before`` that of a step earlier."""
+def _add_term(term, velocity, past_velocity, total):
+    """Add a term of a random strategy: of the head's ``velocity`` at its lag, and of that of a step earlier."""
     kind, weight = int(term[0]), term[2]
     if kind < 4:
         for axis in range(3):
-            v = now[axis]
+            v = velocity[axis]
             if kind == 1:
                 v = np.float32(1.7) * v * v * v
             elif kind == 2:
                 v = np.sqrt(abs(v)) if v >= _ZERO else -np.sqrt(abs(v))
             elif kind == 3:
-                v = np.float32(3.0) * now[(axis + 1) % 3] * now[(axis + 2) % 3]
+                v = np.float32(3.0) * velocity[(axis + 1) % 3] * velocity[(axis + 2) % 3]
             total[axis] += weight * v
         return
     for unit in range(8):
         inner = _ZERO
         for axis in range(3):
-            inner += now[axis] * term[3 + 8 * axis + unit] + before[axis] * term[3 + 8 * (3 + axis) + unit]
+            inner += velocity[axis] * term[3 + 8 * axis + unit] + past_velocity[axis] * term[3 + 8 * (3 + axis) + unit]
         active = _tanh(inner)
         for axis in range(3):
             total[axis] += weight * active * term[51 + 3 * unit + axis]

@@ -22,12 +22,12 @@ def draw_corridors(rng: np.random.Generator, uavs: int) -> tuple[Floats, Floats]
 
     The UAVs of a corridor fly in both directions, at most 400 m from its middle, 5 m apart from its axis on average.
     """
-    middle = rng.random((CORRIDORS, 3)) * _SIZE
+    centre = rng.random((CORRIDORS, 3)) * _SIZE
     heading = rng.uniform(-np.pi, np.pi, CORRIDORS)
     axis = np.array([np.cos(heading), np.sin(heading), np.zeros(CORRIDORS)]).T
     corridor = rng.integers(CORRIDORS, size=uavs)
-    along = rng.uniform(-400.0, 400.0, (uavs, 1))
-    position = middle[corridor] + along * axis[corridor] + rng.normal(0.0, 5.0, (uavs, 3))
+    distance = rng.uniform(-400.0, 400.0, (uavs, 1))
+    position = centre[corridor] + distance * axis[corridor] + rng.normal(0.0, 5.0, (uavs, 3))
     position = np.minimum(np.maximum(position, -FARTHEST), FARTHEST)
     return position, axis[corridor] * (2.0 * rng.integers(2, size=(uavs, 1)) - 1.0)
 
@@ -66,10 +66,10 @@ def _gathered(rng: np.random.Generator, roles: Roles) -> Floats:
 
 
 Formation = Callable[[np.random.Generator, Roles], Floats]
-_OWN: dict[str, Formation] = {"uniform": _uniform, "around": _around, "gathered": _gathered}
+_BUILT_IN: dict[str, Formation] = {"uniform": _uniform, "around": _around, "gathered": _gathered}
 
 #: All formations by name: functions ``(rng, roles) -> (N, 3)``, positions in metres, at most 1060 m on each axis.
-FORMATIONS = Registry[Formation]("formation", "formation", "usnet.formations", __name__, check_factory, _OWN)
+FORMATIONS = Registry[Formation]("formation", "formation", "usnet.formations", __name__, check_factory, _BUILT_IN)
 
 #: Register a formation, so that ``formation=name`` selects it; see :meth:`usnet_env.parts.Registry.register`.
 register_formation = FORMATIONS.register

@@ -193,10 +193,10 @@ def move(b, t, position, velocity):
 
 
 @compiled(inner=True, _nrt=False, error_model="numpy")
-def _limit(turn, slowest, most, u, v, w, x, y, z):
+def _limit(turn, slowest, most_change, u, v, w, x, y, z):
     """Turn the velocity (x, y, z) by at most ``turn`` radians towards (u, v, w); a UAV that turns slows down."""
-    before = np.sqrt(x * x + y * y + z * z)
-    scale = _ONE / max(before, np.float32(1e-6))
+    speed_before = np.sqrt(x * x + y * y + z * z)
+    scale = _ONE / max(speed_before, np.float32(1e-6))
     x, y, z = x * scale, y * scale, z * scale
     cosine = min(max(x * u + y * v + z * w, -_ONE), _ONE)
     angle = min(np.float32(math.acos(cosine)), turn)
@@ -208,7 +208,7 @@ def _limit(turn, slowest, most, u, v, w, x, y, z):
     c, s = np.float32(math.cos(angle)), np.float32(math.sin(angle)) / size
     x, y, z = norm(c * x + s * px, c * y + s * py, c * z + s * pz)
     goal = slowest + (_ONE - slowest) * np.float32(0.5) * (_ONE + cosine)
-    speed = min(max(min(max(goal, before - most), before + most), _ZERO), _ONE)
+    speed = min(max(min(max(goal, speed_before - most_change), speed_before + most_change), _ZERO), _ONE)
     return x * speed, y * speed, z * speed
 
 
@@ -284,23 +284,23 @@ def fly_without_followers(motion, start, noise, position, velocity, plan):
 @compiled(inner=True)
 def _nearest(position, i, heads):
     """The one of the UAVs ``heads`` that is nearest to UAV i; -1 if there is none."""
-    nearest, best = -1, np.inf
+    nearest, least = -1, np.inf
     for h in heads:
         dx = position[i, 0] - position[h, 0]
         dy = position[i, 1] - position[h, 1]
         dz = position[i, 2] - position[h, 2]
         distance = float(dx * dx + dy * dy + dz * dz)
-        if distance < best:
-            nearest, best = h, distance
+        if distance < least:
+            nearest, least = h, distance
     return nearest
 
 
 @compiled()
-def remerge(head, alive, apart, position, root, source):
+def remerge(head, alive, is_unled, position, root, source):
     """Assign every living follower of a destroyed head to the nearest remaining head; -1 if no head remains.
 
     A follower that copied a destroyed follower copies the nearest living one above it, and joins a head only if there
-    is none. A predator whose prey has lost its head chases the UAVs of the nearest head. ``apart`` ``(B, N)`` are the
+    is none. A predator whose prey has lost its head chases the UAVs of the nearest head. ``is_unled`` ``(B, N)`` marks
     decoys and bystanders; ``root`` and ``source`` ``(B, N)`` are updated in place.
     """
     episodes, uavs = root.shape
@@ -314,16 +314,16 @@ def remerge(head, alive, apart, position, root, source):
         for i in range(uavs):
             if head[b, i] or not alive[b, i] or source[b, i] == i:
                 continue
-            above = source[b, i]
-            while 0 <= above < uavs and not (alive[b, above] or head[b, above] or source[b, above] == above):
-                above = source[b, above]
-            if above < 0 or (above < uavs and not alive[b, above]):
-                above = _nearest(position[b], i, heads[:living])
-            source[b, i] = above
+            leader = source[b, i]
+            while 0 <= leader < uavs and not (alive[b, leader] or head[b, leader] or source[b, leader] == leader):
+                leader = source[b, leader]
+            if leader < 0 or (leader < uavs and not alive[b, leader]):
+                leader = _nearest(position[b], i, heads[:living])
+            source[b, i] = leader
         for i in range(uavs):
-            if head[b, i] or apart[b, i] or not alive[b, i]:
+            if head[b, i] or is_unled[b, i] or not alive[b, i]:
                 continue
-            above = source[b, i]
-            while 0 <= above < uavs and not (head[b, above] or source[b, above] == above):
-                above = source[b, above]
-            root[b, i] = above if 0 <= above < uavs and head[b, above] else -1
+            leader = source[b, i]
+            while 0 <= leader < uavs and not (head[b, leader] or source[b, leader] == leader):
+                leader = source[b, leader]
+            root[b, i] = leader if 0 <= leader < uavs and head[b, leader] else -1

@@ -72,8 +72,8 @@ class Kinematics:
         """
         living = motion != kernels.DESTROYED
         living_state = state[living]
-        wanted, before, present = velocity[:, t][living], velocity[:, t - 1][living], position[:, t][living]
-        steered = self.steer(wanted, before, present, living_state, normals[living])
+        wanted, last_velocity, present = velocity[:, t][living], velocity[:, t - 1][living], position[:, t][living]
+        steered = self.steer(wanted, last_velocity, present, living_state, normals[living])
         state[living] = living_state
         velocity[:, t] = 0.0
         velocity[:, t][living] = steered
@@ -240,17 +240,17 @@ class Avoidance(Kinematics):
         push = find_push(position[:, t, : self.uavs], self.position, self.reach)
         turned = wanted + np.float32(self.push) * push
         turned /= np.maximum(np.linalg.norm(turned, axis=-1, keepdims=True), np.float32(1e-6))
-        near = push.any(axis=-1) & (motion[:, : self.uavs] != kernels.DESTROYED)
-        wanted[near] = turned[near]
+        is_near = push.any(axis=-1) & (motion[:, : self.uavs] != kernels.DESTROYED)
+        wanted[is_near] = turned[is_near]
         self.position = self.position + self.velocity
         self.model.fly(t, motion, normals, state, position, velocity)
 
 
 def find_push(position: Singles, intruders: Singles, reach: float) -> Singles:
     """Σ_k max(0, 1 − d_k / reach) e_k at positions ``(…, N, 3)`` near intruders ``(…, K, 3)``: ``(…, N, 3)``."""
-    away = position[..., :, None, :] - intruders[..., None, :, :]
-    distance = np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), np.float32(1e-6))
-    return np.asarray((np.maximum(1 - distance / np.float32(reach), 0) * away / distance).sum(axis=-2))
+    offset = position[..., :, None, :] - intruders[..., None, :, :]
+    distance = np.maximum(np.linalg.norm(offset, axis=-1, keepdims=True), np.float32(1e-6))
+    return np.asarray((np.maximum(1 - distance / np.float32(reach), 0) * offset / distance).sum(axis=-2))
 
 
 def _accept_kinematics(model: Any, subject: str = "model") -> Kinematics:
@@ -259,10 +259,11 @@ def _accept_kinematics(model: Any, subject: str = "model") -> Kinematics:
     return model
 
 
-_OWN = {"unit": Unit(), "varied_speed": VariedSpeed(), "lagged": Lagged(), "limited": Limited(), "layered": Layered()}
+_BUILT_IN = {"unit": Unit(), "varied_speed": VariedSpeed(), "lagged": Lagged()}
+_BUILT_IN |= {"limited": Limited(), "layered": Layered()}
 
 #: All kinematics models by name.
-KINEMATICS = Registry("kinematics model", "kinematics", "usnet.kinematics", __name__, _accept_kinematics, _OWN)
+KINEMATICS = Registry("kinematics model", "kinematics", "usnet.kinematics", __name__, _accept_kinematics, _BUILT_IN)
 
 #: Register a model, so that ``kinematics=name`` selects it; see :meth:`usnet_env.parts.Registry.register`.
 register_kinematics = KINEMATICS.register

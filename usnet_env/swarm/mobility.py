@@ -145,7 +145,7 @@ def _accept_mobility(model: Any, subject: str = "model") -> Mobility:
     return MobilityFunction(model, (model.__doc__ or "").partition("\n")[0])
 
 
-_OWN: dict[str, Mobility] = {
+_BUILT_IN: dict[str, Mobility] = {
     "iid": CompiledMobility(kernels.IID, 3, description="a new random direction at each step (the paper's setting)"),
     "gauss_markov": CompiledMobility(
         kernels.GAUSS_MARKOV, 2, (0.85, 0.2, 0.02),
@@ -164,10 +164,10 @@ _OWN: dict[str, Mobility] = {
     "straight": CompiledMobility(kernels.STRAIGHT, 1, description="a straight line in a random direction"),
 }  # fmt: skip
 _ALIKE = "all heads and decoys fly alike: one new random direction for all at each step"
-_OWN["alike"] = SharedMobility(_OWN["iid"], _ALIKE)
+_BUILT_IN["alike"] = SharedMobility(_BUILT_IN["iid"], _ALIKE)
 
 #: All mobilities by name.
-MOBILITIES = Registry("mobility", "mobility", "usnet.mobilities", __name__, _accept_mobility, _OWN)
+MOBILITIES = Registry("mobility", "mobility", "usnet.mobilities", __name__, _accept_mobility, _BUILT_IN)
 
 #: Register a mobility, so that ``mobility=name`` selects it; see :meth:`usnet_env.parts.Registry.register`. It is a
 #: :class:`Mobility`, or a function ``(rng, position (n, 3), steps, state (n, 8)) -> (steps, n, 3)`` of directions of

@@ -83,12 +83,12 @@ class OpenLaw(FollowStrategy):
         to_head = (inputs.head_position[:, 0] - inputs.own_position[:, 0]).astype(np.float64)
         distance = np.linalg.norm(to_head, axis=1, keepdims=True)
         velocity = (inputs.own_position[:, 0] - inputs.own_position[:, 1]).astype(np.float64)
-        late = DELAYS[self.hears](constants, share, distance[:, 0])
-        heard, before = (
+        weights_by_step = DELAYS[self.hears](constants, share, distance[:, 0])
+        heard, past_heard = (
             np.einsum("nl,nlc->nc", weights, inputs.head_velocity[:, :MEMORY])
-            for weights in (late, np.roll(late, 3, 1))
+            for weights in (weights_by_step, np.roll(weights_by_step, 3, 1))
         )
-        moment = Moment(velocity, to_unit(heard), to_unit(before), to_head, distance)
+        moment = Moment(velocity, to_unit(heard), to_unit(past_heard), to_head, distance)
         answer = to_unit(RESPONSES[self.answers](constants, moment))
         return blend(constants, velocity, *DISTORTIONS[self.bends](constants, answer))
 
@@ -106,64 +106,66 @@ def to_unit(vectors: Floats) -> Floats:
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9))
 
 
-def _at(late: Floats | Singles) -> Floats:
-    """Weights ``(n, MEMORY)`` of one step, ``late`` steps ago."""
-    return np.asarray(np.arange(MEMORY) == np.clip(np.rint(late), 0, MEMORY - 4)[:, None], np.float64)
+def _weigh_step(delay: Floats | Singles) -> Floats:
+    """Weights ``(n, MEMORY)`` of one step, ``delay`` steps ago."""
+    return np.asarray(np.arange(MEMORY) == np.clip(np.rint(delay), 0, MEMORY - 4)[:, None], np.float64)
 
 
 def _hear_late(constants: Constants, share: Singles, distance: Floats) -> Floats:
-    return _at(constants.delay + constants.spread * share)
+    return _weigh_step(constants.delay + constants.spread * share)
 
 
 def _hear_by_distance(constants: Constants, share: Singles, distance: Floats) -> Floats:
     """The farther, the later: one step more each ``reach`` / 4."""
-    return _at(constants.delay / 2 + 4.0 * distance / constants.reach)
+    return _weigh_step(constants.delay / 2 + 4.0 * distance / constants.reach)
 
 
 def _hear_with_memory(constants: Constants, share: Singles, distance: Floats) -> Floats:
     """An average in which a step weighs less than the next one, from the delay on."""
     age = np.arange(MEMORY) - np.rint(constants.delay + constants.spread * share)[:, None]
-    heard = (age >= 0) & (np.arange(MEMORY) < MEMORY - 3)
-    weight = np.where(heard, (0.4 + 0.5 * constants.sharpness) ** np.maximum(age, 0), 0.0)
+    is_heard = (age >= 0) & (np.arange(MEMORY) < MEMORY - 3)
+    weight = np.where(is_heard, (0.4 + 0.5 * constants.sharpness) ** np.maximum(age, 0), 0.0)
     return np.asarray(weight / weight.sum(axis=1, keepdims=True))
 
 
-def _copy(constants: Constants, now: Moment) -> Floats:
-    return now.heard
+def _copy(constants: Constants, moment: Moment) -> Floats:
+    return moment.heard
 
 
-def _copy_large_turns(constants: Constants, now: Moment) -> Floats:
+def _copy_large_turns(constants: Constants, moment: Moment) -> Floats:
     """The head's course after a large turn, else the own one."""
-    turned = 1.0 - (now.heard * now.before).sum(axis=1, keepdims=True)
-    return np.where(turned > 0.01 + 0.05 * constants.sharpness, now.heard, now.velocity)
+    turned = 1.0 - (moment.heard * moment.before).sum(axis=1, keepdims=True)
+    return np.where(turned > 0.01 + 0.05 * constants.sharpness, moment.heard, moment.velocity)
 
 
-def _turn_alike(constants: Constants, now: Moment) -> Floats:
+def _turn_alike(constants: Constants, moment: Moment) -> Floats:
     """The own course, turned about the axis about which the head turned."""
-    return now.velocity + (0.5 + constants.sharpness) * np.cross(np.cross(now.before, now.heard), now.velocity)
+    turn = np.cross(np.cross(moment.before, moment.heard), moment.velocity)
+    return moment.velocity + (0.5 + constants.sharpness) * turn
 
 
-def _turn_against(constants: Constants, now: Moment) -> Floats:
+def _turn_against(constants: Constants, moment: Moment) -> Floats:
     """The own course, turned against the head's turn."""
-    return now.velocity - (0.5 + constants.sharpness) * np.cross(np.cross(now.before, now.heard), now.velocity)
+    turn = np.cross(np.cross(moment.before, moment.heard), moment.velocity)
+    return moment.velocity - (0.5 + constants.sharpness) * turn
 
 
-def _pursue_ahead(constants: Constants, now: Moment) -> Floats:
+def _pursue_ahead(constants: Constants, moment: Moment) -> Floats:
     """The way to a point ahead of the head, and its course near this point."""
-    way = now.to_head + constants.reach * now.heard
-    return np.asarray(way / 20.0 + now.heard)
+    offset = moment.to_head + constants.reach * moment.heard
+    return np.asarray(offset / 20.0 + moment.heard)
 
 
-def _keep_zone(constants: Constants, now: Moment) -> Floats:
+def _keep_zone(constants: Constants, moment: Moment) -> Floats:
     """Away from a head that is near, towards one that is far, its course between."""
-    pull = np.clip((now.distance - constants.reach) / constants.reach, -1.0, 1.0)
-    return now.heard + 1.5 * pull * to_unit(now.to_head)
+    pull = np.clip((moment.distance - constants.reach) / constants.reach, -1.0, 1.0)
+    return moment.heard + 1.5 * pull * to_unit(moment.to_head)
 
 
-def _answer_changes(constants: Constants, now: Moment) -> Floats:
+def _answer_changes(constants: Constants, moment: Moment) -> Floats:
     """A step of equal size on each axis, by the sign of the head's change."""
-    change = now.heard - now.before
-    return now.velocity + (0.1 + 0.3 * constants.sharpness) * np.sign(change) * (np.abs(change) > 0.05)
+    change = moment.heard - moment.before
+    return moment.velocity + (0.1 + 0.3 * constants.sharpness) * np.sign(change) * (np.abs(change) > 0.05)
 
 
 def _keep(constants: Constants, wanted: Floats) -> tuple[Floats, Floats]:

@@ -51,97 +51,98 @@ class SecondLaw(OpenLaw):
 
     def direction(self, inputs: FollowInputs) -> Singles:
         """The law."""
-        law, share = Constants(*inputs.parameters[:NUMBERS].tolist()), inputs.parameters[NUMBERS:][inputs.follower]
-        phase = share[:, None].astype(np.float64)
-        lag, mirror = SEEN[self.hears](law, phase, inputs.clock)
+        constants = Constants(*inputs.parameters[:NUMBERS].tolist())
+        phase = inputs.parameters[NUMBERS:][inputs.follower][:, None].astype(np.float64)
+        lag, mirror = SEEN[self.hears](constants, phase, inputs.clock)
         row = np.arange(len(lag))[:, None]
         course = inputs.head_velocity[row, lag].astype(np.float64) @ mirror
-        way = (inputs.head_position[row, lag] - inputs.own_position[:, :STEPS]).astype(np.float64) @ mirror
-        own = (inputs.own_position[:, 0] - inputs.own_position[:, 1]).astype(np.float64)
-        sight = Sight(own, to_unit(course), to_unit(way), phase, inputs.clock)
-        wanted = to_unit(ANSWERS[self.answers](law, sight))
-        return blend(law, own, wanted, STRENGTH[self.bends](law, sight))
+        to_head = (inputs.head_position[row, lag] - inputs.own_position[:, :STEPS]).astype(np.float64) @ mirror
+        velocity = (inputs.own_position[:, 0] - inputs.own_position[:, 1]).astype(np.float64)
+        sight = Sight(velocity, to_unit(course), to_unit(to_head), phase, inputs.clock)
+        wanted = to_unit(ANSWERS[self.answers](constants, sight))
+        return blend(constants, velocity, wanted, STRENGTH[self.bends](constants, sight))
 
 
-def _see_glimpses(law: Constants, phase: Floats, clock: int) -> tuple[Indices, Floats]:
+def _see_glimpses(constants: Constants, phase: Floats, clock: int) -> tuple[Indices, Floats]:
     """One look in 2 to 5 steps, kept until the next one, as by birds that scan or by a radar that turns."""
-    period, then = 2 + round(law.spread), np.arange(STEPS)
-    age = (clock - then + np.floor(phase * period).astype(np.int64)) % period
-    return then + age, np.eye(3)
+    period, steps = 2 + round(constants.spread), np.arange(STEPS)
+    age = (clock - steps + np.floor(phase * period).astype(np.int64)) % period
+    return steps + age, np.eye(3)
 
 
-def _see_drifting(law: Constants, phase: Floats, clock: int) -> tuple[Indices, Floats]:
+def _see_drifting(constants: Constants, phase: Floats, clock: int) -> tuple[Indices, Floats]:
     """0 to 5 steps late, more and less in turn, as over a radio link whose load changes."""
-    turns = clock / (20.0 + 10.0 * law.delay) + phase
-    late = np.rint(2.5 + 2.5 * np.sin(2.0 * np.pi * turns)).astype(np.int64)
-    return late + np.arange(STEPS), np.eye(3)
+    phases = clock / (20.0 + 10.0 * constants.delay) + phase
+    delay = np.rint(2.5 + 2.5 * np.sin(2.0 * np.pi * phases)).astype(np.int64)
+    return delay + np.arange(STEPS), np.eye(3)
 
 
-def _see_mirrored(law: Constants, phase: Floats, clock: int) -> tuple[Indices, Floats]:
+def _see_mirrored(constants: Constants, phase: Floats, clock: int) -> tuple[Indices, Floats]:
     """Reflected by an upright plane, as in a display flown in mirror image."""
-    across = np.array([-np.sin(law.course), np.cos(law.course), 0.0])
-    late = np.full((len(phase), 1), round(law.delay))
-    return late + np.arange(STEPS), np.eye(3) - 2.0 * np.outer(across, across)
+    across = np.array([-np.sin(constants.course), np.cos(constants.course), 0.0])
+    delay = np.full((len(phase), 1), round(constants.delay))
+    return delay + np.arange(STEPS), np.eye(3) - 2.0 * np.outer(across, across)
 
 
-def _rotate(own: Floats, angle: Floats) -> Floats:
+def _rotate(course: Floats, angle: Floats) -> Floats:
     """Courses ``(n, 3)`` turned to the left by ``(n,)`` radians."""
-    cos, sin = np.cos(angle), np.sin(angle)
-    return np.stack([cos * own[:, 0] - sin * own[:, 1], sin * own[:, 0] + cos * own[:, 1], own[:, 2]], axis=1)
+    cos, sin, (x, y, z) = np.cos(angle), np.sin(angle), course.T
+    return np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=1)
 
 
-def _answer_jerk(law: Constants, now: Sight) -> Floats:
+def _answer_jerk(constants: Constants, sight: Sight) -> Floats:
     """A push by the second difference of the head's velocity, as by a load on a tow rope."""
-    return now.own + (0.6 + 0.6 * law.sharpness) * (now.course[:, 0] - 2.0 * now.course[:, 2] + now.course[:, 4])
+    jerk = sight.course[:, 0] - 2.0 * sight.course[:, 2] + sight.course[:, 4]
+    return sight.own + (0.6 + 0.6 * constants.sharpness) * jerk
 
 
-def _answer_sum_of_turns(law: Constants, now: Sight) -> Floats:
+def _answer_sum_of_turns(constants: Constants, sight: Sight) -> Floats:
     """A turn by a part of the angle that the head turned in all steps, as by an autopilot with an integral part."""
-    azimuth = np.unwrap(np.arctan2(now.course[..., 1], now.course[..., 0]), axis=1)
-    return _rotate(now.own, (0.4 + 0.4 * law.sharpness) * (azimuth[:, 0] - azimuth[:, -1]))
+    azimuth = np.unwrap(np.arctan2(sight.course[..., 1], sight.course[..., 0]), axis=1)
+    return _rotate(sight.own, (0.4 + 0.4 * constants.sharpness) * (azimuth[:, 0] - azimuth[:, -1]))
 
 
-def _answer_by_relay(law: Constants, now: Sight) -> Floats:
+def _answer_by_relay(constants: Constants, sight: Sight) -> Floats:
     """The head's course from a sharp turn on until it flies nearly straight, as by a thermostat; else the own one."""
-    on = np.zeros(len(now.own), bool)
-    for turn in now.turn.T[::-1]:
-        on = np.where(on, turn > 0.08, turn > 0.15 + 0.1 * law.sharpness)
-    return np.where(on[:, None], now.course[:, 0], now.own)
+    follows = np.zeros(len(sight.own), bool)
+    for turn in sight.turn.T[::-1]:
+        follows = np.where(follows, turn > 0.08, turn > 0.15 + 0.1 * constants.sharpness)
+    return np.where(follows[:, None], sight.course[:, 0], sight.own)
 
 
-def _keep_bearing(law: Constants, now: Sight) -> Floats:
+def _keep_bearing(constants: Constants, sight: Sight) -> Floats:
     """A turn 3 to 6 times that of the way to the head, as by dragonflies: proportional navigation."""
-    turned = np.cross(now.bearing[:, -1], now.bearing[:, 0])
-    return now.own + (3.0 + 3.0 * law.sharpness) * np.cross(turned, now.own)
+    turned = np.cross(sight.bearing[:, -1], sight.bearing[:, 0])
+    return sight.own + (3.0 + 3.0 * constants.sharpness) * np.cross(turned, sight.own)
 
 
-def _read_climb(law: Constants, now: Sight) -> Floats:
+def _read_climb(constants: Constants, sight: Sight) -> Floats:
     """The head's climb, read as an angle to a fixed course, as by bees that see a dance."""
-    climb = np.arcsin(np.clip(now.course[:, 0, 2], -1.0, 1.0))
-    angle = law.course + (1.5 + 1.5 * law.sharpness) * climb
-    level = np.hypot(now.own[:, 0], now.own[:, 1])
-    return np.stack([level * np.cos(angle), level * np.sin(angle), now.own[:, 2]], axis=1)
+    climb = np.arcsin(np.clip(sight.course[:, 0, 2], -1.0, 1.0))
+    angle = constants.course + (1.5 + 1.5 * constants.sharpness) * climb
+    level = np.hypot(sight.own[:, 0], sight.own[:, 1])
+    return np.stack([level * np.cos(angle), level * np.sin(angle), sight.own[:, 2]], axis=1)
 
 
-def _copy_sharpest(law: Constants, now: Sight) -> Floats:
+def _copy_sharpest(constants: Constants, sight: Sight) -> Floats:
     """The head's course after the sharpest turn that is seen, as by animals that attend to what is sudden."""
-    return now.course[np.arange(len(now.own)), now.turn.argmax(axis=1)]
+    return sight.course[np.arange(len(sight.own)), sight.turn.argmax(axis=1)]
 
 
-def _in_rhythm(law: Constants, now: Sight) -> Floats:
+def _in_rhythm(constants: Constants, sight: Sight) -> Floats:
     """More and less in turn, with a period of 8 to 16 steps, as fish that burst and coast."""
-    return 0.6 + 0.4 * np.sin(2.0 * np.pi * (now.clock / (6.0 + 2.0 * law.delay) + now.phase))
+    return 0.6 + 0.4 * np.sin(2.0 * np.pi * (sight.clock / (6.0 + 2.0 * constants.delay) + sight.phase))
 
 
-def _in_view(law: Constants, now: Sight) -> Floats:
+def _in_view(constants: Constants, sight: Sight) -> Floats:
     """All of it with the head in front, little behind, as of animals with a blind angle."""
-    ahead = (now.own * now.bearing[:, 0]).sum(axis=1, keepdims=True)
-    return np.where(ahead > -0.3 - 0.5 * law.sharpness, 1.0, 0.2)
+    cosine = (sight.own * sight.bearing[:, 0]).sum(axis=1, keepdims=True)
+    return np.where(cosine > -0.3 - 0.5 * constants.sharpness, 1.0, 0.2)
 
 
-def _with_fatigue(law: Constants, now: Sight) -> Floats:
+def _with_fatigue(constants: Constants, sight: Sight) -> Floats:
     """The less, the more the head turned, as of senses that get used to a stimulus."""
-    return np.exp(-now.turn.sum(axis=1, keepdims=True) / (0.5 + law.sharpness))
+    return np.exp(-sight.turn.sum(axis=1, keepdims=True) / (0.5 + constants.sharpness))
 
 
 SEEN: dict[str, Callable[[Constants, Floats, int], tuple[Indices, Floats]]] = {

@@ -76,8 +76,8 @@ def sense(
         reach: ``(R,)`` metres, this limit.
         first: the instant of the flight at which the window begins.
     """
-    k, each = configs[0].sample_every, len(configs) // len(alive)
-    uavs, alive = alive.shape[1], np.repeat(alive, each, axis=0)
+    k, observers_each = configs[0].sample_every, len(configs) // len(alive)
+    uavs, alive = alive.shape[1], np.repeat(alive, observers_each, axis=0)
     seen = np.empty((len(alive), len(range(first, position.shape[1], k)), uavs), bool)
     seen[:] = alive[:, None]
     faults = {key: _has_faults(sensor) for key, sensor in dict(zip(map(id, configs), configs, strict=True)).items()}
@@ -85,8 +85,8 @@ def sense(
     if k == 1 and reach is None and not faulty:
         return ObservationBatch(position[:, first:, :uavs], velocity[:, first:, :uavs], seen, alive)
     observers, instants = seen.shape[:2]
-    if each > 1 and any(configs[r].swap_rate > 0 for r in faulty):
-        position = np.repeat(position, each, axis=0)
+    if observers_each > 1 and any(configs[r].swap_rate > 0 for r in faulty):
+        position = np.repeat(position, observers_each, axis=0)
     noise = np.empty((sum(configs[r].position_noise > 0 for r in faulty), instants, 3 * uavs), np.float32)
     noisy, differs = np.full(observers, -1), np.full(observers, k > 1)  # the rows of the noise
     sensors = np.zeros((observers, 4), np.float32)
@@ -106,18 +106,18 @@ def sense(
         if config.partial_tracks > 0:
             sensing_kernels.cut_tracks(config.partial_tracks, rng.random((3, uavs)), row)
         if config.clutter:
-            false = free[r // each][-config.clutter :]
-            present[:, false] &= _appear(rng, instants, len(false))
+            false_tracks = free[r // observers_each][-config.clutter :]
+            present[:, false_tracks] &= _appear(rng, instants, len(false_tracks))
         if swapped is not None:
             sensing_kernels.exchange(np.float32(SWAP_RANGE), swapped, alive[r], position[r, first::k, :uavs], present)
         row &= present
-    shown = [np.empty((observers, length, 3 * uavs), np.float32) for length in (instants, instants - 1)]
-    flown = [np.ascontiguousarray(track).reshape(*track.shape[:2], -1) for track in (position, velocity)]
+    seen_tracks = [np.empty((observers, length, 3 * uavs), np.float32) for length in (instants, instants - 1)]
+    true_tracks = [np.ascontiguousarray(track).reshape(*track.shape[:2], -1) for track in (position, velocity)]
     if reach is None:
         observer_position, reach = np.zeros((observers, 1, 3)), np.full(observers, np.inf)
     limits = observer_position, reach
-    sensing_kernels.observe(first, k, sensors, noisy, noise, differs, *limits, *flown, seen, *shown)
-    seen_position, seen_velocity = (track.reshape(observers, -1, uavs, 3) for track in shown)
+    sensing_kernels.observe(first, k, sensors, noisy, noise, differs, *limits, *true_tracks, seen, *seen_tracks)
+    seen_position, seen_velocity = (track.reshape(observers, -1, uavs, 3) for track in seen_tracks)
     return ObservationBatch(seen_position, seen_velocity, seen, alive)
 
 
@@ -135,11 +135,11 @@ def shift_tracks(position: Singles, velocity: Singles, source: Indices, rngs: Ge
     steps = velocity.shape[1]
     shift = np.empty(source.shape, np.int64)
     for b, rng in enumerate(rngs):
-        for first in np.unique(source[b]):
-            members = np.flatnonzero(source[b] == first)
+        for root in np.unique(source[b]):
+            members = np.flatnonzero(source[b] == root)
             shift[b, members] = (rng.permutation(len(members)) + rng.random()) / len(members) * steps
-    when = (np.arange(steps)[:, None] - shift[:, None]) % steps
-    velocity = np.take_along_axis(velocity, when[..., None], axis=1)
+    instants = (np.arange(steps)[:, None] - shift[:, None]) % steps
+    velocity = np.take_along_axis(velocity, instants[..., None], axis=1)
     return np.cumsum(np.concatenate([position[:, :1], velocity], axis=1), axis=1, dtype=np.float32), velocity
 
 

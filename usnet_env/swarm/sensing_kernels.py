@@ -22,37 +22,37 @@ def cut_tracks(share, uniform, seen):
     """Cut tracks in ``seen`` ``(T, N)`` by uniform numbers ``(3, N)``: whether, where, and which part stays."""
     last = max(len(seen) - 1, 1)
     for i in range(seen.shape[1]):
-        cut = 0.2 + (0.8 - 0.2) * uniform[1, i]
+        end = 0.2 + (0.8 - 0.2) * uniform[1, i]
         for t in range(len(seen) if uniform[0, i] < share else 0):
-            seen[t, i] &= t / last <= cut if uniform[2, i] < 0.5 else t / last >= cut
+            seen[t, i] &= t / last <= end if uniform[2, i] < 0.5 else t / last >= end
 
 
 @compiled(inner=True, error_model="numpy")
-def _add_noise(sensor, noise, t, track, first, every, now):
-    """Add a sensor's noise at instant t to the positions ``now`` ``(3 N,)`` of ``track`` ``(first + T every + 1, W)``.
+def _add_noise(sensor, noise, t, track, first, every, position):
+    """Add a sensor's noise at instant t to ``position`` ``(3 N,)``, that of ``track`` ``(first + T every + 1, W)``.
 
     With course noise the part along the course is stretched: that of the next step, or the last one at the end.
     """
     phi, along, bound, scale = sensor[0], sensor[1], sensor[2], sensor[3]
-    sigma, s, width = np.sqrt(_ONE - phi * phi), first + t * every, len(now)
+    sigma, s, width = np.sqrt(_ONE - phi * phi), first + t * every, len(position)
     if phi > _ZERO and t > 0:
         for n in range(width):
             noise[t, n] = phi * noise[t - 1, n] + sigma * noise[t, n]
     u = noise[t]
     if along != _ZERO:
-        u, way = noise[t].copy(), np.empty(width, np.float32)
+        u, step = noise[t].copy(), np.empty(width, np.float32)
         for n in range(width):
-            here = track[s, n]
-            ahead = track[s + every, n] if t < len(noise) - 1 else np.float32(2.0) * here - track[s - every, n]
-            way[n] = ahead - here
+            present = track[s, n]
+            later = track[s + every, n] if t < len(noise) - 1 else np.float32(2.0) * present - track[s - every, n]
+            step[n] = later - present
         for n in range(0, width, 3):
-            x, y, z = way[n], way[n + 1], way[n + 2]
+            x, y, z = step[n], step[n + 1], step[n + 2]
             size = max(np.sqrt(x * x + y * y + z * z), np.float32(1e-6))
             x, y, z = x / size, y / size, z / size
             size = along * (u[n] * x + u[n + 1] * y + u[n + 2] * z)
             u[n], u[n + 1], u[n + 2] = u[n] + size * x, u[n + 1] + size * y, u[n + 2] + size * z
     for n in range(width):
-        now[n] += min(max(u[n], -bound), bound) * scale
+        position[n] += min(max(u[n], -bound), bound) * scale
 
 
 @compiled()
@@ -64,14 +64,14 @@ def exchange(reach, swaps, alive, position, present):
     """
     uavs, exchanged = len(alive), False
     holder, ready = np.arange(uavs), np.empty(uavs, np.bool_)  # the true UAV of each identity
-    by_uav, there = np.empty((uavs, 3), np.float32), np.empty(uavs, np.bool_)
+    by_uav, was_present = np.empty((uavs, 3), np.float32), np.empty(uavs, np.bool_)
     for t in range(len(swaps)):
         marked = swaps[t].any()
         if not (exchanged or marked):
             continue
-        by_uav[:], there[:] = position[t], present[t]
+        by_uav[:], was_present[:] = position[t], present[t]
         for i in range(uavs if marked else 0):
-            ready[i] = alive[i] and there[holder[i]]
+            ready[i] = alive[i] and was_present[holder[i]]
         for i in range(uavs if marked else 0):
             if not (swaps[t, i] and ready[i]):
                 continue
@@ -89,7 +89,7 @@ def exchange(reach, swaps, alive, position, present):
                 exchanged = True
         for i in range(uavs):
             if holder[i] != i:
-                position[t, i], present[t, i] = by_uav[holder[i]], there[holder[i]]
+                position[t, i], present[t, i] = by_uav[holder[i]], was_present[holder[i]]
 
 
 @compiled(error_model="numpy")
@@ -110,36 +110,36 @@ def observe(
     Loops over all coordinates become vector instructions, and so does a bitwise and with a mask, which hides a number.
     """
     instants, uavs = seen.shape[1], seen.shape[2]
-    width, each = 3 * uavs, len(seen) // len(true_position)
-    two, way = np.empty((2, width), np.float32), np.empty(width, np.float32)  # positions now and an instant before
+    width, observers_each = 3 * uavs, len(seen) // len(true_position)
+    buffers, change = np.empty((2, width), np.float32), np.empty(width, np.float32)  # positions of two instants
     mask = np.empty((instants, width), np.int32)
     flat = mask.reshape(-1)
-    shown, shown_way = position.view(np.int32), velocity.view(np.int32)
+    shown, shown_change = position.view(np.int32), velocity.view(np.int32)
     for r in range(len(seen)):
-        b, far = r // each, reach[r] * reach[r]
-        sees = seen[r].reshape(-1)
-        for t in range(instants if far < np.inf else 0):
-            now, near = true_position[b, first + t * every], observer[r, t % observer.shape[1]]
+        b, square_reach = r // observers_each, reach[r] * reach[r]
+        is_seen = seen[r].reshape(-1)
+        for t in range(instants if square_reach < np.inf else 0):
+            current, centre = true_position[b, first + t * every], observer[r, t % observer.shape[1]]
             for i in range(uavs):
-                dx, dy, dz = now[3 * i] - near[0], now[3 * i + 1] - near[1], now[3 * i + 2] - near[2]
-                seen[r, t, i] &= dx * dx + dy * dy + dz * dz <= far
-        for m in range(len(sees)):
-            flat[3 * m] = flat[3 * m + 1] = flat[3 * m + 2] = -1 if sees[m] else 0
+                dx, dy, dz = current[3 * i] - centre[0], current[3 * i + 1] - centre[1], current[3 * i + 2] - centre[2]
+                seen[r, t, i] &= dx * dx + dy * dy + dz * dz <= square_reach
+        for m in range(len(is_seen)):
+            flat[3 * m] = flat[3 * m + 1] = flat[3 * m + 2] = -1 if is_seen[m] else 0
         for t in range(instants):
-            now = true_position[b, first + t * every, :width]
+            current = true_position[b, first + t * every, :width]
             if differs[r]:
-                flies, now, before = now, two[t % 2], two[1 - t % 2]
+                truth, current, last_position = current, buffers[t % 2], buffers[1 - t % 2]
                 for n in range(width):
-                    now[n] = flies[n]
+                    current[n] = truth[n]
                 if noisy[r] >= 0:
-                    _add_noise(sensors[r], noise[noisy[r]], t, true_position[b], first, every, now)
+                    _add_noise(sensors[r], noise[noisy[r]], t, true_position[b], first, every, current)
                 for n in range(width):
-                    way[n] = (now[n] - before[n]) / np.float32(every)
-            bits = now.view(np.int32)
+                    change[n] = (current[n] - last_position[n]) / np.float32(every)
+            bits = current.view(np.int32)
             for n in range(width):
                 shown[r, t, n] = bits[n] & mask[t, n]
             if t:
-                moves = way if differs[r] else true_velocity[b, first + t - 1, :width]
-                bits = moves.view(np.int32)
+                change_seen = change if differs[r] else true_velocity[b, first + t - 1, :width]
+                bits = change_seen.view(np.int32)
                 for n in range(width):
-                    shown_way[r, t - 1, n] = bits[n] & mask[t, n] & mask[t - 1, n]
+                    shown_change[r, t - 1, n] = bits[n] & mask[t, n] & mask[t - 1, n]

@@ -39,8 +39,8 @@ def draw_roles(rngs: Generators, config: SwarmConfig) -> Roles:
     """Draw the roles of B swarms, with indices permuted at random; every array has a leading axis B."""
     sizes = np.array([config.cluster_sizes] * len(rngs)) if config.cluster_sizes else None
     sizes = random_cluster_sizes(rngs, config.clusters, config.followers) if sizes is None else sizes
-    others = config.bystanders, config.traffic, config.clutter, config.absent
-    counts = (config.clusters, config.decoys, config.followers, *others)
+    unled = config.bystanders, config.traffic, config.clutter, config.absent
+    counts = (config.clusters, config.decoys, config.followers, *unled)
     order = np.array([rng.permutation(config.uavs) for rng in rngs])
     kind, root = np.empty_like(order), np.tile(np.arange(config.uavs), (len(rngs), 1))
     swarms = np.arange(len(rngs))[:, None]
@@ -72,10 +72,10 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
     ((3, 9, 3), [2, 2, 2])
     """
     swarms = _draw_swarms(config, rngs)
-    first, velocity, absent = (swarms.pop(name) for name in ("position", "velocity", "absent"))
+    first_position, velocity, absent = (swarms.pop(name) for name in ("position", "velocity", "absent"))
     (episodes, memory, all_uavs, _), uavs = velocity.shape, config.uavs
     position = np.zeros((episodes, memory + 1, all_uavs, 3), np.float32)
-    position[:, 0] = first
+    position[:, 0] = first_position
     x, y, z = np.moveaxis(velocity, -1, 0)  # faster than a sum over the last axis
     velocity /= np.sqrt(x * x + y * y + z * z)[..., None]
     plan = draw_plan(config, swarms["free"], swarms["mobility_state"], memory, rngs)
@@ -84,7 +84,7 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
     fly_free(config, 0, 0, plan, motion, np.empty((episodes, 0, all_uavs, 3), np.float32), position, velocity, rngs)
     position[:, 1:] = velocity
     np.cumsum(position, axis=1, out=position)
-    begun = SwarmState(
+    state = SwarmState(
         alive=np.ones((episodes, uavs), bool),
         past_position=position[:, :, :uavs],
         past_velocity=velocity[:, :, :uavs],
@@ -93,8 +93,8 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
         reference_velocity=velocity[:, :, uavs:],
         **swarms,
     )
-    begun = destroy(begun, absent) if config.absent else begun
-    return _settle(config, begun, rngs) if config.unseen_levels[1] else begun
+    state = destroy(state, absent) if config.absent else state
+    return _settle(config, state, rngs) if config.unseen_levels[1] else state
 
 
 def _settle(config: SwarmConfig, state: SwarmState, rngs: Generators) -> SwarmState:
@@ -104,38 +104,38 @@ def _settle(config: SwarmConfig, state: SwarmState, rngs: Generators) -> SwarmSt
     """
     strategy = config.follow_strategy
     steps = SETTLING + (config.unseen_levels[1] + 2) * (strategy.lags if strategy is not None else 0)
-    after, position, _ = fly_steps([config] * len(rngs), state, rngs, steps)
-    way, uavs = position[:, -1:] - position[:, config.memory, None], state.alive.shape[1]
-    back = {"past_position": way[:, :, :uavs], "reference_position": way[:, :, uavs:]}
-    return replace(after, **{name: getattr(after, name) - moved for name, moved in back.items()})
+    settled, position, _ = fly_steps([config] * len(rngs), state, rngs, steps)
+    shift, uavs = position[:, -1:] - position[:, config.memory, None], state.alive.shape[1]
+    shifts = {"past_position": shift[:, :, :uavs], "reference_position": shift[:, :, uavs:]}
+    return replace(settled, **{name: getattr(settled, name) - shift_of for name, shift_of in shifts.items()})
 
 
 def _draw_swarms(config: SwarmConfig, rngs: Generators) -> dict[str, NDArray[Any]]:
     """Draw arrays of :class:`SwarmState` by name, and ``position`` and ``velocity`` of N UAVs and R references."""
     strategy, kinematics, uavs = config.follow_strategy, config.kinematics_model, config.uavs
-    led = config.unseen_levels[1] > 0
+    has_unseen = config.unseen_levels[1] > 0
     points = config.clusters if strategy is not None and strategy.has_references else 0
-    drawn, formation = draw_roles(rngs, config), FORMATIONS.find(config.formation)
-    swarms, rows = drawn.split(), np.arange(len(rngs))[:, None]
+    initial, formation = draw_roles(rngs, config), FORMATIONS.find(config.formation)
+    swarms, rows = initial.split(), np.arange(len(rngs))[:, None]
     position = np.array([formation(*pair) for pair in zip(rngs, swarms, strict=True)], np.float64).reshape(-1, uavs, 3)
-    roles = drawn
+    roles = initial
     if strategy is not None:
         arranged = [strategy.arrange(*pair) for pair in zip(rngs, swarms, strict=True)]
-        if any(after is not before for after, before in zip(arranged, swarms, strict=True)):
+        if any(new is not old for new, old in zip(arranged, swarms, strict=True)):
             roles = Roles(*map(np.array, zip(*arranged, strict=True)))
     sources = np.tile(np.arange(uavs, uavs + points), (len(rngs), 1))
-    beside = position[rows, drawn.initial_heads[:, :points]]
-    if led:
-        roles, sources, visible = _draw_chains(config, rngs, drawn, roles)
+    reference_position = position[rows, initial.initial_heads[:, :points]]
+    if has_unseen:
+        roles, sources, visible = _draw_chains(config, rngs, initial, roles)
         points, offsets = visible.shape[1], np.array([draw_offsets(rng, sources.shape[1]) for rng in rngs])
-        beside = np.tile(position[rows, visible], (1, config.unseen_levels[1], 1)) + offsets
+        reference_position = np.tile(position[rows, visible], (1, config.unseen_levels[1], 1)) + offsets
     all_uavs = uavs + sources.shape[1]
     if strategy is not None and strategy.has_followers:
-        by_mobility = (drawn.decoy | (drawn.head & (points == 0))) & (not led)
+        is_free = (initial.decoy | (initial.head & (points == 0))) & (not has_unseen)
     else:
-        by_mobility = ~drawn.not_led
-    bystander = drawn.not_led & ~drawn.traffic & ~drawn.clutter
-    groups = _find_each(by_mobility), sources[:, :points], *map(_find_each, (bystander, drawn.traffic, drawn.clutter))
+        is_free = ~initial.not_led
+    bystander = initial.not_led & ~initial.traffic & ~initial.clutter
+    groups = _find_each(is_free), sources[:, :points], *map(_find_each, (bystander, initial.traffic, initial.clutter))
     free = np.concatenate(groups, axis=1)
     counts = [(mobility, free[0, columns].size) for mobility, columns in find_mobilities(config, free.shape[1])]
     states = [np.array([mobility.start(rng, count) for rng in rngs]) for mobility, count in counts]
@@ -144,26 +144,26 @@ def _draw_swarms(config: SwarmConfig, rngs: Generators) -> dict[str, NDArray[Any
         end = mobility_state.shape[1] - config.clutter
         corridors = zip(*(draw_corridors(rng, config.traffic) for rng in rngs), strict=True)
         starts, mobility_state[:, end - config.traffic : end, :3] = map(np.array, corridors)
-        position[drawn.traffic] = starts.reshape(-1, 3)
+        position[initial.traffic] = starts.reshape(-1, 3)
     velocity = draw_normals(rngs, config.memory, all_uavs, 3)
     seeded = [np.random.default_rng(config.follow_seed) for _ in rngs] if config.follow_seed is not None else rngs
-    copying = all_uavs if led else uavs
+    copying = all_uavs if has_unseen else uavs
     parameters = [np.empty(0, np.float32) if strategy is None else strategy.draw_for(rng, copying) for rng in seeded]
     states = [kinematics.start(rng, all_uavs) for rng in rngs if kinematics.values]
     return {
         **{name: getattr(roles, name) for name in LASTING},
-        "absent": drawn.root < 0,
+        "absent": initial.root < 0,
         "free": free,
         "mobility_state": mobility_state,
         "parameters": np.array(parameters),
         "kinematic_state": np.array(states, np.float32).reshape(len(rngs), all_uavs, -1),
-        "position": np.concatenate([position, beside], axis=1),
+        "position": np.concatenate([position, reference_position], axis=1),
         "velocity": velocity,
         "reference_source": sources,
     }
 
 
-def _draw_chains(config: SwarmConfig, rngs: Generators, drawn: Roles, roles: Roles) -> tuple[Roles, Indices, Indices]:
+def _draw_chains(config: SwarmConfig, rngs: Generators, initial: Roles, roles: Roles) -> tuple[Roles, Indices, Indices]:
     """Put a chain of up to K unseen UAVs above each of the C heads and decoys, and draw how many of them lead it.
 
     It returns the roles, the sources ``(B, K C)`` of the unseen UAVs, level by level, and the heads and decoys
@@ -171,21 +171,21 @@ def _draw_chains(config: SwarmConfig, rngs: Generators, drawn: Roles, roles: Rol
     are drawn, follow the first, and no UAV follows them.
     """
     fewest, most = config.unseen_levels
-    visible = np.concatenate([drawn.initial_heads, _find_each(drawn.decoy)], axis=1)
+    visible = np.concatenate([initial.initial_heads, _find_each(initial.decoy)], axis=1)
     chains = visible.shape[1]
-    unseen = drawn.head.shape[1] + np.arange(most * chains).reshape(most, chains)
+    unseen = initial.head.shape[1] + np.arange(most * chains).reshape(most, chains)
     length = np.array([rng.integers(fewest, most + 1, chains) for rng in rngs])
-    above = np.arange(most + 1)[:, None] > most + 1 - length[:, None]
-    sources = np.where(above, np.concatenate([unseen[:1], unseen]), unseen[0])  # (B, K + 1, C), the visible ones last
+    is_linked = np.arange(most + 1)[:, None] > most + 1 - length[:, None]
+    sources = np.where(is_linked, np.concatenate([unseen[:1], unseen]), unseen[0])  # (B, K + 1, C), visible ones last
     source = roles.source.copy()
     np.put_along_axis(source, visible, sources[:, -1], axis=1)
     source = np.where(roles.head, np.take_along_axis(source, roles.source, axis=1), source)
     return roles._replace(source=source), sources[:, :-1].reshape(len(rngs), -1), visible
 
 
-def _find_each(chosen: Mask) -> Indices:
+def _find_each(mask: Mask) -> Indices:
     """The indices of the UAVs that are chosen in each swarm, ``(B, n)``; n is the same in all."""
-    return np.asarray(np.nonzero(chosen)[1].reshape(len(chosen), -1))
+    return np.asarray(np.nonzero(mask)[1].reshape(len(mask), -1))
 
 
 def advance(config: SwarmConfig, state: SwarmState, rngs: Generators) -> tuple[SwarmState, ObservationBatch]:
@@ -214,19 +214,19 @@ def advance_each(
 
     Each swarm has at least one living head unless no UAV leads it.
     """
-    after, position, velocity, first = fly_round(configs, state, rngs)
-    return after, sense(configs, position, velocity, state.alive, rngs, state.free, first=first)
+    next_state, position, velocity, first = fly_round(configs, state, rngs)
+    return next_state, sense(configs, position, velocity, state.alive, rngs, state.free, first=first)
 
 
 def fly_round(
     configs: Sequence[SwarmConfig], state: SwarmState, rngs: Generators
 ) -> tuple[SwarmState, Singles, Singles, int]:
     """Fly the next round, unobserved: what :func:`fly_steps` returns, and the instant at which the window begins."""
-    after, position, velocity = fly_steps(configs, state, rngs, configs[0].steps)
+    next_state, position, velocity = fly_steps(configs, state, rngs, configs[0].steps)
     first, uavs = 2 * configs[0].memory, state.alive.shape[1]  # after the past and the unobserved steps
     for config, rows in group_by_config(configs):
         if (strategy := config.follow_strategy) is not None and strategy.shifts_tracks:
             tracks = position[rows, first:, :uavs], velocity[rows, first:, :uavs]
             shifted = shift_tracks(*tracks, state.source[rows], [rngs[b] for b in rows])
             position[rows, first:, :uavs], velocity[rows, first:, :uavs] = shifted
-    return after, position, velocity, first
+    return next_state, position, velocity, first

@@ -215,7 +215,7 @@ def destroy(state: SwarmState, candidates: Mask) -> SwarmState:
     root, source = state.root.copy(), state.source.copy()
     position, velocity = state.past_position.copy(), state.past_velocity.copy()
     kernels.remerge(state.head, alive, state.decoy | state.not_led, state.position, root, source)
-    gone = state.alive & ~alive
-    position.swapaxes(1, 2)[gone] = 0.0
-    velocity.swapaxes(1, 2)[gone] = 0.0
+    is_lost = state.alive & ~alive
+    position.swapaxes(1, 2)[is_lost] = 0.0
+    velocity.swapaxes(1, 2)[is_lost] = 0.0
     return replace(state, alive=alive, root=root, source=source, past_position=position, past_velocity=velocity)
