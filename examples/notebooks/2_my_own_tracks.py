@@ -81,12 +81,12 @@ tracker = LeaderTracker(step=900.0)
 positions = tracks.position.reshape(len(tracks.ids), fixes, 3)  # the fixes of this file are at the same times
 for i in range(100):
     for change in tracker.update(900.0 * i, positions[:, i], tracks.ids).changes:
-        print(f"hour {i / 4:.1f}: {change}")
+        print(f"hour {i / 4:.1f}:", str(change).partition(": ")[2])
 
 # %% [markdown]
-# If ``beta`` disappeared, whom would the others follow? By the rule of the game, the nearest leader that is left:
+# If ``beta`` disappeared, which leader would each follow? By the rule of the game, the nearest one that is left:
 
 # %%
 window = tracker.track_window
 after = tracker.detection.after([name == "beta" for name in window.ids], window.window)
-pd.DataFrame({"id": window.ids, "follows": [window.ids[head] for head in after]})
+pd.DataFrame({"id": window.ids, "follows": [window.ids[head] if head >= 0 else "" for head in after]})

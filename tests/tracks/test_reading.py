@@ -342,7 +342,6 @@ def test_files_that_cannot_be_read(tmp_path):
     "options",
     [
         {"columns": {"who": "id"}},
-        {"columns": {"id": "none"}},
         {"columns": [1]},
         {"time_unit": 0},
         {"missing": "guess"},
