@@ -64,7 +64,7 @@ result
 
 # %%
 env = gym.make("USNET/SingleCluster-v0", **GAME)
-figure = draw_episode(record_episode(env, detectors["PPO"], seed=2, detector_seed=1))
+figure = draw_episode(record_episode(env, detectors["PPO"], seed=2, detector_seed=1, label="PPO"))
 figure.savefig("learned.png")
 figure
 
