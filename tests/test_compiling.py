@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import signal
 import sys
 import threading
 from importlib import import_module
@@ -9,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numba.core import caching, config
+from numba.core import caching, config, event
 
 from usnet_env import compiling
 from usnet_env.compiling import compiled
@@ -118,6 +119,15 @@ def test_a_folder_that_takes_no_code_is_one_warning_and_none_at_all_is_fine(tmp_
     assert len(found) == 1
     monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [])  # Numba finds no folder
     assert compiled()(twice)(3) == 6
+
+
+def test_an_interruption_waits_until_the_code_is_made(tmp_path, monkeypatch):
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
+    loop, interrupt = compiled()(twice), event.RecordingListener()
+    monkeypatch.setattr(interrupt, "on_start", lambda _: signal.raise_signal(signal.SIGINT))
+    with event.install_listener("numba:compile", interrupt), pytest.raises(KeyboardInterrupt):
+        loop(1.5)
+    assert len(loop.signatures) == 1
 
 
 def test_a_person_hears_once_that_it_takes_long(tmp_path, monkeypatch):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import signal
 import threading
 import warnings
 from collections.abc import Callable, Iterator
@@ -69,7 +70,7 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
                 timer.daemon = True
                 timer.start()
             try:
-                with _hold_lock(lock), _pause_collection():
+                with _hold_lock(lock), _undisturbed():
                     return compile_signature(signature)
             finally:
                 if timer is not None:
@@ -135,15 +136,21 @@ def _find_stamps(cache: Any, stamps: dict[str, Any]) -> dict[str, Any]:
 
 
 @contextmanager
-def _pause_collection() -> Iterator[None]:
-    """A compilation makes many objects that stay: looking for garbage among them takes a seventh of its time."""
-    was_enabled = gc.isenabled()
+def _undisturbed() -> Iterator[None]:
+    """No search for garbage, which takes a seventh of the time; and Ctrl-C waits: in a callback of LLVM it is lost."""
+    pressed, was_enabled, handler = list[int](), gc.isenabled(), None
+    if threading.current_thread() is threading.main_thread():
+        handler = signal.signal(signal.SIGINT, lambda number, _: pressed.append(number))
     gc.disable()
     try:
         yield
     finally:
         if was_enabled:
             gc.enable()
+        if handler is not None:
+            signal.signal(signal.SIGINT, handler)
+        if pressed:
+            signal.raise_signal(signal.SIGINT)
 
 
 @contextmanager
