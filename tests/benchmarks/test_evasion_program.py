@@ -10,7 +10,9 @@ pytest.importorskip("stable_baselines3")
 
 
 def test_no_player_gains_against_an_equilibrium():
-    payoff = pd.DataFrame(np.random.default_rng(0).normal(size=(4, 6)))
+    known = pd.DataFrame(np.random.default_rng(0).normal(size=(4, 6))).stack().rename_axis(["head", "observer"])
+    payoff = evasion.tabulate(known.add(0.5).reset_index(name="J").assign(price=0.5))
+    assert payoff.stack().to_numpy() == pytest.approx(known.to_numpy())
     value, mixtures = evasion.solve(payoff)
     assert (payoff @ mixtures["observer"]).max() == pytest.approx(value)
     assert (mixtures["head"] @ payoff).min() == pytest.approx(value)
