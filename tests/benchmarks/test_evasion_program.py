@@ -57,10 +57,13 @@ def test_both_sides_learn_in_turn_and_the_last_mixtures_are_exploited(tmp_path, 
     monkeypatch.setattr(evasion, "BUDGETS", (1, 2))
     monkeypatch.setattr(evasion, "GAMES", {"usual": evasion.GAME})
     monkeypatch.setattr(evasion, "find_constant", lambda game, observer: (0, 0, 0, 1))  # of 90, which take seconds
+    play, games = evasion.play, []
+    monkeypatch.setattr(evasion, "play", lambda *how: (games.append(how[3:]), play(*how))[1])
     evasion.main(["--rows", str(path), "--length", "0.01", "--episodes", "3", "--rounds", "2", "--fresh", "4"])
     shown = capsys.readouterr().out
     assert "| PPO, 2 times | mixture |" in shown
     assert "| mixture | destroy-all |" in shown
+    assert {how for how in games if how[0] == 4} == {(4, evasion.FRESH)}
     rows = read_rows(path)
     exploits = (rows["head"] == "mixture") | (rows.observer == "mixture")
     matrix = rows[~exploits]
