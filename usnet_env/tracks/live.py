@@ -20,7 +20,7 @@ from usnet_env.tracks.samples import sort_samples
 from usnet_env.tracks.tracks import Tracks, TrackWindow
 from usnet_env.window import as_array, frozen_array
 
-_SURE = 0.9  # an answer counts for a leader from this probability on, and against it from the rest down
+_SURE = 0.8  # an answer counts for a leader from this probability on, and against it from the rest down
 _WINDOWS = 4  # whose fixes are kept: a leader is confirmed by at most so many
 _UNSURE, _NOT_YET = object(), object()  # no head, and not None
 
@@ -49,8 +49,8 @@ class LeaderTracker:
     """Finds the leaders while fixes come.
 
     As soon as there are 16 steps, a detector answers a window of the latest ones as in
-    :func:`usnet_env.tracks.find_leaders`. An answer counts where the probability of a leader is at least 0.9, or at
-    most 0.1. The head of an id is announced, changed or withdrawn when ``patience`` answers in a row say so. A new
+    :func:`usnet_env.tracks.find_leaders`. An answer counts where the probability of a leader is at least 0.8, or at
+    most 0.2. The head of an id is announced, changed or withdrawn when ``patience`` answers in a row say so. A new
     leader must also be confirmed in the last window, or half of its group had another head before.
 
     Args:
