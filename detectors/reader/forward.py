@@ -48,15 +48,15 @@ def load_reader(weights: str = "shipped") -> Weights:
     Those of a network that is ``"untrained"`` are drawn anew; it scales its inputs as the shipped one does.
     """
     np.empty(2**22, np.float32)  # glibc keeps freed blocks up to the largest so far: windows need no new pages
-    if weights == "blind":
-        return read_packaged_arrays("detectors.reader", "blind")
-    if weights in ("shipped", "untrained"):
+    if weights in ("shipped", "blind"):
+        return read_packaged_arrays("detectors.reader", {"shipped": "reader"}.get(weights, weights))
+    if weights == "untrained":
         arrays, rng = read_packaged_arrays("detectors.reader", "reader"), np.random.default_rng(0)
         # Sorted, as the order of a file's arrays changes from one reading to the next.
         shapes = {name: array.shape for name, array in sorted(arrays.items()) if array.ndim == 2}
         drawn = {name: rng.standard_normal(shape, np.float32) for name, shape in shapes.items()}
         drawn = {name: values / np.float32(np.sqrt(values.shape[1])) for name, values in drawn.items()}
-        return arrays if weights == "shipped" else arrays | drawn
+        return arrays | drawn
     arrays = read_arrays(weights)
     counts = tuple(len(arrays.get(f"{name}_mean", ())) for name in ("pair", "uav", "context"))
     if counts != (PAIR_FEATURES, UAV_FEATURES, CONTEXT_FEATURES) or "silent.2.bias" not in arrays:

@@ -42,8 +42,11 @@ _LARGEST_SCALE = 64  # samples; the noise asks for no longer step
 
 def typical_intervals(tracks: Samples) -> Floats:
     """``(N,)`` median interval between the samples of each id, seconds; NaN for an id with fewer than two samples."""
-    times = np.split(tracks.time, tracks.offsets[1:-1])
-    return np.array([np.median(np.diff(time)) if len(time) > 1 else np.nan for time in times])
+    # Sorting is several times as fast as np.median of few values.
+    intervals = [np.sort(np.diff(time)) for time in np.split(tracks.time, tracks.offsets[1:-1])]
+    return np.array(
+        [(each[(len(each) - 1) // 2] + each[len(each) // 2]) / 2 if len(each) else np.nan for each in intervals]
+    )
 
 
 class Jumps(NamedTuple):
