@@ -1,10 +1,11 @@
 """USNET/Probing-v1: how often, how soon and at what reward probers name the head, in twelve cells.
 
     OMP_NUM_THREADS=1 python benchmarks/probing.py                      # plays what the rows lack
-    OMP_NUM_THREADS=1 python benchmarks/probing.py --detector NAME --episodes 50    # the same with a detector
+    OMP_NUM_THREADS=1 python benchmarks/probing.py --detector NAME    # the same with a detector
     python benchmarks/probing.py --draw                                 # plays nothing: the tables of the rows
 
-A row is an episode; all probers play the same swarms. ``copies`` stands for the probers without a detector. ``guess``
+A row is an episode; all probers play the same swarms. ``copies`` stands for the probers without a detector, ``learned``
+for those that ``probing_learners.py`` plays. ``guess``
 names a random UAV at once; ``none`` never moves an intruder; ``park`` flies to the middle of the swarm and stays there;
 ``oracle`` knows the head, flies at it, and names it as soon as it is the most probable, or at the end.
 """
@@ -77,7 +78,7 @@ class Oracle(Prober):
 
 OTHERS = {"guess": Guess, "park": Park, "oracle": Oracle}
 PROBERS = [(COPIES, target) for target in ("guess", "none", "park", "nearest", "oracle")]
-SEVERAL = 3  # of these also play with several intruders; the others never move one
+STILL = "guess", "none"  # these never move an intruder, and so play with one only
 
 
 def make_prober(label: str, target: str) -> Prober:
@@ -90,10 +91,15 @@ def make_game(cell: str) -> Any:
     return gym.make("USNET/Probing-v1", **ALL, **CELLS[cell])
 
 
+def draw_seed(episode: int) -> int:
+    """The seed of an episode, in all cells and of all probers."""
+    return int(np.random.default_rng([shared.SEED, episode]).integers(2**31))
+
+
 def play(game: shared.Game) -> list[dict[str, Any]]:
     """Play an episode."""
     env = shared.cached(make_game, game["cell"])
-    seed = int(np.random.default_rng([shared.SEED, game["episode"]]).integers(2**31))
+    seed = draw_seed(game["episode"])
     prober = shared.cached(make_prober, game["detector"], game["target"])
     if isinstance(prober, Oracle):
         env.reset(seed=seed)
@@ -127,7 +133,7 @@ def main(argv: list[str] | None = None) -> None:
         {"detector": label, "cell": cell, "target": target, "episode": episode}
         for label, target in probers
         for cell in CELLS
-        if "intruders" not in CELLS[cell] or (label, target) in PROBERS[-SEVERAL:]
+        if "intruders" not in CELLS[cell] or target not in STILL
         for episode in range(options.episodes)
     ]
     print(report(shared.run_missing(options, games, play)))

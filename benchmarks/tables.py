@@ -25,6 +25,7 @@ import pandas as pd
 import paper_tables
 import peers
 import probing
+import probing_learners
 import reader
 import reader_links
 import recordings
@@ -271,7 +272,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "peers": _report("peers", peers.report),
     **{
         module.__name__.replace("_", "-"): lambda module=module: module.report(read_rows(module.ROWS))
-        for module in (evasion, leaks, live, probing, recordings, track_links)
+        for module in (evasion, leaks, live, probing, probing_learners, recordings, track_links)
     },
     "algorithms": paper_tables.paper_algorithms,
     "table2": paper_tables.table2_block,
