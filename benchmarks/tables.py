@@ -18,6 +18,7 @@ from operator import attrgetter
 from pathlib import Path
 
 import evasion
+import hacks
 import leaks
 import live
 import numpy as np
@@ -272,7 +273,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "peers": _report("peers", peers.report),
     **{
         module.__name__.replace("_", "-"): lambda module=module: module.report(read_rows(module.ROWS))
-        for module in (evasion, leaks, live, probing, probing_learners, recordings, track_links)
+        for module in (evasion, hacks, leaks, live, probing, probing_learners, recordings, track_links)
     },
     "algorithms": paper_tables.paper_algorithms,
     "table2": paper_tables.table2_block,

@@ -1,5 +1,6 @@
 """The programs that draw scenarios, probes, links and others' suites, or read recordings, each at a tiny size."""
 
+import hacks
 import numpy as np
 import pandas as pd
 import peers
@@ -175,3 +176,18 @@ def test_the_tables_have_shares_of_links_with_the_file_as_unit(tmp_path, capsys)
     assert "| star | 2 | 0.750 (" in shown
     assert "| 0.667 (" in shown
     assert "| one change | 1 | 1 | 1 | 2 | 1.0 |" in shown
+
+
+def test_rules_without_links_earn_what_the_problem_says(monkeypatch):
+    monkeypatch.setattr(hacks, "EPISODES", 6)
+
+    def earn(game, rule):
+        return [row["reward"] for row in hacks.play({"game": game, "rule": rule})]
+
+    assert earn("P1 Tiny", "none") == [-1] * 6
+    assert earn("P1 Tiny", "all") == [-7] * 6  # followers
+    assert set(earn("P1 Tiny", "largest turns")) <= {0, -1}
+    assert earn("evasion, heads choose at random", "all") == pytest.approx([-1 - 10 / 12] * 6)
+    waited = [-0.2, -1.2]  # a rule that reads tracks watches until the window is full
+    assert {round(reward, 6) for reward in earn("Probing, noise 1 m", "smallest turns")} <= set(waited)
+    assert set(earn("Probing, noise 1 m", "one at random")) <= {0, -1}
