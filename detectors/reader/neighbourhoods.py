@@ -143,7 +143,9 @@ def _merge_links(links: Indices, weight: Floats, uavs: int) -> Indices:
             parent[uav] = uav = parent[parent[uav]]
         return uav
 
-    for first, second in links[np.argsort(-weight, kind="stable")].tolist():
+    links = links[np.argsort(-weight, kind="stable")]
+    _, strongest = np.unique(np.sort(links, axis=1) @ (uavs, 1), return_index=True)  # a pair has up to two links
+    for first, second in links[np.sort(strongest)].tolist():
         first, second = find(first), find(second)
         if first != second and size[first] + size[second] <= _COMMUNITY_SIZE:
             parent[second] = first
@@ -182,19 +184,20 @@ def _explain_turns(velocity: Singles, seen: Mask, turns: Singles, target: Single
     white = np.linalg.solve(np.linalg.cholesky(gram), past.transpose(0, 2, 1)).astype(np.float32)  # (p, 9, T)
     share, reverse = np.zeros((2, len(turns), len(target)))
     for lag in range(1, min(_LAST_LAG, steps // 3) + 1):
-        later = target[:, lag:].transpose(1, 0, 2).reshape(steps - lag, -1)
-        earlier = target[:, :-lag].transpose(1, 0, 2).reshape(steps - lag, -1)
+        later = target[:, lag:].transpose(1, 2, 0).reshape(steps - lag, -1)
+        earlier = target[:, :-lag].transpose(1, 2, 0).reshape(steps - lag, -1)
         for first in range(0, len(turns), _CHUNK):
             chunk = slice(first, first + _CHUNK)
-            np.maximum(share[chunk], _squares(white[chunk, :, :-lag], later), out=share[chunk])
-            np.maximum(reverse[chunk], _squares(white[chunk, :3, lag:], earlier), out=reverse[chunk])
+            np.maximum(share[chunk], _sum_squares(white[chunk, :, :-lag], later), out=share[chunk])
+            np.maximum(reverse[chunk], _sum_squares(white[chunk, :3, lag:], earlier), out=reverse[chunk])
     return share - reverse
 
 
-def _squares(white: Singles, target: Singles) -> Singles:
+def _sum_squares(white: Singles, target: Singles) -> Singles:
     """Sums of squared products ``(p, g)`` of series ``(p, d, t)`` and ``(t, 3 g)``."""
-    product = (white.reshape(-1, white.shape[2]) @ target).reshape(*white.shape[:2], -1)
-    return np.asarray(np.einsum("pdx,pdx->px", product, product).reshape(len(white), -1, 3).sum(axis=2))
+    product = white.reshape(-1, white.shape[2]) @ target
+    np.square(product, out=product)
+    return np.asarray(product.reshape(len(white), -1, target.shape[1] // 3).sum(axis=1))
 
 
 def _choose_first(share: Floats, turns: Singles) -> Indices:
