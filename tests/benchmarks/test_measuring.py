@@ -210,7 +210,7 @@ def test_controls_tell_heads_where_something_gives_them_away(suite, tmp_path, ca
     assert found.auc_first["told"] > 0.7  # in the middle
     assert found.loc["hidden", leaks.AUCS].between(0.35, 0.65).all()
     assert found.all_track["told"] > found.all_track["hidden"]
-    assert (found.strange_heads["hidden"], found.strange_followers["hidden"]) == (0, 0)
+    assert found.loc["hidden", ["strange_heads", "strange_followers"]].max() < 0.05  # tracks of strangers
     assert "| 2 | 1 |" in capsys.readouterr().out
     leaks.main([*words, "--cell", "told", "--cell", "unled", "--swarms", "3"])  # the first is there already
     again = read_rows(tmp_path / "rows.csv")
