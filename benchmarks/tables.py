@@ -22,6 +22,7 @@ import hacks
 import leaks
 import live
 import numpy as np
+import observers
 import pandas as pd
 import paper_tables
 import peers
@@ -273,7 +274,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "peers": _report("peers", peers.report),
     **{
         module.__name__.replace("_", "-"): lambda module=module: module.report(read_rows(module.ROWS))
-        for module in (evasion, hacks, leaks, live, probing, probing_learners, recordings, track_links)
+        for module in (evasion, hacks, leaks, live, observers, probing, probing_learners, recordings, track_links)
     },
     "algorithms": paper_tables.paper_algorithms,
     "table2": paper_tables.table2_block,
