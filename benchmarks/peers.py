@@ -43,9 +43,10 @@ from usnet_env.config import ArgumentError
 from usnet_env.detection import ask
 
 DETECTORS = (
-    "random", "reader(policy='map')", "directional-delays", "lagged-network", "net-lag-regression", "transfer-entropy",
-    "mflica", "flica", "granger", "lagged-correlation", "factions", "var-weak-ridge", "forces", "pcmci+",
-    "straightest", "farthest",
+    "random", "reader(policy='map')", "reader(policy='map', weights='blind')",
+    "reader(policy='map', weights='untrained')", "directional-delays", "lagged-network", "net-lag-regression",
+    "transfer-entropy", "mflica", "flica", "granger", "lagged-correlation", "factions", "var-weak-ridge", "forces",
+    "pcmci+", "straightest", "farthest",
 )  # fmt: skip
 #: AUROC and AUPRC as the authors of CausalDynamics report them; their graphs and systems are other ones than ours.
 PUBLISHED = {
