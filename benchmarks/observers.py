@@ -34,7 +34,7 @@ GAME: dict[str, Any] = {"clusters": 3, "uavs": 30, "observers": 3, "observation_
 CELLS: dict[str, Any] = {"clusters gathered, range 200 m": {"formation": "gathered", "sensing_range": 200.0}}
 SPEED, DETECTOR, FRESH, GRID = 4.0, "reader", 1_000_000, 6  # no training reaches the seeds from FRESH on
 SECTORS = (np.stack(np.meshgrid(*[(np.arange(GRID) + 0.5) / GRID] * 2), axis=-1).reshape(-1, 2)) * ARENA[:2]
-BATCH, ROUNDS, DECISIONS = 64, 16, 300_000  # games and rounds of a rollout; decisions of a training
+BATCH, ROUNDS, DECISIONS = 64, 16, 2_000_000  # games and rounds of a rollout; decisions of a training
 PER_HIT = 2.0  # rounds, the reward in training for a head that is hit
 
 
