@@ -11,9 +11,11 @@ from __future__ import annotations
 
 import importlib
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import ExitStack
 from functools import partial
 from itertools import cycle
 from pathlib import Path
@@ -28,6 +30,7 @@ from paper.shared import FOLLOW, RESULTS, ROOT, make_parser
 import usnet_env  # noqa: F401  registers the environments
 from usnet_env import Window, make_detector
 from usnet_env.files import write_text
+from usnet_env.plugins import DETECTORS
 from usnet_env.provenance import machine, versions
 from usnet_env.swarm import SwarmConfig, advance, register_formation, start
 from usnet_env.swarm.follow import FIELD_MODELS
@@ -42,6 +45,12 @@ SMALL_GAME: dict[str, Any] = {"clusters": 3, "uavs": 12, "observation_steps": 20
 SIZES = [100, 300, 1000, 3000, 10_000]
 REFERENCE = "lagged-correlation"
 TIMED = ("lagged-regression", "granger", "factions", "net-lag-regression", "reader")
+LARGE = (("reader", 82), ("reader", 2000))
+FEWER_STEPS = {
+    "gassl": "gassl(steps=10)",
+    "mc-gassl": "mc-gassl(gassl={'steps': 10})",
+    "neural-granger": "neural-granger(steps=20)",
+}
 Play = tuple[int, Callable[[], object]]  # a function that plays, and the decisions of a call
 # Not getrusage: a child begins with the peak of the process that started it.
 MEMORY = """
@@ -52,6 +61,23 @@ for _ in range(3):
     envs.step(np.random.default_rng(0).random((1000, 82)) < 0.05)
 lines = open("/proc/self/status").read().splitlines()
 print(1024 * next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")))
+"""
+# It answers a window for each line that it reads, and writes the seconds of the answer.
+PLAYER = """
+import sys, time
+import gymnasium as gym, usnet_env
+name, uavs = sys.argv[1], int(sys.argv[2])
+env = gym.make("USNET/MultiCluster-v0", uavs=uavs)
+window = usnet_env.Window.from_observation(env.reset(seed=0)[0])
+detector = usnet_env.make_detector(name)
+def answer():
+    detector.reset(0)
+    detector.detect(window)
+answer()
+for _ in sys.stdin:
+    begin = time.perf_counter()
+    answer()
+    print(time.perf_counter() - begin, flush=True)
 """
 
 
@@ -129,6 +155,34 @@ def time_detectors(turns: int) -> dict[str, object]:
         name: describe(title, seconds / times[:, 0], seconds=float(np.median(seconds)) / len(windows))
         for name, seconds in zip(TIMED, times.T[1:], strict=True)
     }
+
+
+def compare_threads(name: str, uavs: int, turns: int) -> dict[str, object]:
+    """A detector's seconds with threads as they come over those with one thread, alone and beside two busy loops."""
+    unset = {key: value for key, value in os.environ.items() if not key.endswith("_NUM_THREADS")}
+    command, result = [sys.executable, "-c", PLAYER, name, str(uavs)], dict[str, object]()
+    pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "cwd": ROOT}
+    with ExitStack() as stack:
+        environments = (unset, unset | {"OMP_NUM_THREADS": "1"})
+        players = [stack.enter_context(subprocess.Popen(command, env=env, **pipes)) for env in environments]
+
+        def ask(player: subprocess.Popen[str]) -> float:
+            print(file=player.stdin, flush=True)
+            return float(player.stdout.readline())
+
+        for load, loops in (("alone", 0), ("beside two busy loops", 2)):
+            busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(loops)]
+            try:
+                seconds = np.array([[ask(player) for player in players] for _ in range(turns)])
+            finally:
+                for loop in busy:
+                    loop.kill()
+                    loop.wait()
+            title = f"seconds with threads unset over those with one thread, {load}"
+            result[load] = describe(title, seconds[:, 0] / seconds[:, 1], seconds=float(np.median(seconds[:, 1])))
+        for player in players:
+            player.stdin.close()
+    return result
 
 
 def race(title: str, turns: int, fast: Play, slow: Play) -> dict[str, object]:
@@ -245,6 +299,10 @@ PARTS: dict[str, Callable[[int], dict[str, object]]] = {
     ),
     "memory": measure_memory,
     "detectors": time_detectors,
+    "threads": lambda turns: {
+        f"{name}, N = {uavs}": compare_threads(FEWER_STEPS.get(name, name), uavs, turns)
+        for name, uavs in (*((name, 30) for name in sorted(DETECTORS)), *LARGE)
+    },
 }
 
 

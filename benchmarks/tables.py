@@ -241,6 +241,11 @@ def speed_block() -> str:
         [name, *(f"{1e9 * each:.0f}" for each in row["seconds_per_uav_step"])] for name, row in parts["scaling"].items()
     ]
     detectors = [[f"`{name}`", row["what"], format_range(row["ratios"])] for name, row in parts["detectors"].items()]
+    threads = [
+        [re.sub("^(.*),", r"`\1`,", name), f"{loads['alone']['seconds']:.2g}"]
+        + [format_range(row["ratios"]) for row in loads.values()]
+        for name, loads in parts["threads"].items()
+    ]
     uavs = next(iter(parts["scaling"].values()))["uavs"]
     return "\n\n".join(
         [
@@ -248,6 +253,8 @@ def speed_block() -> str:
             markdown(("games", "decisions a second", "ratio", ratio), games),
             markdown(("ns of a UAV step", *(f"N = {count:,}" for count in uavs)), steps),
             markdown(("detector", "ratio", ratio), detectors),
+            "Seconds with threads as they come over seconds with one thread:",
+            markdown(("detector", "seconds, one thread", "alone", "beside two busy loops"), threads),
             f"1,000 swarms of 82 UAVs take {parts['memory']['bytes'] / 2**30:.2f} GiB.",
         ]
     )
