@@ -204,7 +204,6 @@ def make_network(inputs: int, outputs: int) -> torch.nn.Module:
 
 def train(cell: str, central: bool, seed: int, decisions: int) -> torch.nn.Module:
     """Train an actor by PPO; with a ``central`` critic, which gets the true state, too (MAPPO), or without (IPPO)."""
-    torch.manual_seed(seed)
     search = Search(BATCH, cell)
     search.reset(seed * BATCH)
     scale = 1 + np.abs(search.games.state()).max(axis=0)
@@ -281,8 +280,8 @@ def measure(game: shared.Game, episodes: int, decisions: int) -> list[dict[str, 
     if flight in PATROLS:
         patrol = PATROLS[flight]
     else:
-        torch.set_num_threads(1)
-        actor = train(cell, flight == "MAPPO", training, decisions)
+        with shared.isolate_torch(training):
+            actor = train(cell, flight == "MAPPO", training, decisions)
         patrol = follow_policy(actor, np.random.default_rng(training))
     rows = play(cell, patrol, episodes)
     return [{**game, **row} for row in rows]

@@ -85,7 +85,6 @@ def draw_looks(network: ProbeNetwork, envs: Any, seed: int) -> tuple[Tensor, Ten
 
 def learn_belief(batches: int, seed: int = 0, cells: Any = tuple(probing.CELLS)) -> ProbeNetwork:
     """Learn the heads of the games of some cells, in turn."""
-    torch.manual_seed(seed)
     network, rng = ProbeNetwork(), np.random.default_rng(seed)
     optimizer = torch.optim.Adam(network.parameters(), lr=2e-3)
     decay = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, 3 * batches)
@@ -155,7 +154,6 @@ def play_looks(
 
 def learn_rewards(cell: str, seed: int, updates: int) -> Iterator[tuple[int, ProbeNetwork]]:
     """PPO: yield the decisions so far and the network, at first and after every third update."""
-    torch.manual_seed(seed)
     network = ProbeNetwork()
     envs = make_games(cell, PLAYED, "SameStep")
     seen, _ = envs.reset(seed=seed)
@@ -239,9 +237,10 @@ def train(game: shared.Game, updates: int) -> list[dict[str, Any]]:
         found = play_games(envs[name], FRESH, follow(network, envs[name])).mean()
         rows.append(game | {"decisions": decisions, "game": name, **found[["right", "elapsed", "reward"]]})
 
-    for point in learn_rewards(CELL, game["seed"], updates):
-        score(CELL, *point)
-        print(rows[-1], flush=True)
+    with shared.isolate_torch(game["seed"]):
+        for point in learn_rewards(CELL, game["seed"], updates):
+            score(CELL, *point)
+            print(rows[-1], flush=True)
     for name in list(envs)[1:]:
         score(name, *point)
     return rows
@@ -276,9 +275,10 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("--belief", action="store_true", help="play the belief that was learned from labels")
     parser.add_argument("--trainings", type=int, default=10, help="seeds of PPO")
     options = parser.parse_args(argv)
-    torch.set_num_threads(1)
     if options.labels:
-        arrays = {name: part.numpy() for name, part in learn_belief(options.labels).state_dict().items()}
+        with shared.isolate_torch(0):
+            network = learn_belief(options.labels)
+        arrays = {name: part.numpy() for name, part in network.state_dict().items()}
         write_weights(WEIGHTS, arrays, {"batches": options.labels, "games": GAMES, "passes": PASSES["labels"]}, {})
     elif options.belief:
         pairs = [(cell, target) for cell in probing.CELLS for target in ("none", "nearest")]

@@ -6,7 +6,8 @@ import argparse
 import gzip
 import io
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import lru_cache
 from itertools import cycle
 from pathlib import Path
@@ -118,6 +119,17 @@ def run_missing(options: argparse.Namespace, games: Sequence[Game], play: Play) 
     if missing:
         write_rows(path, read_rows(path).sort_values(keys, kind="stable").round(4))
     return read_rows(path)
+
+
+@contextmanager
+def isolate_torch(seed: int) -> Iterator[None]:
+    """Let PyTorch use one thread and draw by a seed; its global generator and threads are as before afterwards."""
+    import torch
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1), torch.random.fork_rng(devices=[]):
+        torch.random.set_rng_state(torch.Generator().manual_seed(seed).get_state())
+        yield
 
 
 def interval(rows: pd.DataFrame, metric: str, group: str = "episode") -> Interval:

@@ -13,10 +13,9 @@ from probing_network import ProbeNetwork, fly_nearest, measure  # noqa: E402
 @pytest.fixture(scope="module")
 def network():
     """A network with random weights in all layers."""
-    torch.manual_seed(0)
-    network = ProbeNetwork()
+    network, rng = ProbeNetwork(), torch.Generator().manual_seed(0)
     for part in network.parameters():
-        torch.nn.init.normal_(part, std=0.3)
+        torch.nn.init.normal_(part, std=0.3, generator=rng)
     return network.requires_grad_(False)
 
 
