@@ -76,7 +76,7 @@ def draw_window(source: str, episode: int, seed: int) -> tuple[Window, np.ndarra
 
 
 def read_window(path: Path, window: Window, dropped: str) -> tuple[np.ndarray, float]:
-    """``(N,)`` p(head), and p(nobody leads); a group of features that is dropped has its mean in the training."""
+    """``(N,)`` p(head), and p(no UAV leads); a group of features that is dropped has its mean in the training."""
     flying = np.flatnonzero(window.velocity_seen.any(axis=0))
     features = make_features(window.position[:, flying], window.velocity[:, flying], window.seen[:, flying])
     weights = shared.cached(load_reader, str(path))
@@ -97,7 +97,7 @@ def play(game: shared.Game, readers: Path, seed: int) -> list[dict[str, Any]]:
         "confidence": np.maximum(p, 1 - p).prod(),
         "silent": p_no_leader,
     }
-    row["leads"] = "some UAV" if head.any() else "nobody"
+    row["leads"] = "some UAV" if head.any() else "no UAV"
     bins = pd.DataFrame({"uavs": 1, "p": p, "heads": head.astype(int)}).groupby(np.minimum(10 * p, 9).astype(int)).sum()
     return [{**row, "bin": k, **sums} for k, sums in bins.to_dict("index").items()]
 
@@ -201,7 +201,6 @@ def report(rows: pd.DataFrame, study: str) -> str:
     columns = {name: partial(lambda say, part: say(part.drop_duplicates(KEYS)), say) for name, say in columns.items()}
     columns["calibration error"] = measure_calibration
     by_level = rows.sort_values("level", ascending=False, kind="stable")
-    rows = rows.replace({"leads": {"nobody": "no UAV"}})
     tables = (rows, {"set": "set", "leads": "leads"}), (rows, {"leads": "leads"}), (by_level, {"confidence": "level"})
     parts = [pivot(part, lines, columns) for part, lines in tables]
     is_law = {label: rows.set.isin(sets) for label, sets in LAWS.items()}

@@ -28,7 +28,7 @@ from usnet_env.tracks import Tracks, find_leaders, read_tracks
 
 LENGTH, SPEED, WARM_UP = 100, 1.5, 30.0  # steps of a window, metres a second, seconds that are flown but not recorded
 Grid = tuple[np.random.Generator, int, float, int]  # S instants, the seconds between them, 2 or 3 axes
-Flight = tuple[np.ndarray, np.ndarray]  # (S, N, d) metres, and (S, N) whom each follows at that time, -1: nobody
+Flight = tuple[np.ndarray, np.ndarray]  # (S, N, d) metres, and (S, N) what each follows at that time, -1: none
 Plan = tuple[tuple[float, tuple[int, ...]], ...]  # from which share of the record on each follows whom
 
 

@@ -193,7 +193,7 @@ def race(title: str, turns: int, fast: Play, slow: Play) -> dict[str, object]:
 
 
 def play_one(name: str) -> Play:
-    """Ten rounds of a single environment, in which nobody is named."""
+    """Ten rounds of a single environment, in which no UAV is named."""
     env = gym.make(name, disable_env_checker=True).unwrapped
     env.reset(seed=0)
     action = np.zeros(env.action_space.n, np.int8)

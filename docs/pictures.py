@@ -48,7 +48,7 @@ def start(name: str) -> tuple[dict[str, Any], Any]:
             clusters=3, uavs=30, **GAMES_SHOWN[name]
         )
         windows = game.reset(seed=SEED)[0]
-        if name == "usnet_evasion_v0":  # its heads choose how they fly before anyone is seen; nobody is named
+        if name == "usnet_evasion_v0":  # its heads choose how they fly before any UAV is seen; none is named
             zero = {agent: np.zeros_like(game.action_space(agent).sample()) for agent in game.agents}
             windows = game.step(zero)[0]
         windows = [window for window in windows.values() if "seen" in window]

@@ -29,7 +29,7 @@ class AttentionNetwork(nn.Module):
     def forward(self, velocity: Tensor, alive: Tensor) -> tuple[Tensor, Tensor]:
         """``(B, N)`` logits of being a candidate, and ``(B,)`` values; see :class:`detectors.rl.PairNetwork`."""
         living = alive > 0
-        is_masked = ~living & living.any(dim=1, keepdim=True)  # attention to nobody would be NaN
+        is_masked = ~living & living.any(dim=1, keepdim=True)  # attention to no UAV would be NaN
         tracks = velocity.transpose(1, 2).flatten(2)  # (B, N, 3 T_ob)
         outputs = self.judge(self.attend(self.embed(tracks), src_key_padding_mask=is_masked))
         return finish_outputs(outputs[..., 0], outputs[..., 1], living)

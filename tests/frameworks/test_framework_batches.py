@@ -202,12 +202,12 @@ def test_torchrl_plays_the_games_of_several_agents(make, game, more):
 
 
 @pytest.mark.slow
-def test_masks_allow_living_uavs_nobody_and_the_decoys_that_a_head_can_have(make):
+def test_masks_allow_living_uavs_none_and_the_decoys_that_a_head_can_have(make):
     env = make("usnet_evasion_v0", 2, clusters=2, uavs=6, observation_steps=12)
     first = env.reset(seed=0)
-    nobody = first["observer", "action_mask"]
-    assert nobody[..., 6].all()  # nobody; in the opening no UAV has been seen
-    assert not nobody[..., :6].any()
+    mask = first["observer", "action_mask"]
+    assert mask[..., 6].all()  # no UAV; in the opening none has been seen
+    assert not mask[..., :6].any()
     mask = first["head", "action_mask"].numpy().reshape(2, 2, *env.games.action_spaces["head"].nvec)
     assert mask[..., :2, :].all()  # no decoy or one
     assert not mask[..., 2, :].any()  # of two followers one remains

@@ -1,4 +1,4 @@
-"""Where a swarm starts, who follows whom, who re-merges to whom, and heads that follow unseen UAVs, ``led_by``."""
+"""Where a swarm starts, the head of each follower, re-merging, and heads that follow unseen UAVs, ``led_by``."""
 
 import numpy as np
 import pytest

@@ -169,5 +169,5 @@ def _number_actions(space: Any, legal: int) -> tuple[NDArray[Any], Indices]:
         choices = np.indices(tuple(space.nvec)).reshape(len(space.nvec), -1).T
         return choices, choices + np.cumsum(space.nvec) - space.nvec
     choices = np.eye(legal + 1, *space.shape)
-    choices[-1] = 0  # nobody; a message is 0
+    choices[-1] = 0  # none; a message is 0
     return choices, np.arange(legal + 1)[:, None]

@@ -103,7 +103,7 @@ class DelayedFollow(FollowStrategy):
 
     During the flight every one of the ``heads`` ``(B, M)`` gets a ghost: an extra UAV that repeats the head's track
     ``delay`` ``(B, M)`` steps later. The followers follow the ghost, so that every strategy, compiled or not, runs its
-    own code. If the delay is 0, nobody follows the ghost.
+    own code. If the delay is 0, no UAV follows the ghost.
     """
 
     strategy: FollowStrategy

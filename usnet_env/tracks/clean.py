@@ -81,7 +81,7 @@ def find_moving(tracks: Samples, intervals: Floats, interval: float) -> Indices:
 def skip_pauses(tracks: SamplesT) -> tuple[SamplesT, list[str]]:
     """The tracks without pauses, if these are half of the time or more, and a sentence about them.
 
-    Lags are counted in steps of movement, so a time in which nobody moves or is seen holds nothing. A short gap stays.
+    Lags are counted in steps of movement, so a time in which no id moves or is seen holds nothing. A short gap stays.
     """
     if tracks.clock.recordings or not tracks.inner_steps.any():
         return tracks, []

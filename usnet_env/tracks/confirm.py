@@ -1,4 +1,4 @@
-"""Confirm leaders: does a group copy its leader's velocity later, or go on its way, and the leader on nobody's?"""
+"""Confirm leaders: a group copies its leader's velocity later, or goes on its way, and the leader on no other's."""
 
 from __future__ import annotations
 

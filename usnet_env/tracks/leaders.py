@@ -250,7 +250,7 @@ def _number_groups(groups: list[Group], known_groups: list[Group]) -> list[int]:
 
 
 def _describe_chance(windows: list[DetectedWindow]) -> str:
-    """How many of the confirmed leaders chance would give if nobody led."""
+    """How many of the confirmed leaders chance would give if no id led."""
     leaders = sum(len(window.leaders) for window in windows)
     candidates = leaders + sum(len(window.not_confirmed) for window in windows)
     expected = f"about {format_number(LEVEL * candidates, 2)} expected by chance"

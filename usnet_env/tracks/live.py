@@ -170,7 +170,7 @@ class LeaderTracker:
     def _count_needed(self, name: Name, vote: Name | None) -> int:
         """How many answers in a row must give an id a head, or none.
 
-        Those of a whole window, if none, as a window that spans a change looks as if nobody led; or if two leaders are
+        Those of a whole window, if none, as a window that spans a change looks as if no id led; or if two leaders are
         announced, as the tracks of two may be alike for some steps.
         """
         old = self._heads.get(name)
@@ -210,9 +210,9 @@ def _read_probability(answer: Detection) -> Floats:
 
 
 def _read_votes(answer: Detection, ids: Sequence[Name]) -> dict[Name, Name | None]:
-    """The head of each id of which an answer is sure, ``None``: it follows nobody; others are left out.
+    """The head of each id of which an answer is sure, ``None``: it follows none; others are left out.
 
-    While any id may lead or not, it isn't sure that another one follows nobody.
+    While any id may lead or not, it isn't sure that another one follows none.
     """
     chance = _read_probability(answer)
     doubtful = {name for name, p in zip(ids, chance, strict=True) if 1 - _SURE < p < _SURE}

@@ -77,7 +77,7 @@ class FoundLeaders:
     periods: tuple[Period, ...] = ()
 
     def __repr__(self) -> str:
-        names = list_names([leader.id for leader in self.leaders], 6, ", …") or "nobody"
+        names = list_names([leader.id for leader in self.leaders], 6, ", …") or "no leader"
         return f"<FoundLeaders in {format_count(len(self.windows), 'window')} by {self.detector}: {names}>"
 
     def __str__(self) -> str:
@@ -182,13 +182,13 @@ class FoundLeaders:
         return draw.draw_timeline(self._spans, self.ids, [window.start for window in self.windows], self.colors, ax)
 
     def plot_probabilities(self, ax: Axes | None = None) -> Figure:
-        """Draw the detector's probability that each id leads in each window, and that nobody does."""
+        """Draw the detector's probability that each id leads in each window, and that none does."""
         starts = [window.start for window in self.windows]
         return draw.draw_probabilities(pd.DataFrame(self._probabilities, index=starts), self.colors, ax)
 
     @property
     def _probabilities(self) -> list[dict[Any, float]]:
-        """Of each window: the probability to lead of each id, and under ``None`` that nobody leads, if known."""
+        """Of each window: the probability to lead of each id, and under ``None`` that none leads, if known."""
         rows = []
         for track_window, answer in zip(self.track_windows, self.answers, strict=True):
             probabilities = np.asarray(answer.extras.get("probability", []), float).tolist()
@@ -241,7 +241,7 @@ class FoundLeaders:
     def tables(self) -> dict[str, pd.DataFrame]:
         """Tables, as they are written to CSV: ``windows``, ``leaders``, ``links`` and ``probabilities``.
 
-        In the last one, a row without an id has the probability that nobody leads. A window without leaders has one row
+        In the last one, a row without an id has the probability that no id leads. A window without leaders has one row
         without an id in ``windows``. Ids are joined by semicolons; in them, a semicolon or a backslash has a backslash
         before it.
         """

@@ -1,4 +1,4 @@
-"""Baselines: detectors that can't see who follows whom, and detectors on networks of pairs."""
+"""Baselines: detectors that see no links, and detectors on networks of pairs."""
 
 import numpy as np
 import pytest
