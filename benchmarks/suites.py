@@ -37,6 +37,7 @@ DETECTORS = (
 FEWER = {"paper": {"gassl": 1, "gassl(steps=0)": 10, "mc-gassl": 3, "neural-granger": 30}}
 FEWER["paper"]["mc-gassl(gassl={'steps': 0})"] = 10
 FEWER["paper-hard"] = {"gassl": 10, "mc-gassl": 10, "neural-granger": 10}
+FEWER["scale"] = dict.fromkeys(("reader(weights='untrained')", "reader(weights='blind')"), 3)
 FEWER["open"] = FEWER["open-second"] = dict.fromkeys(("gassl", "mc-gassl", "neural-granger"), 1)
 for _suite in ("field-v3", "limit-v2"):
     FEWER[_suite] = {"gassl": 1, "mc-gassl": 1, "neural-granger": 5, "gassl(steps=0)": 10}
