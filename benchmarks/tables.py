@@ -118,19 +118,23 @@ def suite_block(name: str) -> str:
     order = list(suite.cells)
     rows = rows.sort_values("cell", key=lambda cells: cells.map(order.index), kind="stable")
     if group == "cell":
-        return "\n\n".join([*parts, *_compare_laws(rows)])
+        return "\n\n".join([*parts, *_compare_laws(name, rows)])
     percent = across("detector", counts.index[:BEST], lambda part: f"{100 * part.exact.mean():.0f}", "`{}`")
     title = f"Exact in percent, cell by cell, of the first {BEST} lines"
     return "\n\n".join([*parts, f"{title}:", pivot(rows, {"cell": "cell"}, percent | leaks.format_controls(name))])
 
 
-def _compare_laws(rows: pd.DataFrame) -> list[str]:
-    """A table of how followers answer, one of how they hear their head, and one of how the answer is bent."""
+def _compare_laws(suite: str, rows: pd.DataFrame) -> list[str]:
+    """Tables of how followers answer, how they hear their head, how the answer is bent, and what the controls see."""
     columns: dict[str, CellFormatter] = {"laws": lambda part: str(part["cell"].nunique())}
     columns |= across("detector", OF_LAWS, rate("exact", group="cell"), "`{}`")
     kinds = {"the answer": "answers", "the head is heard": "hears", "the answer is bent": "bends"}
     laws = rows["cell"].map({**OPEN_LAWS, **SECOND_LAWS})
     rows = rows.assign(**{kind: laws.map(attrgetter(kind)) for kind in kinds.values()})
+    controls = leaks.read_controls(suite).groupby("cell")
+    given_away = {cell: "yes" if leaks.find_leaks(part) else "no" for cell, part in controls}
+    kinds["given away by a control"] = "given_away"
+    rows = rows.assign(given_away=rows["cell"].map(given_away))
     return [pivot(rows, {title: kind}, columns) for title, kind in kinds.items()]
 
 
