@@ -36,7 +36,7 @@ from usnet_env.evaluation import list_suites, load_suite
 from usnet_env.evaluation.play import episode_seeds
 
 ROWS = shared.RESULTS / "leaks.csv.gz"
-MIN_SWARMS, MIN_TRACKS, MAX_TRACKS = 48, 3000, 240_000  # of a cell
+MIN_SWARMS, MIN_TRACKS, MAX_TRACKS = 48, 3000, 480_000  # of a cell
 MAX_DISTINCT = 100  # up to so many UAVs, each strange track is of another swarm; else only of another cluster
 FOLDS, MAX_LEARNED = 5, 20_000  # parts of the cross-validation; tracks that a classifier learns from, at most
 LAGS, NEIGHBOURS = (1, 2, 3, 4, 6, 8, 12, 16), (1, 2, 3, 5, 8, 12, 20)
