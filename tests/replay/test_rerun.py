@@ -89,6 +89,9 @@ def test_marks_and_scores_are_the_answers(chunks):
     bars = {name: column(chunks, f"/scores/{name}", "BarChart:values")[0][0]["buffer"] for name in (*kinds, "other")}
     expected = {"hit": [0], "missed": [5], "redundant": [3], "other": [1, 2, 4, *range(6, UAVS)]}
     assert bars == {name: pytest.approx(episode.scores[0, who].tolist()) for name, who in expected.items()}
+    places = {name: column(chunks, f"/scores/{name}", "BarChart:abscissa")[0][0]["buffer"] for name in expected}
+    ranked = sorted(pair for name, who in expected.items() for pair in zip(places[name], who, strict=True))
+    assert [uav for _, uav in ranked] == np.argsort(-episode.scores[0]).tolist()
 
 
 def test_links_of_large_swarms_are_off_at_first(tmp_path, monkeypatch):
@@ -118,6 +121,8 @@ def test_the_game_is_told_and_counted(chunks):
     assert "1 candidate (1 head hit, 0 redundant), 0 heads left" in texts[-1]
     ((about,),) = column(chunks, "/about", "TextDocument:text")
     assert "**by hand:** 2 of 2 heads found in 2 rounds" in about
+    drawn = column(chunks, "/game/J", "SeriesLines:interpolation_mode")
+    assert {mode for (mode,) in drawn} == {rr.components.InterpolationMode.StepAfter.value}
     curves = {name: [x for (x,) in column(chunks, f"/game/{name}", "Scalars:scalars")] for name in ("heads_left", "J")}
     assert {name for chunk in chunks for name in chunk.timeline_names} == {"round", "time"}
     assert curves == {"heads_left": [1.0, 0.0], "J": pytest.approx([1 + 1 / UAVS, 2 + 1 / UAVS])}

@@ -13,7 +13,7 @@ from small_episode import MIND, ROUNDS, SAMPLES, UAVS, large_episode, small_epis
 from usnet_env import ArgumentError, make_detector
 from usnet_env.drawing import HIT, REDUNDANT, pixels_of
 from usnet_env.replay import animate, draw_episode, record_episode, write_picture
-from usnet_env.replay.animate import NAME, REMERGE, VERDICT, WATCH, Painter, list_scenes
+from usnet_env.replay.animate import NAME, REMERGE, VERDICT, WATCH, Painter, describe_frame, list_scenes
 from usnet_env.replay.page import write_page
 from usnet_env.replay.story import annotated_uavs, describe_outcome, describe_round, explain_replay, tell_round
 
@@ -91,6 +91,8 @@ def test_what_is_true_of_tracks_is_said_of_tracks():
     record = unlabelled(config={"ids": ids, "start": ["0 s", "9 s"], "end": ["9 s", "18 s"]})
     assert describe_outcome(record) == "In 2 windows, 3 of 12 ids lead at least once; the truth is unknown."
     assert describe_round(record, 1) == "0 s to 9 s: 2 leaders found"
+    assert next(list_scenes(record, 2)).text == "0 s to 9 s: the detector watches 20 steps"
+    assert tell_round(record, 2, ids)[0] == "**Window 2 of 2**\n\n9 s to 18 s"
     assert not record.destroyed.any()
     for word in ("UAV", "destroyed", "J =", "Round", "round"):
         assert word not in tell(record), word
@@ -169,6 +171,11 @@ def test_the_detector_is_not_shown_the_truth(scenes):
         given = scene.phase == VERDICT
         assert painted(frame, HIT) == painted(frame, REDUNDANT) == (False, given)
         assert painted(frame, "#0072B2")[0] == (scene.phase in (NAME, VERDICT))
+
+
+def test_an_intruder_is_drawn_where_it_is_at_that_time(scenes):
+    record = small_episode(intruders=np.arange(SAMPLES)[:, None, None] * np.ones((ROUNDS, 1, 1, 3)))
+    assert [describe_frame(record, scene)["intruders"][-1, 0, 0] for scene in scenes[:3]] == [0, 10, SAMPLES - 1]
 
 
 def test_where_the_truth_is_unknown_no_verdict_is_given():

@@ -16,7 +16,7 @@ from usnet_env.config import ArgumentError, format_count, instance_of, quote, wh
 from usnet_env.files import atomic_write
 from usnet_env.replay.episode import EpisodeRecord
 from usnet_env.replay.figure import check_ending, describe_scene, find_least_side
-from usnet_env.replay.story import describe_outcome, describe_round, name_round
+from usnet_env.replay.story import describe_outcome, describe_round, name_round, name_times
 
 _WIDTH, _HEIGHT = 9.6, 5.7  # inches
 BESIDE = 0.5  # the right map is so far from the left one, in widths of the picture
@@ -39,7 +39,8 @@ def list_scenes(record: EpisodeRecord, frames: int) -> Iterator[Scene]:
     samples = record.position.shape[1]
     for number in range(1, record.rounds + 1):
         for shown_samples in np.unique(np.linspace(1, samples, frames).round().astype(int)).tolist():
-            yield Scene(number, WATCH, shown_samples, f"the detector watches {samples - 1} steps")
+            watched = f"{name_times(record, number)}the detector watches {samples - 1} steps"
+            yield Scene(number, WATCH, shown_samples, watched)
         count = format_count(int(record.candidates[number - 1].sum()), "candidate" if record.labelled else "leader")
         yield Scene(number, NAME, samples, f"it names {count}")
         if record.labelled:
@@ -47,6 +48,16 @@ def list_scenes(record: EpisodeRecord, frames: int) -> Iterator[Scene]:
         if number < record.rounds and (orphans := int(record.orphans[number - 1].sum())):
             yield Scene(number, REMERGE, samples, f"followers without a head join another one: {orphans}")
     yield Scene(record.rounds, VERDICT if record.labelled else NAME, samples, describe_outcome(record))
+
+
+def describe_frame(record: EpisodeRecord, scene: Scene) -> dict[str, Any]:
+    """What a scene shows, as arguments of ``draw_round``, without candidates."""
+    frame = describe_scene(record, scene.round)
+    cut = ("position", "seen", *["intruders"] * (record.intruders is not None))
+    frame |= {name: frame[name][: scene.samples] for name in cut}
+    if scene.phase == REMERGE:
+        frame |= {"alive": record.alive[scene.round], "root": record.root[scene.round]}
+    return frame
 
 
 class Painter:
@@ -65,6 +76,7 @@ class Painter:
         marks = [drawing.HEAD_MARK, drawing.FOLLOWER_MARK, drawing.CANDIDATE_MARK, drawing.HIT_MARK]
         marks += [drawing.REDUNDANT_MARK, drawing.MISSED_MARK, *[drawing.DECOY_MARK] * bool(record.decoys.any())]
         marks += [drawing.DESTROYED_MARK] * (not record.recorded)
+        marks += [drawing.INTRUDER_MARK] * (record.intruders is not None)
         names = {mark: mark for mark in marks} if record.labelled else drawing.TRACK_WORDS
         layout = {"loc": "center", "bbox_to_anchor": (0.5, 0.35), "ncols": 4, "labelspacing": 0.5, "markerscale": 0.6}
         drawing.draw_legend(legend_axes, names, **layout)
@@ -81,24 +93,16 @@ class Painter:
             axes.axis("off")
         self.figure.figimage(pixels, zorder=-1)
 
-    def _describe(self, scene: Scene) -> dict[str, Any]:
-        """What a scene shows, as arguments of ``draw_round``."""
-        window = describe_scene(self.record, scene.round)
-        window |= {name: window[name][: scene.samples] for name in ("position", "seen")}
-        if scene.phase == REMERGE:
-            window |= {"alive": self.record.alive[scene.round], "root": self.record.root[scene.round]}
-        return window
-
     def locate(self, scene: Scene) -> Floats:
         """Where UAVs stand in the left map of a scene, ``(N, 2)``: parts of the picture, from below. One was drawn."""
-        window = self._describe(scene)
+        window = describe_frame(self.record, scene)
         position = drawing.last_seen_position(window["position"], window["seen"] & window["alive"])[:, :2]
         return self.figure.transFigure.inverted().transform(self.observed.transData.transform(position))
 
     def draw(self, scene: Scene) -> None:
         """Draw a scene in place of the one before."""
         record, r = self.record, scene.round - 1
-        window = self._describe(scene)
+        window = describe_frame(record, scene)
         candidates = record.candidates[r] if scene.phase in (NAME, VERDICT) else None
         truth = dict(window)
         if not record.labelled and scene.phase == WATCH:

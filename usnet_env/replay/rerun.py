@@ -180,12 +180,13 @@ class EpisodeWriter:
             self.log("world/found/links", links)
         self._log_rings("world/found/candidates", r, record.candidates[r] & seen, _CANDIDATE, labels)
         marks = mark_words(record, r + 1)
+        place = np.argsort(np.argsort(np.where(record.alive[r], -record.scores[r], np.inf), kind="stable"))
         for mark in [mark for mark in _MARKS if (marks == mark).any()]:
             if mark != OTHER:
                 texts = [f"{mark} {name}" for name in self.names]
                 self._log_rings(f"world/verdict/{mark}", r, (marks == mark) & seen, _MARKS[mark], texts)
             uavs = np.flatnonzero((marks == mark) & record.alive[r])
-            self.log(f"scores/{mark}", rr.BarChart(record.scores[r, uavs], color=_MARKS[mark], abscissa=uavs))
+            self.log(f"scores/{mark}", rr.BarChart(record.scores[r, uavs], color=_MARKS[mark], abscissa=place[uavs]))
         if record.attention is not None:
             self.log("mind/attention", rr.Image(attention_sheet(record, r)))
 
@@ -219,7 +220,8 @@ class EpisodeWriter:
         if not record.recorded:
             for name, value in (("J", record.objective[r]), ("heads_left", record.heads_left[r])):
                 style: dict[str, Any] = {"colors": _SERIES, "names": name}
-                self.log(f"game/{name}", rr.SeriesPoints(marker_sizes=5, **style), rr.SeriesLines(**style), static=True)
+                lines = rr.SeriesLines(interpolation_mode="StepAfter", **style)
+                self.log(f"game/{name}", rr.SeriesPoints(marker_sizes=5, **style), lines, static=True)
                 self.log(f"game/{name}", rr.Scalars(value))
 
     def _write_observers(self) -> None:
@@ -274,7 +276,7 @@ def _arrange_views(writer: EpisodeWriter) -> rrb.Blueprint:
     if record.labelled:
         views.insert(0, _make_spatial_view(writer, "what it sees and answers", truth=False))
     texts = rrb.TextDocumentView(origin="/this_round", name=f"this {name_round(record).lower()}")
-    charts: list[Any] = [rrb.BarChartView(origin="/scores", name="scores by index")]
+    charts: list[Any] = [rrb.BarChartView(origin="/scores", name="scores, the highest first")]
     if record.attention is not None:
         charts.append(rrb.Spatial2DView(origin="/mind/attention", name="Attention of a UAV (row)"))
     for name in ("J", "heads_left") * (not record.recorded):  # curves that don't show the future

@@ -42,12 +42,17 @@ def name_game(record: EpisodeRecord) -> str:
     return f"{record.detector or 'A detector'} on {record.env_id or 'an episode'}{seed}"
 
 
+def name_times(record: EpisodeRecord, number: int) -> str:
+    """When a window of recorded tracks (from 1) begins and ends in the file, with a colon; nothing in a game."""
+    start, end = (record.config.get(name, [None] * record.rounds)[number - 1] for name in ("start", "end"))
+    return "" if start is None else f"{start} to {end}: "
+
+
 def describe_round(record: EpisodeRecord, number: int) -> str:
     """Describe a round (from 1) in a few words."""
     r = number - 1
     count = int(record.candidates[r].sum())
-    start, end = (record.config.get(name, [None] * record.rounds)[r] for name in ("start", "end"))
-    times = "" if start is None else f"{start} to {end}: "
+    times = name_times(record, number)
     if not record.labelled:
         return f"{times}{format_count(count, 'leader')} found"
     candidates = f"{times}{format_count(count, 'candidate')}"
@@ -115,7 +120,8 @@ def tell_round(record: EpisodeRecord, number: int, names: Sequence[str]) -> tupl
     lines = [f"- **{names[i]}** {word}, {reason}" for i, word, reason in annotated_uavs(record, number)]
     hidden = int((mark_words(record, number) != OTHER).sum()) - len(lines)
     lines += [f"- … and {hidden} more"] * (hidden > 0)
-    return start, f"{start}\n\n{describe_round(record, number)}.\n\n" + "\n".join(lines)
+    before = f"{start}\n\n{name_times(record, number)}".rstrip(": \n")
+    return before, f"{start}\n\n{describe_round(record, number)}.\n\n" + "\n".join(lines)
 
 
 def explain_replay(record: EpisodeRecord) -> str:
