@@ -81,7 +81,8 @@ def _models_page(models: Mapping[str, Any]) -> str:
     breaks = [(f"`{name}`", part.breaks, getattr(part, "citation", "") or part.source) for name, part in models.items()]
     flights = [(f"`{name}`", f"`{part.equation}`", _list_values(_parameters(part))) for name, part in models.items()]
     assumptions = _table(("name", "breaks the assumption", "source"), breaks)
-    return f"{assumptions}\n\nThe equations:\n\n{_table(('name', 'equation', 'parameters'), flights)}\n"
+    equations = _table(("name", "equation", "parameters"), flights)
+    return f"{assumptions}\n\n<details><summary>The equations</summary>\n\n{equations}\n\n</details>\n"
 
 
 def _parameters(part: Any) -> dict[str, object]:
@@ -95,4 +96,4 @@ def _list_values(values: Mapping[str, object]) -> str:
 
 def _table(headings: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
     lines = [headings, ("---",) * len(headings), *rows]
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+    return "\n".join("| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |" for cells in lines)
