@@ -2,15 +2,17 @@
 
 Each shows the first window of an episode with the truth: heads as stars, followers in the colour of their head with a
 line to it. Those named ``…-moving`` show a whole game. Names of pictures may follow, to draw only these. ``replay`` is
-none: it takes a picture of the replay in ``runs/demo``, docs/images/replay-answer.webp, in a viewer without a screen,
-which needs a driver of Vulkan. Recorded tracks are those of ``merging.csv``, which ``python examples/make_tracks.py``
-writes into the present folder.
+none: it takes pictures of the replay in ``runs/demo`` and of one of evasion, docs/images/replay-*.webp, in a viewer
+without a screen, which needs a driver of Vulkan. Recorded tracks are those of ``merging.csv``, which ``python
+examples/make_tracks.py`` writes into the present folder.
 """
 
 from __future__ import annotations
 
 import importlib
 import io
+import os
+import signal
 import subprocess
 import sys
 import time
@@ -27,11 +29,11 @@ from usnet_env import make_detector
 from usnet_env.drawing import Limits, draw_round, limits_around, new_figure, pixels_of
 from usnet_env.envs import ENVIRONMENTS
 from usnet_env.envs.probers import Prober
-from usnet_env.multiagent import GAMES, usnet_observers_v0
+from usnet_env.multiagent import GAMES, usnet_evasion_v0, usnet_observers_v0
 from usnet_env.multiagent.play import play_game
-from usnet_env.multiagent.policies import DetectorObserver
+from usnet_env.multiagent.policies import DetectorObserver, RandomHead
 from usnet_env.registration import LADDER, TRACKS
-from usnet_env.replay import EpisodeRecord, record_episode
+from usnet_env.replay import EpisodeRecord, record_episode, write_recording
 from usnet_env.replay.animate import VERDICT, WATCH, describe_frame, list_scenes
 from usnet_env.replay.record import record_probe
 from usnet_env.replay.rerun import find_viewer
@@ -47,7 +49,7 @@ TRACKS_SHOWN = "merging.csv"
 SMOOTH: dict[str, Any] = {"mobility": "gauss_markov", "head_jitter": True, "formation": "gathered"}
 SHOWN = {"SingleCluster-v0": SMOOTH, "SingleCluster-Decoy-v0": SMOOTH, "Tracks-v0": {"path": TRACKS_SHOWN}}
 GAMES_SHOWN = {"usnet_observers_v0": SMOOTH, "usnet_evasion_v0": {"formation": "gathered"}}
-MOVING_SEED, RANGE = 0, 200.0
+GAME_SEED, RANGE = 0, 200.0
 
 
 def start(name: str) -> tuple[dict[str, Any], Any]:
@@ -111,13 +113,13 @@ def play_rounds() -> tuple[EpisodeRecord, Any]:
     """P2 with a detector that needs several rounds."""
     game = {"clusters": 4, "uavs": 40, "follow": "f3", "formation": "gathered", "observation_steps": 60}
     env = gym.make("USNET/MultiCluster-Smooth-v0", **game)
-    return record_episode(env, make_detector("lagged-correlation"), seed=MOVING_SEED, detector_seed=1), None
+    return record_episode(env, make_detector("lagged-correlation"), seed=GAME_SEED, detector_seed=1), None
 
 
 def play_probing() -> tuple[EpisodeRecord, Any]:
     """An intruder tests decoys that fly as the head."""
     env = gym.make("USNET/Probing-v1", followers=9, decoys=3, mobility="alike")
-    return record_probe(env, Prober(), seed=MOVING_SEED), None
+    return record_probe(env, Prober(), seed=GAME_SEED), None
 
 
 def play_search() -> tuple[EpisodeRecord, Any]:
@@ -125,7 +127,7 @@ def play_search() -> tuple[EpisodeRecord, Any]:
     game = {"observers": 3, "sensing_range": RANGE, "observer_speed": 4.0, "observation_steps": 30}
     env = usnet_observers_v0.parallel_env(**game, clusters=3, uavs=30, formation="gathered")
     agents = {name: Sweeper("reader(policy='map')") for name in env.possible_agents}
-    record = EpisodeRecord(**play_game(env, agents, MOVING_SEED).record)
+    record = EpisodeRecord(**play_game(env, agents, GAME_SEED).record)
     return record, np.stack([agent.places for agent in agents.values()], axis=1)
 
 
@@ -160,13 +162,14 @@ MOVING = {
 }
 
 
-def shoot_replay(replay: str = "runs/demo/replay.rrd", seconds: float = 7.0, port: int = 19876) -> Image.Image:
+def shoot_replay(replay: str, seconds: float, port: int = 19876) -> Image.Image:
     """The viewer with a replay at a time of it, without the viewer's own bar."""
     from rerun.experimental import ViewerClient
 
     words = ["--headless", "--hide-welcome-screen", "--window-size", "1440x760", "--bind", "127.0.0.1"]
     until, client, shot = time.monotonic() + 300, None, None
-    with subprocess.Popen([find_viewer(), *words, "--port", str(port), replay]) as viewer:
+    command = [find_viewer(), *words, "--port", str(port), replay]
+    with subprocess.Popen(command, start_new_session=True) as viewer:  # a script, which starts the viewer
         while shot is None and time.monotonic() < until and viewer.poll() is None:
             time.sleep(2)
             with suppress(Exception):  # it doesn't listen, or hasn't drawn, yet
@@ -176,7 +179,7 @@ def shoot_replay(replay: str = "runs/demo/replay.rrd", seconds: float = 7.0, por
                 client.take_screenshot()
                 time.sleep(10)  # messages go
                 shot = client.take_screenshot()
-        viewer.terminate()
+        os.killpg(viewer.pid, signal.SIGTERM)
     if shot is None:
         raise SystemExit("the viewer took no picture; it needs a driver such as mesa-vulkan-drivers")
     return Image.open(io.BytesIO(shot)).convert("RGB").crop((0, 37, 1440, 760))
@@ -194,7 +197,13 @@ def join(pictures: list[Image.Image]) -> Image.Image:
 def main(names: list[str]) -> None:
     """Draw the pictures, the wall of six that README.md shows, that of the ladder, and the timeline of tracks."""
     if names == ["replay"]:
-        shoot_replay().save(IMAGES / "replay-answer.webp", quality=80, method=6)
+        game = usnet_evasion_v0.parallel_env(clusters=3, uavs=40, formation="gathered", max_rounds=5)
+        policies = {"observer": DetectorObserver("lagged-correlation"), "head": RandomHead()}
+        record = EpisodeRecord(**play_game(game, policies, GAME_SEED).record)
+        write_recording(record, "runs/demo/evasion.rrd")
+        for name, replay, seconds in (("answer", "replay", 22.0), ("evasion", "evasion", 9.0)):
+            picture = shoot_replay(f"runs/demo/{replay}.rrd", seconds)
+            picture.save(IMAGES / f"replay-{name}.webp", quality=80, method=6)
         return
     FOLDER.mkdir(exist_ok=True)
     ids = [name.removeprefix("USNET/") for name in (*ENVIRONMENTS, TRACKS) if name not in LADDER]

@@ -125,7 +125,7 @@ def test_the_game_is_told_and_counted(chunks):
     assert {mode for (mode,) in drawn} == {rr.components.InterpolationMode.StepAfter.value}
     curves = {name: [x for (x,) in column(chunks, f"/game/{name}", "Scalars:scalars")] for name in ("heads_left", "J")}
     assert {name for chunk in chunks for name in chunk.timeline_names} == {"round", "time"}
-    assert curves == {"heads_left": [1.0, 0.0], "J": pytest.approx([1 + 1 / UAVS, 2 + 1 / UAVS])}
+    assert curves == {"heads_left": [2.0, 1.0, 0.0], "J": pytest.approx([0.0, 1 + 1 / UAVS, 2 + 1 / UAVS])}
 
 
 def test_observers_and_intruders_are_shown(tmp_path):

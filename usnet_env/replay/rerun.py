@@ -111,6 +111,13 @@ class EpisodeWriter:
         """Write all of it."""
         self.log("world", self.rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         self._write_observers()
+        if not self.record.recorded:
+            self.at(0, 0)
+            for name in ("J", "heads_left"):
+                style: dict[str, Any] = {"colors": _SERIES, "names": name}
+                lines = self.rr.SeriesLines(interpolation_mode="StepAfter", **style)
+                self.log(f"game/{name}", self.rr.SeriesPoints(marker_sizes=5, **style), lines, static=True)
+            self._log_game(0.0, int(self.record.head.sum()))
         for r in range(self.record.rounds):
             self.at(r, 0)
             visible = self.record.position[r][self.record.seen[r]]
@@ -218,11 +225,12 @@ class EpisodeWriter:
         points = rr.Points3D(position, colors=_DESTROYED, radii=_FOLLOWER_RADIUS * self.scale)
         self.log("world/swarm/destroyed", points)
         if not record.recorded:
-            for name, value in (("J", record.objective[r]), ("heads_left", record.heads_left[r])):
-                style: dict[str, Any] = {"colors": _SERIES, "names": name}
-                lines = rr.SeriesLines(interpolation_mode="StepAfter", **style)
-                self.log(f"game/{name}", rr.SeriesPoints(marker_sizes=5, **style), lines, static=True)
-                self.log(f"game/{name}", rr.Scalars(value))
+            self._log_game(record.objective[r], record.heads_left[r])
+
+    def _log_game(self, objective: float, heads_left: int) -> None:
+        """Log J and the heads that are left from now on."""
+        for name, value in (("J", objective), ("heads_left", heads_left)):
+            self.log(f"game/{name}", self.rr.Scalars(value))
 
     def _write_observers(self) -> None:
         if self.record.observers is None:
