@@ -23,7 +23,7 @@ GAME = {"followers": 7, "observation_steps": 20}  # P1 with eight UAVs
 
 # %% [markdown]
 # 64 games fly in one batch. The reward is 0 for the head alone, and less for every other answer. The network compares
-# the velocities of each pair of UAVs; its 675 parameters know nothing at first.
+# the velocities of each pair of UAVs; its 676 parameters know nothing at first.
 
 
 # %%
