@@ -56,7 +56,7 @@ def play(game: Game, seed: int) -> list[dict[str, Any]]:
 
 
 def draw(rows: pd.DataFrame, folder: Path) -> None:
-    """Draw what training is worth, and the rates of the paper's setting against m, by follow strategy."""
+    """Draw what training adds, and the rates of the paper's setting against m, by follow strategy."""
     rows = rows[(rows.mobility == "iid") & ~rows.head_jitter]
     draw_training(rows[rows.detector.isin(COMPARED) & (rows.decoys <= 1)], folder)
     rows = rows[(rows.decoys == 0) & rows.detector.isin(DETECTORS)]
@@ -97,7 +97,7 @@ def draw_training(rows: pd.DataFrame, folder: Path) -> None:
         line[0].set(ylabel="head alone named, %", title=("no decoy", "one decoy")[decoys])
     count = shared.describe_counts(rows, ["detector", "decoys", "followers", "follow"])
     caption = f"iid heads, {count} episodes a cell; bars are 95 % intervals. The paper: 1,000 runs a cell."
-    shared.save_figure(figure, folder / "training.png", "P1: what training is worth", caption)
+    shared.save_figure(figure, folder / "training.png", "P1: what training adds", caption)
 
 
 def main(argv: list[str] | None = None) -> None:
