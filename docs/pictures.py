@@ -75,7 +75,8 @@ def paint(title: str, scene: dict[str, Any], observers: Any = None, limits: Limi
     """A square picture of 480 pixels; ``observers`` ``(K, 4)`` are their places and ranges."""
     from matplotlib.patches import Circle
 
-    axes = new_figure(4.8, 4.8).add_axes((0, 0, 1, 0.93))
+    axes = new_figure(4.8, 4.8).add_axes((0.01, 0.01, 0.98, 0.92))
+    limits = limits or limits_around(scene["position"][scene["seen"] & scene["alive"]], 0.08)
     figure = draw_round(**scene, axes=axes, legend=False, limits=limits)
     axes.set(xticks=[], yticks=[], xlabel="", ylabel="")
     axes.set_title(f" {title}", fontsize=13)
