@@ -72,15 +72,14 @@ def report(rows: pd.DataFrame) -> str:
     """A line for each size of a swarm and each motion."""
 
     def name(seconds: pd.Series) -> str:
-        least, most = f"{seconds.median():.0f}", f"{seconds.max():.0f}"
-        return f"{least} (at most {most})" if seconds.notna().all() else f"{least} (one never)"
+        return f"{seconds.median():.0f}; " + (f"{seconds.max():.0f}" if seconds.notna().all() else "never")
 
     columns: dict[str, CellFormatter] = {
         "updates": lambda part: f"{part.updates.sum():,}",
         "wrong announcements": lambda part: f"{part.wrong.sum():.0f}",
-        "first leader named after, s": lambda part: name(part[part.number == 0].named),
+        "first leader named after, s: median; most": lambda part: name(part[part.number == 0].named),
         "changes of the leader": lambda part: f"{(part.number > 0).sum()}",
-        "new leader named after, s": lambda part: name(part[part.number > 0].named),
+        "new leader named after, s: median; most": lambda part: name(part[part.number > 0].named),
         f"within {SOON} s": lambda part: f"{(part[part.number > 0].named <= SOON).mean():.0%}",
         "ms an update: median; 95 %": lambda part: f"{part.ms.median():.0f}; {part.ms_most.median():.0f}",
     }
