@@ -1,8 +1,8 @@
 """
-My own tracks
-=============
+From Movebank to a figure
+=========================
 
-From a Movebank file to a figure with evidence, and to leaders while fixes come. It needs
+Fixes of GPS collars, a figure with evidence, and leaders while fixes come. It needs
 ``pip install '.[render,tracks]'``. For a file of your own, set ``FILE`` and leave out the cell that makes one.
 """
 
