@@ -71,9 +71,9 @@ def _environment_page(kind: str) -> str:
 
 def _page(title: str, described: type, use: str) -> str:
     summary, _, sections = (inspect.getdoc(described) or "").partition("\n")
-    name = next((name for name in (f"{title}-v1", f"{title}-v0", title) if (PICTURES / f"{name}.webp").exists()), "")
-    picture = f"![The first window, with the truth](../images/environments/{name}.webp)\n\n" if name else ""
-    return f"# {title}\n\n{summary}\n\n{picture}{use}\n\n{sections.strip()}\n"
+    found = [each for kind in ("*-moving", "-v*", "") for each in PICTURES.glob(f"{title}{kind}.webp")]
+    shown = f"![A game, with the truth](../images/environments/{found[0].name})\n\n" if found else ""
+    return f"# {title}\n\n{summary}\n\n{shown}{use}\n\n{sections.strip()}\n"
 
 
 def _models_page(models: Mapping[str, Any]) -> str:
