@@ -17,7 +17,7 @@ from paper.shared import RESULTS, read_rows
 from tables import suite_file
 
 from usnet_env import results
-from usnet_env.evaluation import list_suites, load_suite
+from usnet_env.evaluation import evaluate_suite, list_suites, load_suite
 from usnet_env.evaluation.play import episode_seeds
 
 SUITE = load_suite("paper")
@@ -92,6 +92,20 @@ def test_published_rows_are_of_all_cells_and_of_the_swarms_of_their_seed(path, c
     assert (counts["size"] == counts["max"] + 1).all()
     first = rows.drop_duplicates("episode")
     assert [episode_seeds(seed, episode)[0] for episode in first.episode] == list(first.swarm_seed)
+
+
+QUICK = [("field-v3", "couzin"), ("sensing-v2", "tracker"), ("controls-v2", "bystanders")]
+SLOW = [(name, cell) for name in ("paper", *dict(QUICK)) for cell in load_suite(name).cells if (name, cell) not in QUICK]
+
+
+@pytest.mark.parametrize(("name", "cell"), [*QUICK, *(pytest.param(*each, marks=pytest.mark.slow) for each in SLOW)])
+def test_published_rows_are_what_this_code_plays(name, cell):
+    """The first episode of all detectors that are not trained in a game."""
+    published, columns = results(name), ["detector", "swarm_seed", "J", "exact", "f1_first"]
+    known = published.rows.query("cell == @cell and episode == 0 and not detector.str.contains('gassl|neural')")
+    seed, detectors = published.config["seed"], list(known.detector)
+    played = evaluate_suite(name, detectors, cells=[cell], episodes=1, seed=seed).rows[columns]
+    pd.testing.assert_frame_equal(played, known[columns].reset_index(drop=True), check_dtype=False, rtol=1e-3)
 
 
 def test_a_seed_is_drawn_once_after_the_weights_were_committed(tmp_path):
