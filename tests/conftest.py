@@ -4,6 +4,7 @@ import gc
 import os
 import subprocess
 import sys
+from importlib.metadata import EntryPoint
 from types import SimpleNamespace
 
 # As many processes as cores leave a core each: more threads than that make small tensor operations wait for each other,
@@ -39,6 +40,24 @@ def fresh_process():
         return done.stdout
 
     return SimpleNamespace(run=run_program)
+
+
+@pytest.fixture
+def declare(monkeypatch, tmp_path):
+    """Declares entry points, beside those that are there, as another distribution would; a module may be given."""
+    from usnet_env import parts
+
+    def declare_points(group, module=None, **values):
+        if module:
+            (tmp_path / f"{module[0]}.py").write_text(module[1])
+            monkeypatch.syspath_prepend(tmp_path)
+        found = parts.entry_points
+        points = {group: [EntryPoint(name, value, group) for name, value in values.items()]}
+        monkeypatch.setattr(parts, "entry_points", lambda group: [*found(group=group), *points.get(group, ())])
+        parts.find_entry_points.cache_clear()
+
+    yield declare_points
+    parts.find_entry_points.cache_clear()
 
 
 @pytest.fixture

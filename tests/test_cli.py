@@ -4,11 +4,11 @@ import io
 import json
 import subprocess
 import sys
-from importlib.metadata import EntryPoint
+from functools import partial
 
 import pytest
 
-from usnet_env import cli, evaluate, parts
+from usnet_env import cli, evaluate
 from usnet_env.cli import GROUP, main
 from usnet_env.cli.options import parse_pairs
 from usnet_env.replay import EpisodeRecord, demo
@@ -198,19 +198,10 @@ def test_a_terminal_of_few_characters_loses_no_result(monkeypatch):
 
 
 @pytest.fixture
-def install(monkeypatch, module):
+def install(monkeypatch, declare):
     source = "import click\n@click.command(short_help='Say hello.')\ndef hello(): click.echo('hello')\nplain = print\n"
-    module("foreign_command", source)
-
-    def installer(**values):
-        points = [EntryPoint(name, value, GROUP) for name, value in values.items()]
-        monkeypatch.setattr(parts, "entry_points", lambda group: points)
-        parts.find_entry_points.cache_clear()
-
-    before = dict(cli._usnet.commands)
-    yield installer
-    cli._usnet.commands = before
-    parts.find_entry_points.cache_clear()
+    monkeypatch.setattr(cli._usnet, "commands", dict(cli._usnet.commands))
+    return partial(declare, GROUP, ("foreign_command", source))
 
 
 def test_a_foreign_command_is_listed_and_runs_but_replaces_none_of_this_package(install, run):

@@ -1,7 +1,5 @@
 """Named parts of every kind: found by name, declared by installed packages, registered by programs, and labelled."""
 
-import importlib.metadata
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -24,21 +22,8 @@ def numbers(monkeypatch):
     return Registry("number", "size", "usnet.numbers", __name__, check_number, {"one": 1}, reserved=("none",))
 
 
-@pytest.fixture
-def installed(monkeypatch):
-    """Declares entry points as another distribution would."""
-
-    def declare(group, **values):
-        points = [importlib.metadata.EntryPoint(name, value, group) for name, value in values.items()]
-        monkeypatch.setattr(parts, "entry_points", lambda group: [point for point in points if point.group == group])
-        parts.find_entry_points.cache_clear()
-
-    yield declare
-    parts.find_entry_points.cache_clear()
-
-
-def test_parts_are_found_by_name_in_order_of_their_origin(numbers, installed):
-    installed("usnet.numbers", top="sys:maxsize", one="sys:maxsize", none="sys:maxsize")
+def test_parts_are_found_by_name_in_order_of_their_origin(numbers, declare):
+    declare("usnet.numbers", top="sys:maxsize", one="sys:maxsize", none="sys:maxsize")
     numbers.register("two", 2)
     assert list(numbers) == ["one", "top", "two"]
     assert (len(numbers), "top" in numbers, "none" in numbers, None in numbers) == (3, True, False, False)
@@ -50,8 +35,8 @@ def test_parts_are_found_by_name_in_order_of_their_origin(numbers, installed):
         numbers["three"]
 
 
-def test_a_name_is_taken_once(numbers, installed):
-    installed("usnet.numbers", top="sys:maxsize")
+def test_a_name_is_taken_once(numbers, declare):
+    declare("usnet.numbers", top="sys:maxsize")
     numbers.register("two", 2)
     numbers.register("two", 2)
     numbers.register("one", 1)  # the same part again changes nothing
@@ -81,8 +66,8 @@ def test_a_name_that_cannot_be_selected_is_refused(numbers, name):
         ("torch.nothing_of_this_name:x", r"number 'odd' needs torch; `pip install 'usnet\[torch\]'` installs it"),
     ],
 )
-def test_what_cannot_be_loaded_says_why(numbers, installed, value, reason):
-    installed("usnet.numbers", odd=value)
+def test_what_cannot_be_loaded_says_why(numbers, declare, value, reason):
+    declare("usnet.numbers", odd=value)
     with pytest.raises((ArgumentError, ImportError), match=rf"^{reason}"):
         numbers.find("odd")
 
@@ -102,34 +87,24 @@ corner = lambda rng, roles: np.zeros((len(roles.root), 3))
 STRANGERS = {"follow strategy": "Backwards", "mobility": "onwards", "formation": "corner", "clusterer": "Groups"}
 
 
-def test_an_installed_package_declares_parts_of_every_kind(monkeypatch, tmp_path):
-    (tmp_path / "strangers_parts.py").write_text(SOURCE)
-    monkeypatch.syspath_prepend(tmp_path)
-    values = {REGISTRIES[kind].group: f"strangers_parts:{name}" for kind, name in STRANGERS.items()}
-
-    def entry_points(group):
-        return [importlib.metadata.EntryPoint("strange", values[group], group)] if group in values else []
-
-    monkeypatch.setattr(parts, "entry_points", entry_points)
-    parts.find_entry_points.cache_clear()
-    for kind in STRANGERS:
+def test_an_installed_package_declares_parts_of_every_kind(monkeypatch, declare):
+    for kind, name in STRANGERS.items():
         registry = REGISTRIES[kind]
+        declare(registry.group, ("strangers_parts", SOURCE), strange=f"strangers_parts:{name}")
         monkeypatch.setattr(registry, "_loaded", {})
         assert "strange" in registry
         assert registry.find("strange") is registry["strange"]
     env = MultiClusterEnv(follow="strange", mobility="strange", formation="strange")
     env.reset(seed=0)
-    parts.find_entry_points.cache_clear()
+
+
+LITERALS = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text()
 
 
 @given(
     st.dictionaries(
         st.sampled_from(["clusters", "ridge", "table"]),
-        st.recursive(
-            st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
-            lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=3), inner, max_size=2),
-            max_leaves=4,
-        ),
+        LITERALS | st.lists(LITERALS | st.dictionaries(st.text(max_size=3), LITERALS, max_size=2), max_size=3),
     )
 )
 def test_a_label_of_literals_is_read_as_what_it_was_made_of(arguments):

@@ -1,13 +1,12 @@
 """Detectors by name: built in, installed, registered, or a class of a module."""
 
-import importlib.metadata
 import subprocess
 import sys
 
 import numpy as np
 import pytest
 
-from usnet_env import ArgumentError, Detection, parts
+from usnet_env import ArgumentError, Detection
 from usnet_env.cli import main
 from usnet_env.detection import Tags
 from usnet_env.plugins import DETECTORS, detector_label, make_detector, register_detector
@@ -51,20 +50,11 @@ def no_registrations(monkeypatch):
 
 
 @pytest.fixture
-def stranger(monkeypatch, tmp_path):
+def stranger(monkeypatch, declare):
     """Installs a package with a good and a broken detector."""
-    points = [
-        importlib.metadata.EntryPoint(name, value, DETECTORS.group)
-        for name, value in {"stranger": f"{__name__}:Mine", "broken": "broken_stranger:X"}.items()
-    ]
-    (tmp_path / "broken_stranger.py").write_text("raise OSError('no\\nlicence')\n")
-    monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(DETECTORS, "_loaded", {})
-    real = importlib.metadata.entry_points
-    monkeypatch.setattr(parts, "entry_points", lambda group: [*points, *real(group=group)])
-    parts.find_entry_points.cache_clear()
-    yield
-    parts.find_entry_points.cache_clear()
+    broken = ("broken_stranger", "raise OSError('no\\nlicence')\n")
+    declare(DETECTORS.group, broken, stranger=f"{__name__}:Mine", broken="broken_stranger:X")
 
 
 def list_lines(capsys):
