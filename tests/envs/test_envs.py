@@ -54,40 +54,16 @@ def test_an_id_says_it_all(name):
     assert json.loads(spec.to_json())["kwargs"]["follow"] == "f3"
 
 
-def episode(env, seed, shots):
-    """A whole episode with random shots: everything that comes back."""
-    rng = np.random.default_rng(shots)
-    out = [env.reset(seed=seed)]
-    done = False
-    while not done:
-        out.append(env.step((rng.random(env.action_space.n) < 0.15).astype(np.int8)))
-        done = out[-1][2] or out[-1][3]
-    return out
-
-
-@pytest.mark.parametrize("name", IDS)
-def test_twin_rollouts_are_equal(name):
-    env = gym.make(name, position_noise=3.0, miss_rate=0.1)
-    one, other = (episode(env, 12345, 7) for _ in range(2))
-    assert all(env.observation_space.contains(step[0]) for step in one)
-    assert list(one[0][0]) == list(env.observation_space)
-    assert {frozenset(step[-1]) for step in one} == {frozenset(one[0][1])}  # info has the same names in every step
-    for _, reward, *_, info in one[1:]:
-        assert sum(value for key, value in info.items() if key.startswith("reward_")) == pytest.approx(reward)
-    assert len(one) == len(other)
-    for a, b in zip(one, other, strict=True):
-        same(a[0], b[0])
-        assert a[1:] == b[1:]
-
-
 def play(env, seed, choose):
     """(truth at the start, candidates of each round, rewards, last info) of an episode."""
-    env.reset(seed=seed)
+    _, first = env.reset(seed=seed)
     swarm = env.unwrapped.swarm
     rounds, rewards, done = [], [], False
     while not done:
         rounds.append(choose(env.unwrapped.swarm, len(rounds)))
         _, reward, terminated, truncated, info = env.step(rounds[-1])
+        assert info.keys() == first.keys()
+        assert sum(value for name, value in info.items() if name.startswith("reward_")) == pytest.approx(reward)
         rewards.append(reward)
         done = terminated or truncated
     return swarm.head, rounds, rewards, info, terminated
@@ -217,6 +193,8 @@ def test_what_comes_too_early_or_too_late_is_refused():
     env.step(np.zeros(16, np.int8))
     with pytest.raises(ArgumentError, match="reset must be called first"):
         env.step(np.zeros(16, np.int8))
+    with pytest.warns(UserWarning, match="render_mode='rgb_array'"):
+        assert env.render() is None
 
 
 def shots(count):
@@ -277,18 +255,6 @@ def test_a_wrapped_environment_plays_the_same_game_and_can_be_made_again_from_it
     np.testing.assert_array_equal(wrapped.get_wrapper_attr("action_masks")(), plain.unwrapped.action_masks())
     with pytest.warns(UserWarning, match="is different from the unwrapped version"):
         check_env(wrapped)
-
-
-def test_rendering_shows_the_round_that_was_decided():
-    env = gym.make(MULTI, **SMALL, render_mode="rgb_array")
-    env.reset(seed=0)
-    before = env.render()
-    env.step(env.unwrapped.swarm.head.astype(np.int8))
-    after = env.render()
-    assert (before.dtype, before.shape, before.ndim) == (np.uint8, after.shape, 3)
-    assert (before != after).any()  # the candidates are ringed now
-    with pytest.warns(UserWarning, match="render_mode='rgb_array'"):
-        assert gym.make(MULTI, **SMALL).unwrapped.render() is None
 
 
 @pytest.mark.parametrize(

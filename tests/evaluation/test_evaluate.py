@@ -9,7 +9,6 @@ import pytest
 from pandas.testing import assert_frame_equal
 from sample_detectors import AllAlive, Followed, NoUav, RandomThird, Recorder, untimed
 
-import usnet_env
 from usnet_env import ArgumentError, evaluate
 from usnet_env.evaluation import METRICS, TRIVIAL
 
@@ -40,20 +39,6 @@ def test_the_metrics_of_plain_detectors_are_their_formulas(env_id, detector, set
     (entry,) = evaluate(env_id, detector, episodes=4, env_kwargs=kwargs).summary
     metrics = entry["metrics"]
     assert {name: metrics[name]["mean"] for name in expected} == expected
-
-
-@pytest.mark.parametrize("env_id", [MULTI, SINGLE])
-def test_the_rows_agree_with_the_environment_s_own_count(env_id):
-    env = gym.make(env_id)
-    for row in evaluate(env_id, RandomThird(), episodes=5, seed=3).rows.to_dict("records"):
-        detector, over = RandomThird(), False
-        detector.reset(row["detector_seed"])
-        observation, info = env.reset(seed=row["swarm_seed"])
-        while not over:
-            detection = detector.detect(usnet_env.Window.from_observation(observation))
-            observation, _, terminated, truncated, info = env.step(detection.candidates.astype(np.int8))
-            over = terminated or truncated
-        assert (row["J"], row["rounds"], row["success"]) == (info["J"], info["round"], info["success"])
 
 
 def test_every_detector_meets_the_same_swarms_and_the_warm_up_leaves_it_alone():

@@ -68,30 +68,6 @@ def test_max_cycles(game):
     suites.max_cycles_test(module)
 
 
-@both_games
-def test_agents_in_turn_play_the_parallel_game(game):
-    """The AEC form gives every agent the parallel form's observations and rewards, whatever was played before."""
-    parallel = episode(small(game), 12345)
-    env = small(game, "env")
-    env.reset(seed=7)
-    env.reset(seed=12345)
-    rng, step, actions = np.random.default_rng(0), 0, {}
-    for agent in env.agent_iter():
-        observation, reward, terminated, truncated, info = env.last()
-        if not actions and not (terminated or truncated):
-            actions = drawn(SimpleNamespace(agents=parallel[step][6], action_space=env.action_space), rng, None)
-        expected = parallel[step] if agent in parallel[step][0] and not (terminated or truncated) else None
-        if expected is not None:
-            assert data_equivalence(observation, expected[0][agent], exact=True)
-            assert data_equivalence(info, expected[4][agent], exact=True)
-            assert reward == expected[1].get(agent, 0)
-            env.step(actions.pop(agent))
-            step += not actions
-        else:
-            env.step(None)
-    assert step == len(parallel) - 1
-
-
 @pytest.mark.parametrize(
     ("game", "more"),
     [

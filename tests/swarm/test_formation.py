@@ -12,14 +12,6 @@ from usnet_env.swarm.formation import ARENA, FORMATIONS, register_formation
 from usnet_env.swarm.simulator import draw_roles, random_cluster_sizes
 
 
-@given(seed=st.integers(0, 2**32), clusters=st.integers(1, 12), rest=st.integers(0, 200))
-def test_cluster_sizes_are_at_least_two_and_add_up(seed, clusters, rest):
-    (sizes,) = random_cluster_sizes([np.random.default_rng(seed)], clusters, 2 * clusters + rest)
-    assert len(sizes) == clusters
-    assert sizes.min() >= 2
-    assert sizes.sum() == 2 * clusters + rest
-
-
 def test_given_cluster_sizes_are_kept_and_else_all_splits_are_equally_likely():
     state, _ = fly(clusters=3, uavs=15, cluster_sizes=(2, 7, 3))
     assert sorted(np.bincount(state.root[~state.head], minlength=15)[state.head]) == [2, 3, 7]
@@ -31,16 +23,17 @@ def test_given_cluster_sizes_are_kept_and_else_all_splits_are_equally_likely():
     assert (((counts - expected) ** 2) / expected).sum() < 36.1  # chi-square, 14 degrees of freedom, 0.1 %
 
 
-@given(seed=st.integers(0, 2**32), decoys=st.integers(0, 3))
-def test_roles_are_consistent(seed, decoys):
-    config = SwarmConfig(clusters=4, uavs=30 + decoys, decoys=decoys)
+@given(seed=st.integers(0, 2**32), clusters=st.integers(1, 12), rest=st.integers(0, 50), decoys=st.integers(0, 3))
+def test_roles_are_consistent(seed, clusters, rest, decoys):
+    uavs = 3 * clusters + rest + decoys
+    config = SwarmConfig(clusters=clusters, uavs=uavs, decoys=decoys)
     (roles,) = draw_roles([np.random.default_rng(seed)], config).split()
-    assert (roles.head.sum(), roles.decoy.sum()) == (4, decoys)
+    assert (roles.head.sum(), roles.decoy.sum()) == (clusters, decoys)
     assert not (roles.head & roles.decoy).any()
     alone = roles.head | roles.decoy
     assert (roles.root[alone] == np.flatnonzero(alone)).all()
     assert roles.head[roles.root[~alone]].all()
-    assert np.bincount(roles.root[~alone], minlength=30 + decoys)[roles.head].min() >= 2
+    assert np.bincount(roles.root[~alone], minlength=uavs)[roles.head].min() >= 2
 
 
 def first_positions(formation, seeds=200):
@@ -175,19 +168,3 @@ def test_led_swarms_start_where_their_formation_is_and_nothing_changes_where_no_
     for follow in ("none", "independent", "reference", "shepherd", "shifted"):
         with_it, without = (fly(follow, uavs=30, led_by=led_by)[1] for led_by in (3, 0))
         np.testing.assert_array_equal(with_it.position, without.position)
-
-
-def test_a_single_track_no_longer_tells_a_head():
-    """A head that answers in blocks of steps is rougher than one that leads freely, as its followers are."""
-    rough = {}
-    for led_by in (0, (1, 4)):
-        config = SwarmConfig(
-            clusters=3, uavs=30, memory=12, follow="part_time", mobility="gauss_markov", head_jitter=True, led_by=led_by
-        )
-        rngs = generators(range(40))
-        _, window = advance(config, state := start(config, rngs), rngs)
-        changes = (np.diff(window.velocity.astype(float), axis=1) ** 2).sum(axis=3)
-        score, head = np.log(changes).std(axis=1), state.head
-        rough[led_by] = np.mean([(score[b][head[b]][:, None] > score[b][~head[b]]).mean() for b in range(40)])
-    assert abs(rough[0] - 0.5) > 0.2
-    assert abs(rough[1, 4] - 0.5) < 0.1
