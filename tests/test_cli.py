@@ -148,7 +148,6 @@ EVALUATE = ["evaluate", "--detector", "none", "--episodes", "1"]
         (["demo", "--detector", "x"], ["detector"]),
         (["demo", "--out", "/dev/null"], ["/dev/null"]),
         (["list", "nothing"], ["'nothing'"]),
-        (["check-detector", "no-such-detector"], ["detector must be one of"]),
         (["play"], ["'play'"]),
     ],
 )

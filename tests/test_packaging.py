@@ -15,9 +15,12 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 EXTRAS = PROJECT["optional-dependencies"]
 
 
-def test_the_core_works_without_any_extra(fresh_process):
-    fresh_process.run("""
-import sys
+def test_the_core_works_without_any_extra(fresh_process, tmp_path):
+    rows = [f"{i},{t},{t + i},{i}\n" for t in range(150) for i in (1, 2)]
+    (tmp_path / "tracks.csv").write_text("".join(["id,t,x,y\n", *rows]))
+    said = fresh_process.run(
+        """
+import importlib.util, sys
 from importlib.abc import MetaPathFinder
 
 EXTRAS = {"matplotlib", "moviepy", "rerun", "pyarrow", "torch", "stable_baselines3", "pettingzoo", "ray", "pytest"}
@@ -28,6 +31,9 @@ class NoExtras(MetaPathFinder):
             raise ModuleNotFoundError(f"{name} is an extra", name=name)
 
 sys.meta_path.insert(0, NoExtras())
+found = importlib.util.find_spec
+importlib.util.find_spec = lambda name, *rest: None if name in EXTRAS else found(name, *rest)
+sys.stderr = sys.stdout
 
 import gymnasium as gym
 import numpy as np
@@ -40,12 +46,27 @@ env = BoxMasks(gym.make("USNET/MultiCluster-v0", **swarm))
 env.reset(seed=0)
 env.step(np.eye(1, 8, dtype=np.int8)[0])
 assert {"gassl", "mc-gassl", "lagged-regression"} <= set(DETECTORS)
-detectors = ["lagged-regression(clusters=2)", "destroy-all"]
+detectors = ["lagged-regression(clusters=2)", "destroy-all", "reader", "gassl(steps=0)"]
 result = usnet_env.evaluate("USNET/MultiCluster-v0", detectors, episodes=2, env_kwargs=swarm)
-assert [entry["episodes"] for entry in result.summary] == [2, 2]
+assert [entry["episodes"] for entry in result.summary] == [2] * 4
 assert result.summary[1]["metrics"]["J"]["mean"] == 1.75
 assert not EXTRAS & set(sys.modules)
-""")
+from usnet_env.cli import main
+assert main(["list", "detectors"]) == 0
+for words in (["evaluate", "--episodes", "1"], ["detect", "tracks.csv"]):
+    assert main([*words, "--detector", "mc-gassl"]) == 2, words
+import usnet_env.multiagent
+try:
+    import usnet_env.multiagent.usnet_evasion_v0
+except ImportError as error:
+    print(error)
+""",
+        tmp_path,
+    )
+    advice = "detector 'mc-gassl' needs torch; `pip install 'usnet[torch]'` installs it."
+    assert f"not available: {advice}" in said
+    games = "Games with several agents need PettingZoo; `pip install 'usnet[multiagent]'` installs it."
+    assert said.endswith(f"usnet: {advice}\n" * 2 + f"{games}\n")
 
 
 def test_an_import_changes_nothing_global(fresh_process):

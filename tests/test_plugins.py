@@ -1,8 +1,5 @@
 """Detectors by name: built in, installed, registered, or a class of a module."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 
@@ -54,7 +51,8 @@ def stranger(monkeypatch, declare):
     """Installs a package with a good and a broken detector."""
     monkeypatch.setattr(DETECTORS, "_loaded", {})
     broken = ("broken_stranger", "raise OSError('no\\nlicence')\n")
-    declare(DETECTORS.group, broken, stranger=f"{__name__}:Mine", broken="broken_stranger:X")
+    mine = f"{__name__}:Mine"
+    declare(DETECTORS.group, broken, stranger=mine, random=mine, broken="broken_stranger:X")
 
 
 def list_lines(capsys):
@@ -132,26 +130,3 @@ def test_an_installed_detector_is_found_and_a_broken_one_does_not_affect_others(
         make_detector("broken")
     with pytest.raises(ArgumentError, match="the name of an installed detector"):
         register_detector("stranger", NeedsOne)
-
-
-WITHOUT_TORCH = """
-import sys
-sys.modules["torch"] = None  # an import raises ModuleNotFoundError
-from usnet_env import make_detector
-from usnet_env.cli import main
-make_detector("gassl").reset(0)  # its compiled loops need none
-assert main(["list", "detectors"]) == 0
-for words in (["evaluate", "--episodes", "1"], ["detect", "tracks.csv"]):
-    assert main([*words, "--detector", "mc-gassl"]) == 2, words
-"""
-
-
-def test_without_torch_its_extra_is_named(tmp_path):
-    rows = [f"{i},{t},{t + i},{i}\n" for t in range(150) for i in (1, 2)]
-    (tmp_path / "tracks.csv").write_text("".join(["id,t,x,y\n", *rows]))
-    words = [sys.executable, "-c", WITHOUT_TORCH]
-    done = subprocess.run(words, capture_output=True, text=True, cwd=tmp_path, timeout=300)
-    assert done.returncode == 0, done.stderr
-    advice = "detector 'mc-gassl' needs torch; `pip install 'usnet[torch]'` installs it."
-    assert f"not available: {advice}" in done.stdout
-    assert done.stderr == f"usnet: {advice}\n" * 2

@@ -58,7 +58,12 @@ def test_both_sides_learn_in_turn_and_the_last_mixtures_are_exploited(tmp_path, 
     monkeypatch.setattr(evasion, "GAMES", {"usual": evasion.GAME})
     monkeypatch.setattr(evasion, "find_constant", lambda game, observer: (0, 0, 0, 1))  # of 90, which take seconds
     play, games = evasion.play, []
-    monkeypatch.setattr(evasion, "play", lambda *how: (games.append(how[3:]), play(*how))[1])
+
+    def play_few(rules, head, observer, count, *seed):  # of 500 that choose a swarm, which take seconds too
+        games.append((count, *seed))
+        return play(rules, head, observer, min(count, 4), *seed)
+
+    monkeypatch.setattr(evasion, "play", play_few)
     evasion.main(["--rows", str(path), "--length", "0.01", "--episodes", "3", "--rounds", "2", "--fresh", "4"])
     shown = capsys.readouterr().out
     assert "| PPO, 2 times | mixture |" in shown

@@ -106,20 +106,6 @@ def test_swarms_of_p1_of_several_sizes():
         assert env.step(window["alive"] == 0)[1] < 0  # to name who isn't there is redundant
 
 
-def test_a_state_of_another_swarm_is_restored():
-    env, other = make(uavs=40), make(uavs=40)
-    env.reset(seed=3)
-    state, config = env.get_state(), env.config
-    after = env.step(np.eye(40, dtype=np.int8)[0])
-    other.reset(seed=4)
-    assert other.config != config
-    other.set_state(state)
-    assert other.config == config
-    np.testing.assert_array_equal(other.step(np.eye(40, dtype=np.int8)[0])[0]["position"], after[0]["position"])
-    with pytest.raises(ArgumentError, match="state must come from"):
-        make(uavs=40, observation_steps=11).set_state(state)
-
-
 def test_the_widest_swarm_has_the_bounds_of_all():
     env = make(kinematics=["unit", "varied_speed"], position_noise=(0.0, 2.0))
     widest = env.widest_config

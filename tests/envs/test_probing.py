@@ -117,19 +117,6 @@ def test_intruders_start_where_no_uav_avoids_them():
         assert apart.min() >= 20.0
 
 
-def test_a_state_restores_the_episode():
-    env = gym.make(PROBING, **SMALL, position_noise=1.0).unwrapped
-    env.reset(seed=3)
-    env.step(wait(env, 1.0))
-    state = env.get_state()
-    one = env.step(wait(env, 1.0))
-    env.set_state(state)
-    other = env.step(wait(env, 1.0))
-    for name in one[0]:
-        np.testing.assert_array_equal(one[0][name], other[0][name])
-    assert one[1:] == other[1:]
-
-
 def test_a_flat_action_names_whose_score_stands_out_or_the_best_at_the_end():
     env = gym.make(PROBING, **SMALL, look_every=6, actions="flat")
     head = {}

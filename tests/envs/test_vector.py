@@ -90,6 +90,7 @@ def test_equal_to_single_envs_over_many_episodes(name, mode, arguments):
     batch.reset(seed=9)
     assert equal(batch.set_state(states), seen)
     np.testing.assert_equal(batch.get_state(), states)
+    assert equal(batch.step(actions), singles.step(actions))
 
 
 def test_seeds_as_a_list_and_generators_that_go_on():
@@ -139,25 +140,25 @@ def test_statistics_of_games_that_restart_in_the_step_that_ends_them():
 
 def test_single_games_of_a_batch():
     """Pictures, attributes and steps are those of single environments."""
-    batch, singles = make_pair(**SMALL, render_mode="rgb_array")
+    batch, singles = make_pair(**SMALL, render_mode="rgb_array", count=2)
     for envs in (batch, singles):
         envs.reset(seed=3)
     for _ in range(2):
         assert equal(batch.render(), singles.render())
-        batch.step(np.eye(4, 12, dtype=np.int8)), singles.step(np.eye(4, 12, dtype=np.int8))
+        batch.step(np.eye(2, 12, dtype=np.int8)), singles.step(np.eye(2, 12, dtype=np.int8))
     np.testing.assert_array_equal(batch.call("action_masks"), batch.action_masks())
-    batch.set_attr("note", [1, 2, 3, 4])
-    assert batch.get_attr("note") == (1, 2, 3, 4)
+    batch.set_attr("note", [1, 2])
+    assert batch.get_attr("note") == (1, 2)
     with pytest.raises(ArgumentError, match=r"^name must be no attribute"):
         batch.set_attr("rules", None)
-    fresh, _ = make_pair(**SMALL)
+    fresh, _ = make_pair(**SMALL, count=2)
     fresh.set_state(batch.get_state())  # before it was reset
     assert equal(fresh.get_state(), batch.get_state())
     for envs in (batch, singles):
         envs.reset(seed=5)
-    alone, before = [envs.unwrapped.envs[2] for envs in (batch, singles)], batch.get_state()
+    alone, before = [envs.unwrapped.envs[1] for envs in (batch, singles)], batch.get_state()
     assert equal(*(env.unwrapped.step(np.eye(12, dtype=np.int8)[0]) for env in alone))
     assert equal(batch.render(), singles.render())
     after = batch.get_state()
     assert equal(after, list(singles.call("get_state")))
-    assert equal([after[b] for b in (0, 1, 3)], [before[b] for b in (0, 1, 3)])
+    assert equal(after[0], before[0])

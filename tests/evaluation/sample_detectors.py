@@ -30,9 +30,6 @@ class Base:
     def reset(self, seed=None):
         self.rng = np.random.default_rng(seed)
 
-    def detect(self, window):
-        raise NotImplementedError
-
 
 class AllAlive(Base):
     def detect(self, window):
@@ -114,7 +111,6 @@ ENDS = {
     "kill": lambda: os.kill(os.getpid(), signal.SIGKILL),
     "hang": lambda: time.sleep(10_000),
     "memory": lambda: np.ones(500_000_000),
-    "raise": lambda: 1 / 0,
 }
 
 

@@ -74,7 +74,7 @@ def played_here():
 @pytest.mark.parametrize(
     ("how", "count"),
     [
-        ({"workers": 2}, 4),
+        pytest.param({"workers": 2}, 4, marks=pytest.mark.slow),
         ({"backend": "serial", "workers": 2}, 4),
         ({"isolate": True}, 1),
         pytest.param({"isolate": True, "workers": 2}, 4, marks=pytest.mark.slow),

@@ -20,9 +20,10 @@ def batch_of(game, count, **more):
     return GAMES[game].batch_env(count, **{**SMALL_OF[game], **more})
 
 
-def zeros(games):
+def draw_all(games, rng):
+    """Actions of all agents, also of those that have left; they have no effect."""
     return {
-        role: np.zeros((games.num_envs, count, *games.action_spaces[role].shape), int)
+        role: rng.integers(0, 2, (games.num_envs, count, *games.action_spaces[role].shape))
         for role, count in games.roles.items()
     }
 
@@ -52,7 +53,7 @@ def test_a_batch_plays_the_games_of_the_parallel_form(game, more):
             last = {name: array[1, -1] for name, array in seen[role].items()}
             np.testing.assert_array_equal(flat[1, -1], spaces.flatten(games.observation_spaces[role], last))
         actions = [drawn(env, rng, None, share=0.1) for env in singles]
-        stacked = zeros(games)  # for agents that have left
+        stacked = draw_all(games, rng)
         for b, (agent, action) in ((b, pair) for b, each in enumerate(actions) for pair in each.items()):
             role, _, j = agent.rpartition("_")
             stacked[role][b, int(j)] = action
@@ -74,24 +75,6 @@ def test_a_batch_plays_the_games_of_the_parallel_form(game, more):
                 answers[b] = singles[b].reset() if over[b] else (answers[b][0], {})
         ends += over.sum()
     assert ends > 2
-
-
-def test_heads_keep_their_rows_and_what_they_do_has_no_effect():
-    games = batch_of("evasion", 2)
-    games.reset(seed=0)
-    still = zeros(games)
-    games.step(still)
-    first = np.nonzero(games.game.swarm.head)[1].reshape(2, 3)[:, 0]
-    shot = {**still, "observer": (np.arange(20) == first[:, None]).astype(int)[:, None]}
-    _, rewards, terminations, *_ = games.step(shot)
-    assert terminations["head"].tolist() == [[True, False, False]] * 2
-    assert games.active["head"].tolist() == [[False, True, True]] * 2
-    assert (rewards["head"] == 1.0).all()
-    wild = {**still, "head": np.array([[[2, 1, 2, 4], [0] * 4, [0] * 4]] * 2)}
-    _, rewards, terminations, _, infos = games.step(wild)
-    assert not terminations["head"].any()
-    assert rewards["head"].tolist() == [[0.0, 1.0, 1.0]] * 2
-    assert not infos["head"]["price"].any()
 
 
 def test_bad_arguments_of_a_batch_are_named():

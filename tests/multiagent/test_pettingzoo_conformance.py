@@ -109,21 +109,3 @@ def test_registered_in_both_forms(game):
     assert parallel.config.uavs == 12
     assert str(parallel) == str(aec.unwrapped) == name
     assert pettingzoo.make("parallel", name, max_cycles=3).rules.max_rounds == {"observers": 3, "evasion": 2}[game]
-
-
-def test_the_core_needs_no_pettingzoo(fresh_process):
-    """Without PettingZoo everything else imports, and a game says what to install."""
-    code = """
-import sys
-sys.modules["pettingzoo"] = None
-import importlib.util
-found = importlib.util.find_spec
-importlib.util.find_spec = lambda name, *rest: None if name == "pettingzoo" else found(name, *rest)
-import usnet_env, usnet_env.envs, usnet_env.multiagent
-try:
-    import usnet_env.multiagent.usnet_evasion_v0
-except ImportError as error:
-    print(error)
-"""
-    said = "Games with several agents need PettingZoo; `pip install 'usnet[multiagent]'` installs it.\n"
-    assert fresh_process.run(code) == said

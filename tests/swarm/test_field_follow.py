@@ -244,8 +244,11 @@ def test_shifted_tracks_keep_their_steps_and_are_far_apart_in_time(kinematics):
 
 
 @pytest.mark.parametrize("name", ["chain", "pigeons", "couzin", "predator"])
-def test_after_a_destruction_every_follower_has_a_living_leader(name):
-    config = SwarmConfig(follow=name, memory=12, clusters=3, uavs=40, decoys=1, bystanders=2)
+@pytest.mark.parametrize("led", ["", "-led"])
+def test_after_a_destruction_every_follower_has_a_living_leader(name, led):
+    """A visible one, also where heads follow unseen UAVs."""
+    follow, led_by = name + led * (name != "pigeons"), (1, 4) if led else 0
+    config = SwarmConfig(follow=follow, led_by=led_by, memory=12, clusters=3, uavs=40, decoys=1, bystanders=2)
     rng = np.random.default_rng(0)
     state = start(config, [rng])
     for _ in range(3):
@@ -254,6 +257,9 @@ def test_after_a_destruction_every_follower_has_a_living_leader(name):
         candidates[0, np.flatnonzero((state.head & state.alive)[0])[-1]] = False
         state = destroy(state, candidates)
         one, old = state.episode(), before.episode()
+        alone = np.flatnonzero(one.head | one.decoy)
+        np.testing.assert_array_equal(one.root[alone], alone)
+        assert one.leader.max() < 40
         for i in np.flatnonzero(one.alive & ~(one.head | one.decoy | one.not_led)):
             assert one.alive[one.source[i]]
             assert one.head[one.root[i]]
@@ -261,7 +267,8 @@ def test_after_a_destruction_every_follower_has_a_living_leader(name):
             assert one.root[one.source[i]] == one.root[i]
             if one.alive[old.source[i]]:
                 assert one.source[i] == old.source[i]
-        state, _ = advance(config, state, [rng])
+        state, window = advance(config, state, [rng])
+    assert window.position.shape[2] == 40
 
 
 def test_bystanders_and_traffic_are_no_heads_and_follow_no_uav():

@@ -6,7 +6,7 @@ from flights import fly, generators
 from hypothesis import given
 from hypothesis import strategies as st
 
-from usnet_env.swarm import SwarmConfig, advance, destroy, start
+from usnet_env.swarm import SwarmConfig, destroy, start
 from usnet_env.swarm.follow import FollowFunction, LaggedSum
 from usnet_env.swarm.formation import ARENA, FORMATIONS, register_formation
 from usnet_env.swarm.simulator import draw_roles, random_cluster_sizes
@@ -139,25 +139,6 @@ def test_the_length_of_each_chain_is_drawn():
         lengths.append(len(above))
     assert set(lengths) <= {1, 2, 3, 4}
     assert len(set(lengths)) > 1
-
-
-@pytest.mark.parametrize("follow", ["f1", "pigeons", "chain-led", "couzin-led", "informed-led", "predator-led"])
-def test_the_truth_names_visible_uavs_and_orphans_join_a_head(follow):
-    config = SwarmConfig(clusters=3, uavs=30, decoys=2, memory=12, follow=follow, led_by=(1, 4), observation_steps=20)
-    rngs = generators([5])
-    state, window = advance(config, start(config, rngs), rngs)
-    alone, uavs = state.head | state.decoy, np.arange(30)[None]
-    assert window.position.shape[2] == 30
-    assert (state.leader < 30).all()
-    np.testing.assert_array_equal(state.leader[state.head], uavs[state.head])
-    np.testing.assert_array_equal(state.root[alone], uavs[alone])
-    gone = state.head & (np.arange(30) <= np.flatnonzero(state.head[0])[0])
-    after, window = advance(config, destroy(state, gone), rngs)
-    followers = after.alive & ~(after.head | after.decoy | after.not_led)
-    np.testing.assert_array_equal(after.head[0][after.root[followers]], True)
-    assert (after.source[followers] < 30).all()
-    assert after.alive[0][after.root[followers]].all()
-    assert np.isfinite(window.position).all()
 
 
 def test_led_swarms_start_where_their_formation_is_and_nothing_changes_where_no_uav_leads():

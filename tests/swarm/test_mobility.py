@@ -141,6 +141,12 @@ def test_positions_integrate_velocities_and_bounds_hold(name, follow):
         assert np.abs(window.velocity[..., 2]).max() <= model.climb + 1e-5
 
 
+def test_speeds_vary_between_their_bounds():
+    model = replace(KINEMATICS["varied_speed"], sigma=2.0)
+    speed = np.linalg.norm(flown(fly("f2", kinematics=model)[1])[0], axis=-1)
+    assert (speed.min(), speed.max()) == (pytest.approx(model.slowest), pytest.approx(model.fastest))
+
+
 def test_a_lagged_uav_turns_by_its_share_of_the_gap():
     state, window = fly(replace(FOLLOW_STRATEGIES["f1"], noise=0.0), kinematics="lagged", mobility="gauss_markov")
     velocity, i = flown(window)[0], np.flatnonzero(~state.head)

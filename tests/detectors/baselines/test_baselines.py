@@ -145,7 +145,7 @@ def test_few_windows_without_a_leader_name_any(kind):
     """Independent UAVs, and UAVs that copy a common route at the same time."""
     named = 0
     for seed in range(40):
-        velocity = lead_by([-1] * 8, [0] * 8, steps=100, seed=seed)
+        velocity = lead_by([-1] * 6, [0] * 6, steps=100, seed=seed)
         if seed % 2:
             velocity = velocity + 2 * lead_by([-1], [0], steps=100, seed=1000 + seed)
         named += answer(kind(), window_of(velocity)).candidates.any()

@@ -85,6 +85,7 @@ def test_a_blind_network_reads_nothing_of_pairs(tmp_path):
     assert (predict(weights, features).head != predict(weights, alone).head).any()
 
 
+@pytest.mark.slow
 def test_processes_draw_the_shards_in_order(monkeypatch):
     monkeypatch.undo()  # of what other processes don't see
     training = ReaderTraining(**{**SMALL, "batches": 1}, without=tuple(name for name in FAMILIES if name != "none"))
