@@ -62,7 +62,7 @@ def test_equal_to_single_envs_over_many_episodes(name, mode, arguments):
     assert equal(batch.reset(seed=0), singles.reset(seed=0))
     assert batch.np_random_seed == singles.np_random_seed == (0, 1, 2, 3, 4)
     rng, ends = np.random.default_rng(3), 0
-    for k in range(15):
+    for k in range(10):
         if name == PROBING:
             actions = {"steer": rng.uniform(-1, 1, (5, 1, 3)), "name": rng.integers(4, size=5)}
         else:

@@ -57,7 +57,9 @@ def test_a_batch_plays_the_games_of_the_parallel_form(game, more):
         for b, (agent, action) in ((b, pair) for b, each in enumerate(actions) for pair in each.items()):
             role, _, j = agent.rpartition("_")
             stacked[role][b, int(j)] = action
+        left = {role: ~active for role, active in games.active.items()}
         step = games.step(stacked)
+        assert not any(part[role][rows].any() for part in step[1:4] for role, rows in left.items())
         seen, infos = step[0], step[-1]
         answers = [env.step(action) for env, action in zip(singles, actions, strict=True)]
         for b, answer in enumerate(answers):

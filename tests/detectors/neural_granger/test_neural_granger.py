@@ -130,18 +130,6 @@ def test_errors_of_all_pairs(monkeypatch, entries):
         assert float(found[i, j]) == pytest.approx(literal_error(network, problem, i, j, times), rel=1e-4)
 
 
-def test_the_winner_is_the_head_and_its_followers_attend_to_it():
-    for seed in range(2):
-        samples, _, head = samples_of(seed, followers=4, follow="f4")
-        fit = training.fit_networks(samples, settings(steps=100), torch.Generator().manual_seed(0))
-        followers = [i for i in range(5) if i != head]
-        assert fit.winner == head
-        np.testing.assert_allclose(fit.attention.sum(1), 1.0, atol=1e-5)
-        assert (fit.attention[followers, head] > 0.9).all()
-        assert (fit.held_out_gain[followers, head] > 0.5).all()
-        assert not fit.held_out_gain.diagonal().any()
-
-
 def test_noise_on_the_sources_is_a_share_of_the_error_of_the_null_model():
     smooth = training.Problem(samples_of(follow="none", mobility="gauss_markov")[0], settings())
     random = training.Problem(samples_of(follow="none")[0], settings())
