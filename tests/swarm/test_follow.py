@@ -179,19 +179,6 @@ def test_follow_seed_fixes_the_constants_which_differ_from_law_to_law():
         assert high >= column.max() > high - 0.03 * (high - low)
 
 
-def test_the_noise_is_less_with_a_larger_gain():
-    """It is 0.1 (1 - g)^0.5, beside a head that flies straight on."""
-    for gain in (0.4, 0.9):
-        law = FixedLaw(0, "late", "copies", "nothing", constants=PLAIN._replace(gain=gain))
-        state, window = fly(law, memory=12, mobility="straight", uavs=60)
-        velocity, followers = window.velocity[0].astype(float), np.flatnonzero(~state.head)
-        wanted = (1 - gain) * velocity[:-1, followers] + gain * velocity[:-1, state.root[followers]]
-        flown = velocity[1:, followers]
-        across = flown / (flown * wanted).sum(axis=2, keepdims=True) - wanted
-        measured = np.sqrt((across**2).sum(axis=2).mean() / 2)
-        assert measured == pytest.approx(0.1 * (1 - gain) ** 0.5, rel=0.06)
-
-
 @pytest.mark.parametrize("bends", ["nothing", "aside"])
 def test_flight_obeys_a_literal_reading(bends):
     law = FixedLaw(0, "late", "copies", bends, noise=0.0, constants=PLAIN._replace(sharpness=1.0))
