@@ -35,7 +35,7 @@ def algorithm_1(
     ``(parameters,)`` the initial Φ and Γ; ``agat`` and ``ifsn`` widths of the networks; ``steps`` is Ω and
     ``learning_rate`` β. The result is that of :func:`detectors.gassl.training.train`.
     """
-    uavs = inputs.uavs
+    uavs = len(inputs.history)
     gamma = gamma.detach().clone()
     attn_heads, votes = torch.zeros(uavs, agat.attn_heads, uavs), torch.zeros(uavs, uavs)
     losses, explained = torch.zeros(uavs, steps), torch.zeros(uavs)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from detectors.series.designs import stack_past
 from detectors.series.gaps import fill_gaps
-from usnet_env.arrays import AxisLength, Singles
+from usnet_env.arrays import Singles
 from usnet_env.window import Window
 
 
@@ -36,8 +36,6 @@ class Inputs:
     own: Singles
     target: Singles
     weight: Singles
-
-    uavs = AxisLength("history", 0)  #: n
 
     def of(self, uav: int) -> tuple[Singles, Singles, Singles, Singles, Singles]:
         """All arrays in this order for one UAV; ``value`` is that of all."""

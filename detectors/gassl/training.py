@@ -84,7 +84,7 @@ def train(inputs: Inputs, phi: Singles, gamma: Singles, sizes: AgatSizes, steps:
 
     Each UAV has ``steps``, Ω, with the rate β.
     """
-    uavs, numbers, rate = inputs.uavs, sizes.numbers(), np.float32(learning_rate)
+    uavs, numbers, rate = len(inputs.history), sizes.numbers(), np.float32(learning_rate)
     phi, gamma = phi.copy(), gamma.copy()
     loss, explained = np.zeros((uavs, steps), np.float32), np.zeros(uavs, np.float32)
     attn_heads, votes = np.zeros((uavs, sizes.attn_heads, uavs), np.float32), np.zeros((uavs, uavs), np.float32)

@@ -19,7 +19,8 @@ from detectors.gassl.ifsn import compute_pair_losses, standardise
 from detectors.gassl.topology_matrix import Inputs, build_batch
 from detectors.mc_gassl.features import make_inputs
 from detectors.mc_gassl.gru import GruParameters
-from detectors.mc_gassl.training_steps import OnlineTraining, train_online
+from detectors.mc_gassl.training_steps import train_online
+from detectors.mc_gassl.triplet import Metric
 from detectors.series.votes import scatter_to_swarm, select_top, shows_evidence
 from usnet_env.arrays import Indices, Singles
 from usnet_env.detection import Detection
@@ -31,12 +32,13 @@ def run_round(
     parameters: GruParameters,
     clusterer: Any,
     gassl: Gassl,
-    online: OnlineTraining,
+    online: tuple[int, float],
     rng: np.random.Generator,
 ) -> tuple[Detection, GruParameters]:
     """Lines 2 to 5 of the on-line executions: the answer of a detector, and W_r for the next round.
 
-    The ``parameters`` are W_{r-1}, in round 1 the meta parameters; ``gassl`` has the settings of Algorithm 1.
+    The ``parameters`` are W_{r-1}, in round 1 the meta parameters; ``gassl`` has the settings of Algorithm 1, and
+    ``online`` are the gradient steps of equation (39) and their rate.
     """
     clustering = clusterer.cluster(window, rng)  # lines 2, 3
     heads, gamma = detect_heads(window, clustering, gassl, rng)  # line 4
@@ -47,7 +49,7 @@ def run_round(
     labels = scatter_to_swarm(recluster(chosen, clustering.count, rng), living, window.uavs, fill=-1)
     generator = torch.Generator().manual_seed(int(rng.integers(2**63)))
     dataset = make_inputs(window, gassl.memory), torch.from_numpy(labels)
-    updated, loss = train_online(parameters, *dataset, online, generator)  # equation (39)
+    updated, loss = train_online(parameters, *dataset, Metric(), *online, generator)  # equation (39)
     extras = {"count": clustering.count, "followed": followed, "online_loss": loss, "features": clustering.features}
     return replace(heads, clusters=clustering.labels, extras={**extras, **heads.extras}), updated
 

@@ -16,8 +16,6 @@ from detectors.gassl import Gassl
 from detectors.mc_gassl.algorithm_2 import run_round
 from detectors.mc_gassl.features import compute_gru_features
 from detectors.mc_gassl.gru import GruParameters, draw_parameters, load_meta_weights
-from detectors.mc_gassl.training_steps import OnlineTraining
-from detectors.mc_gassl.triplet import Metric
 from detectors.parameters import Count, Lags
 from detectors.series.designs import check_pairs, check_steps
 from detectors.series.votes import name_at_random, shows_evidence
@@ -60,14 +58,14 @@ class McGassl(Detector):
     start: Literal["meta", "random"] = "meta"
     memory: Lags = 4
 
-    def check_arguments(self) -> tuple[Gassl, OnlineTraining]:
-        """Check every argument; return the settings of GASSL and of on-line training."""
+    def check_arguments(self) -> Gassl:
+        """Check every argument; return the settings of GASSL."""
         arguments = super().check_arguments()
         if not hasattr(arguments.clusterer, "cluster"):
             CLUSTERERS.find(arguments.clusterer)
         gassl = Gassl(memory=arguments.memory, **(arguments.gassl or {}))
         gassl.check_arguments()
-        return gassl, OnlineTraining(arguments.online_steps, arguments.online_rate, Metric())
+        return gassl
 
     @cached_property
     def _parameters(self) -> GruParameters:
@@ -86,7 +84,7 @@ class McGassl(Detector):
             c_{i'} of equation (38), ``features``, those that were clustered, and ``online_loss``, the losses of
             on-line training.
         """
-        gassl, online = self.check_arguments()
+        gassl, online = self.check_arguments(), (self.online_steps, self.online_rate)
         living = np.flatnonzero(window.alive)
         check_pairs(window.uavs)
         check_steps(window, self.memory)

@@ -7,50 +7,39 @@ The cell has no biases, the reset gate acts before W_h, and the first hidden sta
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
 from detectors.weights import read_packaged_arrays
-from usnet_env.arrays import AxisLength
 
 _ARENA = (1000.0, 1000.0, 100.0)  # metres, the paper's; positions are divided by it, since they saturate the gates
 
 
-@dataclass(frozen=True, eq=False)
-class GruParameters:
+class GruParameters(NamedTuple):
     """W = {W_r, W_u, W_h}, shared by all cells and all UAVs."""
 
     reset: Tensor  #: W_r ``(3, 6)``, for [h; v]
     update: Tensor  #: W_u ``(3, 6)``, for [h; v]
     candidate: Tensor  #: W_h ``(3, 6)``, for [v; g_r * h]
 
-    def tensors(self) -> tuple[Tensor, Tensor, Tensor]:
-        """W_r, W_u, W_h."""
-        return self.reset, self.update, self.candidate
-
     def trainable(self) -> GruParameters:
         """A copy cut off from any earlier computation, in which gradients flow."""
-        return GruParameters(*(tensor.detach().clone().requires_grad_(True) for tensor in self.tensors()))
+        return GruParameters(*(tensor.detach().clone().requires_grad_(True) for tensor in self))
 
 
-@dataclass(frozen=True, eq=False)
-class GruInputs:
+class GruInputs(NamedTuple):
     """What the GRU network reads of n UAVs at R times t."""
 
     position: Tensor  #: ``(R, n, 3)`` metres, p_{i,t-T_0+1}, where the first of the velocities starts
     velocity: Tensor  #: ``(R, n, T_0, 3)`` metres per step, oldest first
     seen: Tensor  #: ``(R, n)`` bool, all of the T_0 velocities were seen. What was not seen is filled in
 
-    times = AxisLength("position", 0)  #: R
-    uavs = AxisLength("position", 1)  #: n
-
     def at(self, times: Tensor) -> GruInputs:
         """The inputs of some times, ``(r,)`` indices."""
-        return GruInputs(self.position[times], self.velocity[times], self.seen[times])
+        return GruInputs(*(part[times] for part in self))
 
 
 def draw_parameters(generator: torch.Generator) -> GruParameters:
@@ -82,4 +71,4 @@ def load_meta_weights() -> GruParameters:
 
 def read_parameters(arrays: Mapping[str, NDArray[Any]]) -> GruParameters:
     """W among the arrays of a weights file or a checkpoint."""
-    return GruParameters(*(torch.from_numpy(arrays[name]) for name in ("reset", "update", "candidate")))
+    return GruParameters(*(torch.from_numpy(arrays[name]) for name in GruParameters._fields))

@@ -144,11 +144,11 @@ def train_meta(
             parameters, loss = take_joint_step(parameters, task, metric, training.outer_rate, generator)
         losses.append(loss)
         if len(losses) % checkpoint_every == 0 or len(losses) == training.episodes:
-            checkpoint.write(vars(parameters), losses)
+            checkpoint.write(parameters._asdict(), losses)
             progress(training.strategies + len(losses), total)
     write_losses(folder, "episode", losses)
     path, metrics = folder / f"{training.method}.safetensors", _measure_losses(training, parameters, losses)
-    return write_weights(path, vars(parameters), training.model_dump(mode="json"), metrics)
+    return write_weights(path, parameters._asdict(), training.model_dump(mode="json"), metrics)
 
 
 def _measure_losses(training: MetaTraining, parameters: GruParameters, losses: list[float]) -> dict[str, Any]:

@@ -15,33 +15,26 @@ from detectors.mc_gassl.gru import GruInputs, GruParameters
 from detectors.mc_gassl.triplet import Metric, compute_batch_loss
 
 
-class OnlineTraining(NamedTuple):
-    """Settings of :func:`train_online`: gradient ``steps`` a round, beta' (``rate``), batches and loss (``metric``)."""
-
-    steps: int
-    rate: float
-    metric: Metric
-
-
 def descend(parameters: GruParameters, loss: Tensor, at: GruParameters, rate: float) -> GruParameters:
     """``parameters`` less ``rate`` times the gradient of ``loss`` with respect to ``at``; no graph is kept."""
-    gradients = torch.autograd.grad(loss, at.tensors())
-    pairs = zip(parameters.tensors(), gradients, strict=True)
+    gradients = torch.autograd.grad(loss, at)
+    pairs = zip(parameters, gradients, strict=True)
     return GruParameters(*(tensor.detach() - rate * gradient for tensor, gradient in pairs))
 
 
 def train_online(
-    parameters: GruParameters, inputs: GruInputs, labels: Tensor, settings: OnlineTraining, generator: torch.Generator
-) -> tuple[GruParameters, list[float]]:
-    """Gradient descent on the triplet loss of one window of n UAVs; the loss before each step.
+    parameters: GruParameters, inputs: GruInputs, labels: Tensor, metric: Metric, steps: int, rate: float,
+    generator: torch.Generator,
+) -> tuple[GruParameters, list[float]]:  # fmt: skip
+    """Gradient descent on the triplet loss of one window of n UAVs, with the rate beta'; the loss before each step.
 
     UAVs with -1 in ``labels`` ``(n,)`` int64 take no part. Nothing changes where no triplet can be drawn.
     """
     losses: list[float] = []
-    for _ in range(settings.steps):
+    for _ in range(steps):
         trained = parameters.trainable()
-        loss = compute_batch_loss(trained, inputs, labels, settings.metric, generator)
-        parameters = descend(trained, loss, trained, settings.rate)
+        loss = compute_batch_loss(trained, inputs, labels, metric, generator)
+        parameters = descend(trained, loss, trained, rate)
         losses.append(float(loss.detach()))
     return parameters, losses
 

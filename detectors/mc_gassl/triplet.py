@@ -74,7 +74,7 @@ def compute_batch_loss(
     parameters: GruParameters, inputs: GruInputs, labels: Tensor, metric: Metric, generator: torch.Generator
 ) -> Tensor:
     """Equation (33) of one random batch, as a mean, so that rates do not depend on B; 0 without a triplet."""
-    batch = inputs.at(torch.randperm(inputs.times, generator=generator)[: metric.times])
+    batch = inputs.at(torch.randperm(len(inputs.position), generator=generator)[: metric.times])
     time, *uavs = draw_triplets(metric.anchors, batch, labels, generator)
     # The Siamese network: the same cells for anchors, positives and negatives, and for no other UAV.
     members = torch.stack(uavs)

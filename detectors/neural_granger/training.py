@@ -20,7 +20,7 @@ from torch import Tensor
 
 from detectors.series.designs import stack_past
 from detectors.series.gaps import fill_gaps
-from usnet_env.arrays import AxisLength, Singles
+from usnet_env.arrays import Singles
 from usnet_env.window import Window
 
 _VELOCITY_SCALE = 1.7  # a coordinate of a unit vector has variance 1/3
@@ -41,9 +41,6 @@ class Samples:
     position: Tensor
     target: Tensor
     weight: Tensor
-
-    uavs = AxisLength("target", 0)  #: n, living UAVs
-    times = AxisLength("target", 1)  #: R
 
 
 def build_samples(window: Window, members: NDArray[np.intp], memory: int, device: torch.device) -> Samples:
@@ -194,8 +191,8 @@ class Problem:
 
     def compute_all_errors(self, select: Callable[[Tensor], AdditiveNetwork], times: Tensor) -> Tensor:
         """Mean squared errors ``(n, n)`` of UAV i, predicted from UAV j by its network of ``select``; in chunks."""
-        everyone = torch.arange(self.samples.uavs, device=times.device)
-        step = max(1, _CHUNK_ENTRIES // max(1, self.samples.uavs * len(times) * 3))
+        everyone = torch.arange(len(self.samples.target), device=times.device)
+        step = max(1, _CHUNK_ENTRIES // max(1, len(everyone) * len(times) * 3))
         weight = self.samples.weight[:, times]
         parts = [
             _weighted_mean(self.compute_errors(select(columns), columns, everyone, times), weight)
@@ -214,12 +211,12 @@ class Fit(NamedTuple):
 
 def fit_networks(samples: Samples, settings: Any, generator: torch.Generator) -> Fit:
     """Train a network for every candidate, select the winner, and compute attention with the winner's network."""
-    uavs, device = samples.uavs, samples.target.device
+    (uavs, count), device = samples.weight.shape, samples.target.device
     problem = Problem(samples, settings)
-    used, held = split_times(samples.times, settings.blocks, samples.velocity.shape[2], device)
+    used, held = split_times(count, settings.blocks, samples.velocity.shape[2], device)
     network = AdditiveNetwork.draw(uavs, problem.source.shape[2], settings.units, generator)
     _train(problem, network, used, generator)
-    unused = torch.tensor(sorted(set(range(samples.times)) - set(used.tolist())) or used.tolist(), device=device)
+    unused = torch.tensor(sorted(set(range(count)) - set(used.tolist())) or used.tolist(), device=device)
     with torch.no_grad():
         gains = []
         for times in (used, held, unused):
@@ -239,7 +236,7 @@ def fit_networks(samples: Samples, settings: Any, generator: torch.Generator) ->
 def _train(problem: Problem, network: AdditiveNetwork, used: Tensor, generator: torch.Generator) -> None:
     """Train by AdamW at the times ``used``; the loss, the mean log error, gives each UAV its own variance."""
     samples, settings = problem.samples, problem.settings
-    everyone = torch.arange(samples.uavs, device=used.device)
+    everyone = torch.arange(len(samples.target), device=used.device)
     is_other = everyone[:, None] != everyone
     groups: list[dict[str, Any]] = [{"params": network.weights}, {"params": network.free, "weight_decay": 0.0}]
     optimiser = torch.optim.AdamW(groups, lr=settings.learning_rate, weight_decay=settings.weight_decay)
@@ -262,7 +259,8 @@ def _train(problem: Problem, network: AdditiveNetwork, used: Tensor, generator: 
 
 def _compare_leaders(problem: Problem, network: AdditiveNetwork, winner: int) -> Tensor:
     """Log-likelihoods ``(n, n)`` of all pairs by the winner's network."""
-    samples, times = problem.samples, torch.arange(problem.samples.times, device=problem.null.device)
+    samples = problem.samples
+    times = torch.arange(samples.target.shape[1], device=problem.null.device)
     errors = problem.compute_all_errors(lambda columns: network.select(torch.full_like(columns, winner)), times)
     errors.diagonal().copy_(_weighted_mean(problem.null_error, samples.weight))
     return -1.5 * samples.weight.sum(-1).unsqueeze(1) * torch.log(errors + problem.settings.floor)

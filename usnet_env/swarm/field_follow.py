@@ -59,7 +59,7 @@ class FieldStrategy(FollowStrategy):
 
     def table(self, flight: TrajectoryBatch) -> Singles:
         """The tables ``(B, COLUMNS, N)``."""
-        return flight.parameters.reshape(flight.episodes, field_kernels.COLUMNS, -1)
+        return flight.parameters.reshape(len(flight.noise), field_kernels.COLUMNS, -1)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.arrays import AxisLength, Indices, Mask, Singles
+from usnet_env.arrays import Indices, Mask, Singles
 from usnet_env.swarm import kernels
 from usnet_env.swarm.state import Roles
 
@@ -76,13 +76,15 @@ class TrajectoryBatch:
         """The last arguments of the compiled loops: how each UAV moves, from which step on, …, and the plan."""
         return self.motion, self.start, self.noise, self.position, self.velocity, self.plan
 
-    episodes = AxisLength("noise", 0)  #: B
-    steps = AxisLength("noise", 1)  #: S, the number of steps to simulate
+    @property
+    def steps(self) -> int:
+        """S, the number of steps to simulate."""
+        return self.noise.shape[1]
 
     @property
     def start(self) -> int:
         """L, the index in ``velocity`` of the first step to simulate."""
-        return int(self.velocity.shape[1] - self.steps)
+        return self.velocity.shape[1] - self.steps
 
 
 class FollowStrategy:
@@ -134,7 +136,7 @@ class FollowStrategy:
     def fly(self, flight: TrajectoryBatch) -> None:
         """Simulate all followers: the general loop, which calls :meth:`direction` step by step."""
         lags = flight.start
-        for b in range(flight.episodes):
+        for b in range(len(flight.noise)):
             position, velocity = flight.position[b], flight.velocity[b]
             followers = np.flatnonzero(flight.motion[b] == kernels.FOLLOWS)
             heads = flight.source[b, followers]

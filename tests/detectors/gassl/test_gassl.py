@@ -94,7 +94,7 @@ def problem(followers, memory=4, miss_rate=0.0, widths=None, hidden=8, steps=14,
     assert bool(miss_rate) == (not window.seen.all())
     inputs = build_batch(window, np.arange(window.uavs), memory)
     agat, ifsn, rng = AgatSizes(memory=memory, **widths or {}), hidden, np.random.default_rng(seed)
-    return inputs, draw_agat(agat, inputs.uavs, rng), draw_ifsn(inputs.entries, ifsn, rng), agat, ifsn
+    return inputs, draw_agat(agat, len(inputs.history), rng), draw_ifsn(inputs.entries, ifsn, rng), agat, ifsn
 
 
 def doubles(*arrays):
@@ -104,7 +104,7 @@ def doubles(*arrays):
 @pytest.mark.parametrize("case", CASES)
 def test_the_compiled_loss_and_gradients_are_those_of_the_readable_loss(case):
     inputs, phi, gamma, agat, ifsn = problem(**case)
-    for i in (0, inputs.uavs - 1):
+    for i in (0, len(inputs.history) - 1):
         found, d_phi, d_gamma = compute_gradient(phi[i], gamma, agat.numbers(), inputs.of(i))
         phi_i, of_all = doubles(phi[i], gamma)
         loss, _ = find_loss(inputs, i, phi_i, of_all, agat, ifsn)

@@ -30,7 +30,7 @@ def test_the_network_is_the_equations_one_after_another(memory, seed):
     weights = parameters(seed)
     inputs = random_inputs(times=2, uavs=3, memory=memory, seed=seed)
     features = run_gru(weights, inputs.position, inputs.velocity)
-    matrices = [tensor.numpy() for tensor in weights.tensors()]
+    matrices = [tensor.numpy() for tensor in weights]
     for t in range(2):
         for i in range(3):
             want = literal(matrices, inputs.position[t, i].numpy() / (1000, 1000, 100), inputs.velocity[t, i].numpy())
@@ -56,7 +56,7 @@ def in_input_space(inputs, t, i, j):
 
 
 def partners(inputs, labels, t, i):
-    there = [j for j in range(inputs.uavs) if bool(inputs.seen[t, j]) and labels[j] >= 0]
+    there = [j for j in range(len(labels)) if bool(inputs.seen[t, j]) and labels[j] >= 0]
     same = [j for j in there if labels[j] == labels[i] and j != i]
     return same, [j for j in there if labels[j] != labels[i]]
 
@@ -66,8 +66,8 @@ def test_hard_sampling_is_the_papers(unseen):
     inputs, labels = random_inputs(unseen=unseen), torch.tensor([0, 1, 2, 0, 1, 2, 0, 1, -1])
     triplets = draw_triplets(10_000, inputs, labels, generator())
     found = {(t, a): (p, n) for t, a, p, n in rows(triplets)}
-    for t in range(inputs.times):
-        for i in range(inputs.uavs):
+    for t in range(len(inputs.position)):
+        for i in range(len(labels)):
             same, other = partners(inputs, labels, t, i)
             if not bool(inputs.seen[t, i]) or labels[i] < 0 or not same or not other:
                 assert (t, i) not in found
@@ -84,7 +84,7 @@ def test_the_batch_loss_is_the_mean_and_its_gradient_that_of_finite_differences(
     def loss(reset, update, candidate):
         return compute_batch_loss(GruParameters(reset, update, candidate), inputs, labels, metric, generator())
 
-    arrays = parameters().tensors()
+    arrays = parameters()
     features = run_gru(parameters(), inputs.position, inputs.velocity)
     triplets = draw_triplets(10_000, inputs, labels, generator())
     assert loss(*arrays).item() == pytest.approx(loss_of(features, triplets, 5.0).mean().item())

@@ -13,7 +13,7 @@ from mc_gassl_inputs import clustered, generator, parameters
 from detectors.commands import train
 from detectors.mc_gassl.gru import GruParameters, load_meta_weights, read_parameters
 from detectors.mc_gassl.train import MetaTraining, draw_task, train_meta
-from detectors.mc_gassl.training_steps import OnlineTraining, Task, take_meta_step, train_online
+from detectors.mc_gassl.training_steps import Task, take_meta_step, train_online
 from detectors.mc_gassl.triplet import Metric, compute_batch_loss
 from detectors.weights import read_arrays
 from usnet_env.config import ArgumentError
@@ -28,12 +28,12 @@ def task(seed=0):
 
 def numerical_gradient(loss, at, step=1e-6):
     gradients = []
-    for k, tensor in enumerate(at.tensors()):
+    for k, tensor in enumerate(at):
         gradient = torch.zeros_like(tensor)
         for index in torch.cartesian_prod(*(torch.arange(length) for length in tensor.shape)):
             ends = []
             for sign in (1.0, -1.0):
-                moved = [array.clone() for array in at.tensors()]
+                moved = [array.clone() for array in at]
                 moved[k][tuple(index)] += sign * step
                 ends.append(float(loss(GruParameters(*moved))))
             gradient[tuple(index)] = (ends[0] - ends[1]) / (2.0 * step)
@@ -42,11 +42,11 @@ def numerical_gradient(loss, at, step=1e-6):
 
 
 def less(at, rate, gradients):
-    return GruParameters(*(tensor - rate * g for tensor, g in zip(at.tensors(), gradients, strict=True)))
+    return GruParameters(*(tensor - rate * g for tensor, g in zip(at, gradients, strict=True)))
 
 
 def assert_equal_parameters(one, two, tolerance=0.0):
-    for a, b in zip(one.tensors(), two.tensors(), strict=True):
+    for a, b in zip(one, two, strict=True):
         torch.testing.assert_close(a, b, rtol=0.0, atol=tolerance)
         assert not a.requires_grad
 
@@ -76,16 +76,16 @@ def test_the_meta_step_is_equations_35_and_36_to_first_order():
     # neither a plain step from W, nor one from the temporary parameters, nor the whole derivative through both steps
     plain = less(at, 0.2, numerical_gradient(query, at))
     from_temporary = less(temporary, 0.2, numerical_gradient(query, temporary))
-    whole_gradient = torch.autograd.grad(through_both(support, query, at, 0.3), at.tensors())
+    whole_gradient = torch.autograd.grad(through_both(support, query, at, 0.3), at)
     for other in (plain, from_temporary, less(at, 0.2, whole_gradient)):
-        assert max((a - b).abs().max() for a, b in zip(found.tensors(), other.tensors(), strict=True)) > 1e-3
+        assert max((a - b).abs().max() for a, b in zip(found, other, strict=True)) > 1e-3
 
 
 def through_both(support, query, at, rate):
     """L_Q(W - alpha grad L_S(W)) with its whole graph: second-order meta learning."""
-    for tensor in at.tensors():
+    for tensor in at:
         tensor.requires_grad_(True)
-    gradients = torch.autograd.grad(support(at), at.tensors(), create_graph=True)
+    gradients = torch.autograd.grad(support(at), at, create_graph=True)
     return query(less(at, rate, gradients))
 
 
@@ -101,15 +101,13 @@ def separable(seed=0):
 def test_online_training_parts_the_clusters():
     swarm = separable()
     at = parameters(spread=0.3)
-    kept = GruParameters(*map(torch.clone, at.tensors()))
-    settings = OnlineTraining(steps=80, rate=0.5, metric=Metric())
+    kept = GruParameters(*map(torch.clone, at))
     before = torch.random.get_rng_state()
-    _, losses = train_online(at, swarm.inputs, swarm.labels, settings, generator(1))
+    _, losses = train_online(at, *swarm, Metric(), 80, 0.5, generator(1))
     assert len(losses) == 80
     assert sum(losses[-10:]) < 0.5 * sum(losses[:10])
     assert_equal_parameters(at, kept)
-    shorter = settings._replace(steps=5)
-    again, same = (train_online(at, swarm.inputs, swarm.labels, shorter, generator(1)) for _ in range(2))
+    again, same = (train_online(at, *swarm, Metric(), 5, 0.5, generator(1)) for _ in range(2))
     assert again[1] == same[1] == losses[:5]
     assert_equal_parameters(again[0], same[0])
     assert torch.equal(before, torch.random.get_rng_state())
@@ -118,8 +116,7 @@ def test_online_training_parts_the_clusters():
 @pytest.mark.parametrize("labels", [[0] * 9, list(range(9)), [-1] * 9])
 def test_online_training_without_a_triplet_changes_nothing(labels):
     at = parameters()
-    training = OnlineTraining(3, 1.0, SMOOTH)
-    found, losses = train_online(at, clustered().inputs, torch.tensor(labels), training, generator())
+    found, losses = train_online(at, clustered().inputs, torch.tensor(labels), SMOOTH, 3, 1.0, generator())
     assert_equal_parameters(found, at)
     assert losses == [0.0, 0.0, 0.0]
 

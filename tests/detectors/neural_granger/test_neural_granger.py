@@ -75,7 +75,7 @@ def settings(**arguments):
 def test_samples_follow_the_index_convention(memory):
     one, window, _ = samples_of(memory=memory, miss_rate=0.2)
     whole, rows = fill_gaps(window), 100 - memory
-    assert (one.uavs, one.times) == (4, rows)
+    assert one.weight.shape == (4, rows)
     for i, row in [(0, 0), (2, 41), (3, rows - 1)]:
         t = row + memory - 1  # the newest velocity of the sample, v_t
         np.testing.assert_array_equal(one.target[i, row], window.velocity[t + 1, i])
