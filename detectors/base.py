@@ -10,7 +10,7 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from detectors.parameters import Parameters
-from usnet_env.config import optional_seed
+from usnet_env.config import ArgumentError, optional_seed
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
@@ -21,15 +21,22 @@ def _find_libraries(detector: str) -> ThreadpoolController:
     return ThreadpoolController()
 
 
-def _use_one_thread(detect: Callable[..., Detection]) -> Callable[..., Detection]:
-    """Let libraries compute in one thread: several wait longer for each other than a small product takes."""
+def _guard(detect: Callable[..., Detection]) -> Callable[..., Detection]:
+    """Check the arguments and the size of the window, and let libraries compute in one thread.
+
+    Several threads wait longer for each other than a small product takes.
+    """
 
     @wraps(detect)
-    def detect_in_one_thread(self: Any, *arguments: Any, **named: Any) -> Detection:
+    def guarded(self: Any, window: Window) -> Detection:
+        self.check_arguments()
+        most = self.tags.most_uavs
+        if most is not None and window.uavs > most:
+            raise ArgumentError(f"window must hold at most {most} UAVs for this detector, got {window.uavs}.")
         with _find_libraries(type(self).__qualname__).limit(limits=1):
-            return detect(self, *arguments, **named)
+            return detect(self, window)
 
-    return detect_in_one_thread
+    return guarded
 
 
 class Detector(Parameters):
@@ -39,7 +46,8 @@ class Detector(Parameters):
     :class:`detectors.parameters.Parameters`. A class without this base works as well if it has the methods ``reset``
     and ``detect``. The constructor stores its keyword arguments and does nothing else (scikit-learn's rule). State that
     is kept between the rounds of an episode is a ``cached_property``: :meth:`reset` clears it, and its first use makes
-    it, also without a :meth:`reset`. While :meth:`detect` runs, BLAS and OpenMP, so PyTorch too, have one thread.
+    it, also without a :meth:`reset`. Before :meth:`detect` runs, the arguments are checked, and the number of UAVs by
+    the tags; while it runs, BLAS and OpenMP, so PyTorch too, have one thread.
 
     Attributes:
         tags: what the detector needs and uses; ``usnet list detectors`` shows it and
@@ -52,7 +60,7 @@ class Detector(Parameters):
     def __init_subclass__(cls, **named: Any) -> None:
         super().__init_subclass__(**named)
         if "detect" in vars(cls):
-            cls.detect = _use_one_thread(cls.detect)  # type: ignore[method-assign]  # mypy allows no new method
+            cls.detect = _guard(cls.detect)  # type: ignore[method-assign]  # mypy allows no new method
 
     @cached_property
     def rng(self) -> np.random.Generator:

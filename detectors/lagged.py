@@ -11,7 +11,7 @@ from pydantic import Field
 
 from detectors.base import Detector
 from detectors.parameters import Count, Lags, check_clusters
-from detectors.series.designs import centre_past, check_pairs, count_lags, shift_in_time
+from detectors.series.designs import centre_past, count_lags, shift_in_time
 from detectors.series.regressions import explain_beyond_own_past, explain_pairs, whiten
 from detectors.series.votes import Evidence, adjust_shares, detection_from_evidence, rank_uavs
 from usnet_env.arrays import Mask
@@ -53,8 +53,6 @@ class EvidenceDetector(Detector):
             Candidates (at least one if a UAV is alive), scores (sums of weighted votes), clusters, leader, and
             attention (the evidence, clipped at 0).
         """
-        self.check_arguments()
-        check_pairs(window.uavs)
         check_clusters(window, self.clusters)
         living = np.flatnonzero(window.alive)
         evidence = self.evidence(window.velocity[:, living], window.velocity_seen[:, living])

@@ -78,7 +78,6 @@ class PolicyDetector(Detector):
 
     def detect(self, window: Window) -> Detection:
         """Return the policy's deterministic action on the window as a detection."""
-        self.check_arguments()
         observation: Any = observation_of(window) if self.observe is None else self.observe(window)
         space = getattr(self.policy, "observation_space", None)
         if self.observe is None and isinstance(space, spaces.Dict):

@@ -38,12 +38,11 @@ class CentralMost(Detector):
 
     def detect(self, window: Window) -> Detection:
         """Name a UAV in each group; clusters are the groups."""
-        reach = self.check_arguments().reach
         scores, clusters = np.zeros(window.uavs), np.full(window.uavs, -1, np.int64)
         candidates, seen = np.zeros(window.uavs, bool), window.alive & window.seen.any(axis=0)
         position = fill_gaps(window).position[0].astype(np.float64)
         if seen.sum() > 1:
-            clusters[seen] = group_by_distance(position[seen], reach)
+            clusters[seen] = group_by_distance(position[seen], self.reach)
         for group in range(clusters.max() + 1):
             members = np.flatnonzero(clusters == group)
             distance = np.linalg.norm(position[members] - position[members].mean(axis=0), axis=1)
@@ -78,7 +77,6 @@ class TrackOutlier(Detector):
 
     def detect(self, window: Window) -> Detection:
         """Name the outliers among the living UAVs."""
-        threshold = self.check_arguments().threshold
         check_steps(window, 1)
         scores, alive = np.zeros(window.uavs), window.alive
         if alive.any():
@@ -87,7 +85,7 @@ class TrackOutlier(Detector):
             spread = np.median(distance, axis=0)
             distance = np.where(spread > _ROUNDING, distance / np.maximum(spread, _ROUNDING), 0.0)
             scores[alive] = np.sqrt((distance**2).mean(axis=1))
-        least = min(threshold, scores.max(initial=0.0))
+        least = min(self.threshold, scores.max(initial=0.0))
         return Detection(candidates=alive & (scores >= least) & (scores > 0), scores=scores)
 
 

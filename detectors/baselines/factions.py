@@ -10,7 +10,6 @@ from scipy.sparse.csgraph import dijkstra
 
 from detectors.base import Detector
 from detectors.parameters import Lags
-from detectors.series.designs import check_pairs
 from detectors.series.votes import rank_uavs
 from usnet_env.arrays import Floats
 from usnet_env.detection import Detection, Tags
@@ -44,8 +43,6 @@ class Factions(Detector):
         Returns:
             Candidates, scores (PageRank), clusters (factions; -1: in no faction) and leader (-1: none).
         """
-        self.check_arguments()
-        check_pairs(window.uavs)
         living = np.flatnonzero(window.alive)
         scores = np.zeros(window.uavs)
         leader, clusters = np.full((2, window.uavs), -1, np.int64)

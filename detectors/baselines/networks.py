@@ -15,7 +15,7 @@ from pydantic import Field
 
 from detectors.base import Detector
 from detectors.parameters import Lags
-from detectors.series.designs import check_pairs, check_steps
+from detectors.series.designs import check_steps
 from detectors.series.votes import find_trees, scatter_to_swarm
 from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.detection import Detection, Tags
@@ -86,8 +86,6 @@ class NetworkDetector(Detector):
             in ``extras``: ``root`` ``(N,)``, the head of each UAV's tree (-1: none), ``relay`` ``(N,)`` bool, ``delay``
             ``(N,)`` steps (-1: unknown), ``threshold``, ``heads``, and ``reasons``, a sentence for each of them.
         """
-        self.check_arguments()
-        check_pairs(window.uavs)
         check_steps(window, 4)
         lags = max(1, min(self.max_lag, window.observation_steps // 4))
         living = np.flatnonzero(window.alive & window.velocity_seen.any(axis=0))

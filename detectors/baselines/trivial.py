@@ -23,9 +23,8 @@ class RandomDetector(Detector):
 
     def detect(self, window: Window) -> Detection:
         """Name the living UAVs with the ``count`` highest of N random scores in (0, 1]; a destroyed UAV has score 0."""
-        count = self.check_arguments().count
         scores = np.where(window.alive, 1.0 - self.rng.random(window.uavs), 0.0)
-        candidates = np.isin(np.arange(window.uavs), np.argsort(-scores)[:count])
+        candidates = np.isin(np.arange(window.uavs), np.argsort(-scores)[: self.count])
         return Detection(candidates=candidates & window.alive, scores=scores)
 
 

@@ -16,7 +16,7 @@ from detectors.gassl.topology_matrix import build_batch
 from detectors.gassl.training import Fit, train
 from detectors.parameters import Count
 from detectors.series import votes
-from detectors.series.designs import check_pairs, check_steps
+from detectors.series.designs import check_steps
 from usnet_env.arrays import Singles
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
@@ -75,8 +75,6 @@ class Gassl(Detector):
             times; ``loss`` ``(N, Ω)``. With fewer than 3 living UAVs, or where no velocity was seen, nothing can be
             learned: then ``top_k`` living UAVs are named at random and all scores are 0.
         """
-        self.check_arguments()
-        check_pairs(window.uavs)
         check_steps(window, self.memory)
         members = np.flatnonzero(window.alive)
         if not votes.shows_evidence(window, members):  # decision (x)

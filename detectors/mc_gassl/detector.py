@@ -17,7 +17,7 @@ from detectors.mc_gassl.algorithm_2 import run_round
 from detectors.mc_gassl.features import compute_gru_features
 from detectors.mc_gassl.gru import GruParameters, draw_parameters, load_meta_weights
 from detectors.parameters import Count, Lags
-from detectors.series.designs import check_pairs, check_steps
+from detectors.series.designs import check_steps
 from detectors.series.votes import name_at_random, shows_evidence
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
@@ -86,7 +86,6 @@ class McGassl(Detector):
         """
         gassl, online = self.check_arguments(), (self.online_steps, self.online_rate)
         living = np.flatnonzero(window.alive)
-        check_pairs(window.uavs)
         check_steps(window, self.memory)
         if not shows_evidence(window, living):  # decision (x)
             candidates = name_at_random(living, 1, window.uavs, self.rng)

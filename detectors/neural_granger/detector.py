@@ -12,7 +12,7 @@ from pydantic import Field
 from detectors.base import Detector
 from detectors.neural_granger.training import build_samples, fit_networks
 from detectors.parameters import Count, Lags
-from detectors.series.designs import check_pairs, check_steps
+from detectors.series.designs import check_steps
 from detectors.series.votes import choose_heads, name_at_random, scatter_to_swarm, select_top, shows_evidence
 from usnet_env.config import Positive
 from usnet_env.detection import Detection, Tags
@@ -77,7 +77,6 @@ class NeuralGranger(Detector):
             living UAVs are named at random (none with the gate) and all scores are 0.
         """
         settings, living = self.check_arguments(), np.flatnonzero(window.alive)
-        check_pairs(window.uavs)
         check_steps(window, self.memory)
         if not shows_evidence(window, living):
             candidates = name_at_random(living, 0 if self.gate else self.top_k, window.uavs, self.rng)

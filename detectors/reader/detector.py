@@ -14,7 +14,6 @@ from detectors.policy import choose_candidates
 from detectors.reader.features import LEAST_STRIDED, make_features
 from detectors.reader.forward import Answer, Weights, load_reader, predict
 from detectors.reader.neighbourhoods import cut_swarm, gather_doubtful
-from detectors.series.designs import check_pairs
 from usnet_env.arrays import Indices, Mask, Singles
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
@@ -67,8 +66,6 @@ class Reader(Detector):
             heads. A UAV that follows none in its own neighbourhood may be a head in another one; doubtful heads are
             read again beside the probable ones. No UAV leads if none does in any neighbourhood.
         """
-        arguments = self.check_arguments()
-        check_pairs(window.uavs)
         flying = np.flatnonzero(window.velocity.any(axis=(0, 2)))
         probability, guest_probability, unled_probability, delay = np.zeros((4, window.uavs))
         leader, root, clusters = np.full((3, window.uavs), -1, np.int64)
@@ -98,7 +95,7 @@ class Reader(Detector):
         probability = probability.round(_DECIMALS)
         delay[leader == np.arange(window.uavs)] = 0.0
         clusters[root >= 0] = np.unique(root[root >= 0], return_inverse=True)[1]
-        rule = {name: getattr(arguments, name) for name in ("policy", "objective", "round_price")}
+        rule = {name: getattr(self, name) for name in ("policy", "objective", "round_price")}
         candidates = choose_candidates(probability, window.alive, self.rng.random(window.uavs), p_no_leader, **rule)
         confidence = float(np.maximum(probability, 1.0 - probability).prod())
         extras = {"probability": probability, "root": root, "delay": delay, "confidence": confidence}

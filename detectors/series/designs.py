@@ -12,15 +12,7 @@ from usnet_env.config import ArgumentError
 from usnet_env.series import RealT, centre_columns
 from usnet_env.window import Window
 
-_MOST_UAVS = 10_000  # a matrix of all pairs then takes 0.75 GiB, and a detector holds several
-
 AnyT = TypeVar("AnyT", bound=np.generic)
-
-
-def check_pairs(uavs: int) -> None:
-    """Refuse a window whose matrices of pairs would be too large."""
-    if uavs > _MOST_UAVS:
-        raise ArgumentError(f"window must hold at most {_MOST_UAVS} UAVs for this detector, got {uavs}.")
 
 
 def check_steps(window: Window, memory: int) -> None:
