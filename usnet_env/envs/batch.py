@@ -62,8 +62,12 @@ class SwarmGames:
         self.configs = [config] * self.num_envs
         self.rngs: list[Any] = [None] * self.num_envs
         self.seeds: list[Any] = [None] * self.num_envs
-        empty = ObservationBatch.unseen(config, np.zeros((self.num_envs, *observers, config.uavs), bool))
-        self.window: Observation = {name: getattr(empty, name) for name in WINDOW}
+        games, steps, uavs = (self.num_envs, *observers), config.observation_steps, config.uavs
+        self.window: Observation = {
+            "position": np.zeros((*games, steps + 1, uavs, 3), np.float32),
+            "velocity": np.zeros((*games, steps, uavs, 3), np.float32),
+            "seen": np.zeros((*games, steps + 1, uavs), bool),
+        }
         self.candidates = np.zeros((self.num_envs, config.uavs), bool)
         self.metrics: dict[str, NDArray[Any]] = {}
         self.answered = np.zeros(self.num_envs, bool)

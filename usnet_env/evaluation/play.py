@@ -6,14 +6,15 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from itertools import count
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
 
 from usnet_env import objectives
+from usnet_env.arrays import Mask
 from usnet_env.detection import Detection
-from usnet_env.envs.play import PlayedRound, play_rounds
+from usnet_env.envs.play import play_rounds
 from usnet_env.evaluation.agents import Agent
 from usnet_env.evaluation.tasks import EvaluationError, describe_failure
 
@@ -79,11 +80,12 @@ def play_episode(
     with detector_step(label, "its reset"):
         agent.reset(seeds[1])
     rounds = list(play_rounds(env, answer_round, seeds[0]))
-    game: Any = env.unwrapped
+    first, game = rounds[0], cast(Any, env.unwrapped)
+    fired = np.array([played.answer.candidates & (not played.info["over_budget"]) for played in rounds])
     return {
-        **row_keys(cell, label, episode, seeds, rounds[0].truth.head),
-        **_episode_metrics(game.problem, rounds),
-        **(game.score_answer(rounds[0].answer.scores) if hasattr(game, "score_answer") else {}),
+        **row_keys(cell, label, episode, seeds, first.truth.head),
+        **_episode_metrics(game.problem, first.truth, first.answer, fired, [played.seconds for played in rounds]),
+        **(game.score_answer(first.answer.scores) if hasattr(game, "score_answer") else {}),
         "error": "",
     }
 
@@ -93,10 +95,14 @@ def row_keys(cell: str, label: str, episode: int, seeds: tuple[int, int], head: 
     return dict(zip(KEYS, (cell, label, episode, *seeds, len(head), int(head.sum())), strict=True))
 
 
-def _episode_metrics(problem: str, rounds: Sequence[PlayedRound]) -> dict[str, float | int | None]:
-    """A value for each name of :data:`METRICS`; no candidate of a round that is over the shot budget counts."""
-    truth, answer = rounds[0].truth, rounds[0].answer
-    fired = np.array([played.answer.candidates & (not played.info["over_budget"]) for played in rounds])
+def _episode_metrics(
+    problem: str, truth: Any, answer: Detection, fired: Mask, seconds: Sequence[float]
+) -> dict[str, float | int | None]:
+    """A value for each name of :data:`METRICS`.
+
+    ``truth`` and ``answer`` are those of round 1; ``fired`` ``(R, N)`` are the candidates of all rounds, none of one
+    over the shot budget, and ``seconds`` the times of the answers.
+    """
     head, first = truth.head, fired[0]
     if problem == "P1":
         objective = float(objectives.single_cluster_objective(head, first))
@@ -116,19 +122,14 @@ def _episode_metrics(problem: str, rounds: Sequence[PlayedRound]) -> dict[str, f
         "recall_first": float(objectives.recall(head, first)),
         "f1_first": float(objectives.f1(head, first)),
         "ap_first": objectives.average_precision(head, answer.scores),
-        "seconds_per_round": float(np.mean([played.seconds for played in rounds])),
+        "seconds_per_round": float(np.mean(seconds)),
         "purity_first": purity,
         "head_in_cluster_first": head_in_cluster,
     }
 
 
 def record_metrics(record: Any) -> dict[str, float | int | None]:
-    """Compute the metrics of an :class:`usnet_env.replay.EpisodeRecord`, or of an object with the same arrays."""
-    rounds = []
-    for number, candidates in enumerate(record.candidates):
-        truth: Any = SimpleNamespace(head=record.head, decoy=record.decoy, root=record.root[number])
-        clusters = None if record.clusters is None else record.clusters[number]
-        answer = Detection(candidates, record.scores[number], clusters)
-        info = {"over_budget": record.over_budget[number]}
-        rounds.append(PlayedRound(None, truth, answer, record.seconds[number], info))
-    return _episode_metrics(record.problem, rounds)
+    """Compute the metrics of an :class:`usnet_env.replay.EpisodeRecord`."""
+    truth = SimpleNamespace(head=record.head, decoy=record.decoy, root=record.root[0])
+    answer = Detection(record.candidates[0], record.scores[0], None if record.clusters is None else record.clusters[0])
+    return _episode_metrics(record.problem, truth, answer, record.fired, record.seconds)

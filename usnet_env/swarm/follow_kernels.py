@@ -165,7 +165,7 @@ def _add_term(term, velocity, past_velocity, total):
 
 @compiled()
 def fly_random(coefficients, noise_scale, source, motion, start, noise, position, velocity, plan):
-    """Random strategies ``(B, COEFFICIENTS)``, or ``(1, COEFFICIENTS)`` for all swarms: see ``RandomFollowStrategy``.
+    """Random strategies, ``coefficients`` ``(B, COEFFICIENTS)``: see ``RandomFollowStrategy``.
 
     All followers of a UAV get the same numbers from it, but for the pull.
     """
@@ -173,7 +173,7 @@ def fly_random(coefficients, noise_scale, source, motion, start, noise, position
     head_output = np.empty((uavs, 3), np.float32)
     total = np.empty(3, np.float32)
     for b in range(len(motion)):
-        row = coefficients[b % len(coefficients)]
+        row = coefficients[b]
         output = row[len(row) - OUTPUT_SIZE :]
         followers, sources = split_links(motion[b], source[b])
         for s in range(noise.shape[1]):

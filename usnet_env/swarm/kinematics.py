@@ -80,19 +80,6 @@ class Kinematics:
         position[:, t + 1] = position[:, t] + velocity[:, t]
 
 
-@dataclass(frozen=True)
-class Unit(Kinematics):
-    """Every UAV flies 1 m per step in the direction that it wants (the paper's setting)."""
-
-    equation = "v_{t+1} = u_{t+1}"
-    source = "paper, §II-A"
-    breaks = "–"
-
-    def steer(self, wanted: Singles, before: Singles, position: Singles, state: Singles, normals: Singles) -> Singles:
-        """What is wanted; the simulator calls it only beneath another model, such as an avoidance."""
-        return wanted
-
-
 class CompiledKinematics(Kinematics):
     """A model with a compiled step; ``code`` is its number and ``_fields`` the fields that are its constants."""
 
@@ -112,6 +99,16 @@ class CompiledKinematics(Kinematics):
         plan = kernels.FLOWN._replace(kinematics=self.code, kinematic_constants=self.constants)
         plan = plan._replace(kinematic_noise=np.ascontiguousarray(normals[:, None]), kinematic_state=state)
         kernels.fly_without_followers(motion, t, noise, position, velocity, plan)
+
+
+@dataclass(frozen=True)
+class Unit(CompiledKinematics):
+    """Every UAV flies 1 m per step in the direction that it wants (the paper's setting)."""
+
+    equation = "v_{t+1} = u_{t+1}"
+    source = "paper, §II-A"
+    breaks = "–"
+    code = kernels.UNIT
 
 
 @dataclass(frozen=True)

@@ -61,27 +61,25 @@ class RandomFollowStrategy(FollowStrategy):
             coefficients[-4:-1], coefficients[-1] = self.offset, self.pull
         return coefficients
 
-    def fly(self, flight: TrajectoryBatch) -> None:
-        """Compiled loop."""
-        follow_kernels.fly_random(self.pack()[None], np.float32(self.noise), flight.source, *flight.loop_arguments)
-
-
-@dataclass(frozen=True)
-class EpisodeRandomStrategy(FollowStrategy):
-    """``follow="random"``: in each episode another :class:`RandomFollowStrategy`."""
-
-    equation = f"another one in each episode, none of f1 to f7: {RandomFollowStrategy.equation}"
-    lags: int = 4
-    noise: float = KAPPA_NOISE
-    compiled = True
-
     def draw(self, rng: np.random.Generator) -> Singles:
-        """Draw the coefficients."""
-        return random_follow_strategy(rng).pack()
+        """The coefficients, which are the same in all episodes."""
+        return self.pack()
 
     def fly(self, flight: TrajectoryBatch) -> None:
         """Compiled loop."""
         follow_kernels.fly_random(flight.parameters, np.float32(self.noise), flight.source, *flight.loop_arguments)
+
+
+@dataclass(frozen=True)
+class EpisodeRandomStrategy(RandomFollowStrategy):
+    """``follow="random"``: in each episode another :class:`RandomFollowStrategy`."""
+
+    equation = f"another one in each episode, none of f1 to f7: {RandomFollowStrategy.equation}"
+    terms: tuple[Term, ...] = ()
+
+    def draw(self, rng: np.random.Generator) -> Singles:
+        """Draw the coefficients."""
+        return random_follow_strategy(rng).pack()
 
 
 def _draw_rotation(rng: np.random.Generator) -> Singles:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 
@@ -30,14 +29,6 @@ class ObservationBatch:
     velocity: Singles
     seen: Mask
     alive: Mask
-
-    @classmethod
-    def unseen(cls, config: SwarmConfig, alive: Mask) -> Self:
-        """The windows of swarms, or of one without the leading axis, in which no UAV is seen."""
-        swarms, uavs, instants = alive.shape[:-1], alive.shape[-1], config.observation_steps + 1
-        position = np.zeros((*swarms, instants, uavs, 3), np.float32)
-        seen = np.zeros((*swarms, instants, uavs), bool)
-        return cls(position, position[..., 1:, :, :].copy(), seen, alive.copy())
 
 
 def draw_normals(rngs: Generators, *shape: int) -> Singles:

@@ -148,19 +148,10 @@ class SwarmState:
         """Copies of all arrays by name, with the shapes above; ``SwarmState(**arrays)`` restores the state."""
         return {field.name: getattr(self, field.name).copy() for field in fields(self)}
 
-    def pick(self, episodes: Rows, *names: str) -> list[NDArray[Any]]:
-        """The arrays of these names, of k episodes, with a leading axis k.
-
-        Args:
-            episodes: ``(k,)`` indices of episodes, which may repeat, or a slice.
-            names: fields of this class.
-        """
-        arrays = [getattr(self, name)[episodes] for name in names]
-        return [_pack(array) if array.dtype == object else array for array in arrays]
-
     def rows(self, episodes: Rows) -> Self:
-        """The state of some episodes of the batch, in the order of these indices."""
-        return type(self)(*self.pick(episodes, *vars(self)))
+        """The state of some episodes of the batch: ``(k,)`` indices, which may repeat, or a slice, in this order."""
+        arrays = (array[episodes] for array in vars(self).values())
+        return type(self)(*(_pack(array) if array.dtype == object else array for array in arrays))
 
     @classmethod
     def join(cls, states: Sequence[Self]) -> Self:
