@@ -26,7 +26,7 @@ from detectors.gassl.layers import (
     tanh_backward,
     tanh_in_place,
 )
-from usnet_env.arrays import Singles
+from usnet_env.arrays import Floats, Singles
 from usnet_env.compiling import compiled
 from usnet_env.config import Config
 
@@ -56,41 +56,31 @@ class AgatSizes(Config):
 
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """The arrays of Φ_i in the order in which they lie in one flat vector; matrices map rows to columns."""
-        first, second = self.similarity_hidden
-        inputs = 3 * self.attn_heads
-        shapes: dict[str, tuple[int, ...]] = {
-            "query_in": (inputs, self.query_hidden), "query_in_bias": (self.query_hidden,),
+        heads, (first, second) = self.attn_heads, self.similarity_hidden
+        return {
+            "query_in": (3 * heads, self.query_hidden), "query_in_bias": (self.query_hidden,),
             "query_out": (self.query_hidden, self.query), "query_out_bias": (self.query,),
+            "key": (heads, self.key, 3), "first_query": (heads, self.query, first),
+            "first_key": (heads, self.key, first), "first_bias": (heads, first),
+            "second": (heads, first, second), "second_bias": (heads, second), "last": (heads, second),
         }  # fmt: skip
-        for head in range(self.attn_heads):
-            shapes |= {
-                f"key_{head}": (self.key, 3),
-                f"first_query_{head}": (self.query, first),
-                f"first_key_{head}": (self.key, first),
-                f"first_bias_{head}": (first,),
-                f"second_{head}": (first, second),
-                f"second_bias_{head}": (second,),
-                f"last_{head}": (second,),
-            }
-        return shapes
-
-    def numbers(self) -> tuple[int, int, int, int, int, int, int]:
-        """T_0 + 1 attention heads, inputs, hidden units and outputs of L, K, and both widths of s_l."""
-        heads = self.attn_heads
-        return heads, 3 * heads, self.query_hidden, self.query, self.key, *self.similarity_hidden
 
 
 def draw_agat(sizes: AgatSizes, uavs: int, rng: np.random.Generator) -> Singles:
     """Initial Φ of n UAVs, ``(n, parameters)``: uniform in ±scale / sqrt(inputs), see :class:`AgatSizes`."""
-    first, second = sizes.similarity_hidden
+    (first, second), shapes = sizes.similarity_hidden, list(sizes.shapes().items())
     inputs = {"query_in": 3 * sizes.attn_heads, "query_out": sizes.query_hidden}
-    similarity = {"key": 3, "first": sizes.query + sizes.key, "second": first, "last": second}
-    parts = []
-    for name, shape in sizes.shapes().items():
+    inputs |= {"key": 3, "first": sizes.query + sizes.key, "second": first, "last": second}
+
+    def draw(name: str, shape: tuple[int, ...]) -> Floats:
         layer = name.removesuffix("_bias")
-        similarity_bound = sizes.gain / similarity.get(layer.split("_")[0], 1) ** 0.5
-        bound = 1.0 / inputs[layer] ** 0.5 if layer in inputs else similarity_bound
-        parts.append(rng.uniform(-bound, bound, (uavs, int(np.prod(shape)))))
+        count = inputs[layer] if layer in inputs else inputs["first"]
+        bound = (1.0 if layer.startswith("query") else sizes.gain) / count**0.5
+        return rng.uniform(-bound, bound, (uavs, int(np.prod(shape))))
+
+    query = [draw(name, shape) for name, shape in shapes[:4]]
+    heads = [[draw(name, shape[1:]) for name, shape in shapes[4:]] for _ in range(sizes.attn_heads)]
+    parts = query + [part for of_heads in zip(*heads, strict=True) for part in of_heads]
     return np.concatenate(parts, axis=1).astype(np.float32)
 
 
@@ -235,40 +225,12 @@ def _weigh_backward(
                 d_key[c, k] += sum_key[k, c]
 
 
-@compiled(inner=True)
-def _view_query_arrays(phi, numbers):
-    """L's arrays, views of the flat vector."""
-    _, inputs, width, outputs, _, _, _ = numbers
-    a, b = inputs * width, inputs * width + width
-    c = b + width * outputs
-    return phi[:a].reshape((inputs, width)), phi[a:b], phi[b:c].reshape((width, outputs)), phi[c : c + outputs]
-
-
-@compiled(inner=True)
-def _view_head_arrays(phi, numbers, head):
-    """The arrays of attention head l, views of the flat vector."""
-    _, inputs, width, outputs, key, first, second = numbers
-    size = key * 3 + (outputs + key + 1) * first + (first + 2) * second
-    o = inputs * width + width + width * outputs + outputs + head * size
-    a = o + key * 3
-    b = a + outputs * first
-    c = b + key * first
-    d = c + first
-    e = d + first * second
-    f = e + second
-    return (
-        phi[o:a].reshape((key, 3)),
-        phi[a:b].reshape((outputs, first)), phi[b:c].reshape((key, first)), phi[c:d],
-        phi[d:e].reshape((first, second)), phi[e:f], phi[f : f + second],
-    )  # fmt: skip
-
-
 @compiled()
-def attend(phi, numbers, history, value):
-    """Forward pass of one UAV's AGAT with Φ_i, ``phi`` ``(parameters,)``, over all R times.
+def attend(phi, history, value):
+    """Forward pass of one UAV's AGAT with Φ_i, ``phi``, the arrays of :meth:`AgatSizes.shapes`, over all R times.
 
-    ``numbers`` are those of :meth:`AgatSizes.numbers`, ``history`` ``(R, 3 (T_0 + 1))`` is V_{i,t}, newest first, and
-    p_{i,t-T_0+1}; ``value`` ``(T_0 + 1, 3, n, R)`` are x_{i',l} of all UAVs.
+    ``history`` ``(R, 3 (T_0 + 1))`` is V_{i,t}, newest first, and p_{i,t-T_0+1}; ``value`` ``(T_0 + 1, 3, n, R)`` are
+    x_{i',l} of all UAVs.
 
     Returns:
         alpha ``(T_0 + 1, n, R)``; the pooled v̂_{i,t}, ..., v̂_{i,t-T_0+1}, p̂_{i,t-T_0+1} ``(T_0 + 1, 3, R)``; L's hidden
@@ -276,50 +238,48 @@ def attend(phi, numbers, history, value):
     """
     heads, _, uavs, times = value.shape
     alpha, pooled = np.empty((heads, uavs, times), np.float32), np.empty((heads, 3, times), np.float32)
-    query_in, query_in_bias, query_out, query_out_bias = _view_query_arrays(phi, numbers)
-    hidden, query = np.empty((times, numbers[2]), np.float32), np.empty((times, numbers[3]), np.float32)
+    query_in, query_in_bias, query_out, query_out_bias = phi[:4]
+    key, first_query, first_key, first_bias, second, second_bias, last = phi[4:]
+    (width, outputs), units = query_out.shape, first_bias.shape[1]
+    hidden, query = np.empty((times, width), np.float32), np.empty((times, outputs), np.float32)
     affine(history, query_in, query_in_bias, hidden)
     tanh_in_place(hidden)
     affine(hidden, query_out, query_out_bias, query)
-    from_query, from_key = np.empty((times, numbers[5]), np.float32), np.empty((3, numbers[5]), np.float32)
-    for head in range(numbers[0]):
-        key, first_query, first_key, first_bias, second, second_bias, last = _view_head_arrays(phi, numbers, head)
-        affine(query, first_query, first_bias, from_query)
-        np.dot(key.T, first_key, from_key)
-        _weigh(from_query.T.copy(), from_key, second, second_bias, last, value[head], alpha[head], pooled[head])
+    from_query, from_key = np.empty((times, units), np.float32), np.empty((3, units), np.float32)
+    for h in range(heads):
+        affine(query, first_query[h], first_bias[h], from_query)
+        np.dot(key[h].T, first_key[h], from_key)
+        _weigh(from_query.T.copy(), from_key, second[h], second_bias[h], last[h], value[h], alpha[h], pooled[h])
     return alpha, pooled, hidden, query
 
 
 @compiled()
-def attend_backward(phi, numbers, history, value, alpha, pooled, hidden, query, d_pooled, d_phi):
+def attend_backward(phi, history, value, alpha, pooled, hidden, query, d_pooled, d_phi):
     """The gradient with respect to Φ_i, written to ``d_phi``, from that with respect to the pooled values."""
-    times = history.shape[0]
-    _, _, query_out, _ = _view_query_arrays(phi, numbers)
+    key, first_query, first_key, first_bias, second, second_bias, last = phi[4:]
+    d_query_in, d_query_in_bias, d_query_out, d_query_out_bias = d_phi[:4]
+    d_key, d_first_query, d_first_key, d_first_bias, d_second, d_second_bias, d_last = d_phi[4:]
+    times, (heads, units) = history.shape[0], first_bias.shape
     d_query, d_query_part = np.zeros_like(query), np.empty_like(query)
     d_hidden = np.empty_like(hidden)
-    from_query, from_key = np.empty((times, numbers[5]), np.float32), np.empty((3, numbers[5]), np.float32)
+    from_query, from_key = np.empty((times, units), np.float32), np.empty((3, units), np.float32)
     d_from_query, d_from_key = np.empty_like(from_query), np.empty_like(from_key)
-    d_from_query_t = np.empty((numbers[5], times), np.float32)
-    for head in range(numbers[0]):
-        key, first_query, first_key, first_bias, second, second_bias, last = _view_head_arrays(phi, numbers, head)
-        d_key, d_first_query, d_first_key, d_first_bias, d_second, d_second_bias, d_last = _view_head_arrays(
-            d_phi, numbers, head
-        )
-        affine(query, first_query, first_bias, from_query)
-        np.dot(key.T, first_key, from_key)
+    d_from_query_t = np.empty((units, times), np.float32)
+    for h in range(heads):
+        affine(query, first_query[h], first_bias[h], from_query)
+        np.dot(key[h].T, first_key[h], from_key)
         _weigh_backward(
-            from_query.T.copy(), from_key, second, second_bias, last, value[head], alpha[head], pooled[head],
-            d_pooled[head], d_from_query_t, d_from_key, d_second, d_second_bias, d_last,
+            from_query.T.copy(), from_key, second[h], second_bias[h], last[h], value[h], alpha[h], pooled[h],
+            d_pooled[h], d_from_query_t, d_from_key, d_second[h], d_second_bias[h], d_last[h],
         )  # fmt: skip
         for t in range(times):
-            for k in range(numbers[5]):
+            for k in range(units):
                 d_from_query[t, k] = d_from_query_t[k, t]
-        affine_backward(query, first_query, d_from_query, d_first_query, d_first_bias, d_query_part)
-        np.dot(first_key, d_from_key.T, d_key)
-        np.dot(key, d_from_key, d_first_key)
+        affine_backward(query, first_query[h], d_from_query, d_first_query[h], d_first_bias[h], d_query_part)
+        np.dot(first_key[h], d_from_key.T, d_key[h])
+        np.dot(key[h], d_from_key, d_first_key[h])
         for t in range(times):
             add_in_place(d_query[t], d_query_part[t])
-    d_query_in, d_query_in_bias, d_query_out, d_query_out_bias = _view_query_arrays(d_phi, numbers)
-    affine_backward(hidden, query_out, d_query, d_query_out, d_query_out_bias, d_hidden)
+    affine_backward(hidden, phi[2], d_query, d_query_out, d_query_out_bias, d_hidden)
     tanh_backward(hidden, d_hidden)
     multiply_backward(history, d_hidden, d_query_in, d_query_in_bias)

@@ -6,7 +6,6 @@ faster; tests hold it against this file.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 import torch
@@ -14,6 +13,7 @@ from torch import Tensor
 
 from detectors.gassl.agat import SLOPE, AgatSizes
 from detectors.gassl.ifsn import VARIANCE_FLOOR, list_ifsn_shapes
+from detectors.gassl.layers import view_arrays
 from detectors.gassl.topology_matrix import Inputs
 from detectors.gassl.training import Fit
 
@@ -61,7 +61,7 @@ def algorithm_1(
 
 def find_loss(inputs: Inputs, i: int, phi: Tensor, gamma: Tensor, agat: AgatSizes, ifsn: int) -> tuple[Tensor, Tensor]:
     """L_B(Θ_i), equation (23), and alpha_{i,i',l} at all times, ``(T_0 + 1, R, n)``."""
-    network = _split_parameters(phi, agat.shapes())
+    network = _name_arrays(phi, agat.shapes())
     value = torch.from_numpy(inputs.value).to(phi.dtype).permute(0, 3, 1, 2)  # (T_0 + 1, R, 3, n)
     history = torch.from_numpy(inputs.history[i]).to(phi.dtype)  # (R, 3 (T_0 + 1)), V_{i,t} and p_{i,t-T_0+1}
     query = _compute_query(network, history)
@@ -75,7 +75,7 @@ def find_loss(inputs: Inputs, i: int, phi: Tensor, gamma: Tensor, agat: AgatSize
     concatenation = torch.cat([own, *pooled], dim=1)  # (R, 6 (T_0 + 1)): P_{i,t+1}, V̂_{i,t}, p̂_{i,t-T_0+1}
     variance, mean = torch.var_mean(concatenation, dim=0, correction=0)
     standardised = (concatenation - mean) / torch.sqrt(variance + VARIANCE_FLOOR)
-    predicted = _run_ifsn(_split_parameters(gamma, list_ifsn_shapes(inputs.entries, ifsn)), standardised)
+    predicted = _run_ifsn(_name_arrays(gamma, list_ifsn_shapes(inputs.entries, ifsn)), standardised)
     target = torch.from_numpy(inputs.target[i]).to(phi.dtype)
     weight = torch.from_numpy(inputs.weight[i]).to(phi.dtype)
     return (weight * ((target - predicted) ** 2).sum(dim=1)).sum(), torch.stack(alphas)
@@ -89,12 +89,12 @@ def _compute_query(network: Parameters, history: Tensor) -> Tensor:
 
 def _compare(network: Parameters, head: int, query: Tensor, x: Tensor) -> Tensor:
     """s_l of the query data and the key data K_l x of all UAVs, ``(R, n)``: two hidden layers."""
-    key = x @ network[f"key_{head}"].T  # (R, n, K)
-    first = torch.cat([network[f"first_query_{head}"], network[f"first_key_{head}"]])
+    key = x @ network["key"][head].T  # (R, n, K)
+    first = torch.cat([network["first_query"][head], network["first_key"][head]])
     query_and_key = torch.cat([query[:, None].expand(-1, x.shape[1], -1), key], dim=2)
-    hidden = torch.nn.functional.leaky_relu(query_and_key @ first + network[f"first_bias_{head}"], SLOPE)
-    hidden = torch.nn.functional.leaky_relu(hidden @ network[f"second_{head}"] + network[f"second_bias_{head}"], SLOPE)
-    return hidden @ network[f"last_{head}"]
+    hidden = torch.nn.functional.leaky_relu(query_and_key @ first + network["first_bias"][head], SLOPE)
+    hidden = torch.nn.functional.leaky_relu(hidden @ network["second"][head] + network["second_bias"][head], SLOPE)
+    return hidden @ network["last"][head]
 
 
 def _run_ifsn(network: Parameters, inputs: Tensor) -> Tensor:
@@ -105,7 +105,5 @@ def _run_ifsn(network: Parameters, inputs: Tensor) -> Tensor:
     return hidden @ network["output"] + network["output_bias"]
 
 
-def _split_parameters(flat: Tensor, shapes: Mapping[str, tuple[int, ...]]) -> Parameters:
-    """The arrays of a network, by name, as views of one flat vector."""
-    parts = torch.split(flat, [math.prod(shape) for shape in shapes.values()])
-    return {name: part.view(shape) for (name, shape), part in zip(shapes.items(), parts, strict=True)}
+def _name_arrays(flat: Tensor, shapes: Mapping[str, tuple[int, ...]]) -> Parameters:
+    return dict(zip(shapes, view_arrays(flat, shapes), strict=True))

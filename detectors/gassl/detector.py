@@ -98,14 +98,14 @@ class Gassl(Detector):
         agat, settings = self.check_arguments()
         inputs, phi = build_batch(window, members, settings.memory), draw_agat(agat, len(members), rng)
         gamma = self.draw_gamma(rng) if gamma is None else gamma
-        descent = settings.steps, settings.learning_rate
+        widths_and_descent = agat, settings.ifsn_hidden, settings.steps, settings.learning_rate
         if self.implementation == "compiled":
-            return train(inputs, phi, gamma, agat, *descent)
+            return train(inputs, phi, gamma, *widths_and_descent)
         import torch  # an extra, which the compiled loops don't need
 
         from detectors.gassl.algorithm_1 import algorithm_1
 
-        return algorithm_1(inputs, torch.from_numpy(phi), torch.from_numpy(gamma), agat, settings.ifsn_hidden, *descent)
+        return algorithm_1(inputs, torch.from_numpy(phi), torch.from_numpy(gamma), *widths_and_descent)
 
 
 def answer_cluster(

@@ -41,27 +41,6 @@ def draw_ifsn(inputs: int, width: int, rng: np.random.Generator) -> Singles:
     return np.concatenate(parts).astype(np.float32)
 
 
-@compiled(inner=True)
-def _view_layers(gamma, inputs):
-    """Γ's arrays, views of the flat vector; the width follows from its length."""
-    width = 1
-    while width * (inputs + 2 * width + 6) + 3 < gamma.shape[0]:
-        width += 1
-    a = inputs * width
-    b = a + width
-    c = b + width * width
-    d = c + width
-    e = d + width * width
-    f = e + width
-    g = f + 3 * width
-    return (
-        gamma[:a].reshape((inputs, width)), gamma[a:b],
-        gamma[b:c].reshape((width, width)), gamma[c:d],
-        gamma[d:e].reshape((width, width)), gamma[e:f],
-        gamma[f:g].reshape((width, 3)), gamma[g:],
-    )  # fmt: skip
-
-
 @compiled(error_model="numpy")
 def standardise(values):
     """``values`` ``(R, d)`` become zero-mean with unit variance over the times; returns the factors ``(d,)``."""
@@ -95,9 +74,9 @@ def _run_hidden_layers(h1, second, second_bias, third, third_bias, output, outpu
 
 @compiled()
 def predict(gamma, inputs):
-    """v̂_{i,t+1} ``(R, 3)`` of standardised inputs ``(R, d)``, and the three hidden layers."""
-    times, entries = inputs.shape
-    first, first_bias, second, second_bias, third, third_bias, output, output_bias = _view_layers(gamma, entries)
+    """v̂_{i,t+1} ``(R, 3)`` of standardised inputs ``(R, d)``, and the three hidden layers; ``gamma`` are Γ's arrays."""
+    times = len(inputs)
+    first, first_bias, second, second_bias, third, third_bias, output, output_bias = gamma
     width = second.shape[0]
     h1 = np.empty((times, width), np.float32)
     h2, h3, predicted = np.empty_like(h1), np.empty_like(h1), np.empty((times, 3), np.float32)
@@ -110,8 +89,8 @@ def predict(gamma, inputs):
 def predict_backward(gamma, inputs, scale, h1, h2, h3, d_predicted, d_gamma):
     """The gradient with respect to Γ, written to ``d_gamma``; returns that of the inputs before standardisation."""
     times, entries = inputs.shape
-    first, _, second, _, third, _, output, _ = _view_layers(gamma, entries)
-    d_first, d_bias_1, d_second, d_bias_2, d_third, d_bias_3, d_output, d_output_bias = _view_layers(d_gamma, entries)
+    first, _, second, _, third, _, output, _ = gamma
+    d_first, d_bias_1, d_second, d_bias_2, d_third, d_bias_3, d_output, d_output_bias = d_gamma
     d_h1, d_h2, d_h3, d_inputs = np.empty_like(h1), np.empty_like(h1), np.empty_like(h1), np.empty_like(inputs)
     affine_backward(h3, output, d_predicted, d_output, d_output_bias, d_h3)
     tanh_backward(h3, d_h3)
@@ -142,9 +121,7 @@ def compute_pair_losses(gamma, own, source, target, weight):
     ``(n, n)``: row i, column i'.
     """
     uavs, times, own_entries = own.shape
-    first, first_bias, second, second_bias, third, third_bias, output, output_bias = _view_layers(
-        gamma, own_entries + source.shape[2]
-    )
+    first, first_bias, second, second_bias, third, third_bias, output, output_bias = gamma
     width = first.shape[1]
     from_own, from_source = np.empty((uavs, times, width), np.float32), np.empty((uavs, times, width), np.float32)
     no_bias = np.zeros(width, np.float32)

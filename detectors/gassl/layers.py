@@ -10,6 +10,10 @@ shapes, and the texts for it, into every function above, and the first call take
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from usnet_env.compiling import compiled
@@ -23,6 +27,12 @@ _HALF = np.float32(0.5)
 _THIRD, _FOURTH, _FIFTH = np.float32(1.0 / 6.0), np.float32(1.0 / 24.0), np.float32(1.0 / 120.0)
 _SIXTH = np.float32(1.0 / 720.0)
 _LOWEST = np.float32(-120.0)  # 2**-120 is 0 beside any other term of a softmax, and no denormal number
+
+
+def view_arrays(flat: Any, shapes: Mapping[str, tuple[int, ...]]) -> tuple[Any, ...]:
+    """The arrays or tensors of a network, in the order of their ``shapes``, as views of one flat vector."""
+    ends = np.cumsum([math.prod(shape) for shape in shapes.values()]).tolist()
+    return tuple(flat[a:b].reshape(shape) for a, b, shape in zip([0, *ends], ends, shapes.values(), strict=False))
 
 
 @compiled(inner=True)

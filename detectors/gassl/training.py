@@ -12,9 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from detectors.gassl.agat import AgatSizes, attend, attend_backward
-from detectors.gassl.ifsn import predict, predict_backward, standardise
+from detectors.gassl.ifsn import list_ifsn_shapes, predict, predict_backward, standardise
+from detectors.gassl.layers import view_arrays
 from detectors.gassl.topology_matrix import Inputs
 from usnet_env.arrays import Singles
+
+Arrays = tuple[Singles, ...]  # of a network, or the inputs for one UAV
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,10 +50,10 @@ class _Pass(NamedTuple):
     layers: list[Singles]
 
 
-def _forward(phi: Singles, gamma: Singles, numbers: tuple[int, ...], inputs: tuple[Singles, ...]) -> _Pass:
+def _forward(phi: Arrays, gamma: Arrays, inputs: Arrays) -> _Pass:
     """Both networks for one UAV; ``inputs`` are those of :meth:`Inputs.of`."""
     history, value, own, target, weight = inputs
-    alpha, pooled, hidden, query = attend(phi, numbers, history, value)
+    alpha, pooled, hidden, query = attend(phi, history, value)
     concatenation = np.concatenate([own, pooled.transpose(2, 0, 1).reshape(len(own), -1)], axis=1)
     scale = standardise(concatenation)
     predicted, *layers = predict(gamma, concatenation)
@@ -59,16 +62,17 @@ def _forward(phi: Singles, gamma: Singles, numbers: tuple[int, ...], inputs: tup
     return _Pass((weighted * error).sum(), 2 * weighted, alpha, pooled, hidden, query, concatenation, scale, layers)
 
 
-def compute_gradient(
-    phi: Singles, gamma: Singles, numbers: tuple[int, ...], inputs: tuple[Singles, ...]
-) -> tuple[np.float32, Singles, Singles]:
-    """L_B(Θ_i) of equation (23) and its gradients with respect to Φ_i and Γ, as flat vectors; see :meth:`Inputs.of`."""
+def compute_gradient(phi: Arrays, gamma: Arrays, inputs: Arrays, d_phi: Arrays, d_gamma: Arrays) -> np.float32:
+    """L_B(Θ_i) of equation (23); its gradients with respect to Φ_i and Γ are written to ``d_phi`` and ``d_gamma``.
+
+    ``inputs`` are those of :meth:`Inputs.of`.
+    """
     history, value, own, *_ = inputs
-    fit, d_phi, d_gamma = _forward(phi, gamma, numbers, inputs), np.empty_like(phi), np.empty_like(gamma)
+    fit = _forward(phi, gamma, inputs)
     d_inputs = predict_backward(gamma, fit.concatenation, fit.scale, *fit.layers, fit.d_predicted, d_gamma)
     d_pooled = d_inputs[:, own.shape[1] :].reshape(len(own), -1, 3).transpose(1, 2, 0).copy()
-    attend_backward(phi, numbers, history, value, fit.alpha, fit.pooled, fit.hidden, fit.query, d_pooled, d_phi)
-    return fit.loss, d_phi, d_gamma
+    attend_backward(phi, history, value, fit.alpha, fit.pooled, fit.hidden, fit.query, d_pooled, d_phi)
+    return fit.loss
 
 
 def _share_votes(alpha: Singles) -> Singles:
@@ -79,23 +83,28 @@ def _share_votes(alpha: Singles) -> Singles:
     return np.ascontiguousarray(shares).sum(axis=0)
 
 
-def train(inputs: Inputs, phi: Singles, gamma: Singles, sizes: AgatSizes, steps: int, learning_rate: float) -> Fit:
-    """Lines 1 to 7 of Algorithm 1; the initial Φ ``phi`` ``(n, parameters)`` and Γ ``gamma`` ``(parameters,)`` stay.
+def train(
+    inputs: Inputs, phi: Singles, gamma: Singles, agat: AgatSizes, ifsn: int, steps: int, learning_rate: float
+) -> Fit:
+    """Lines 1 to 7 of Algorithm 1; the arguments are those of :func:`detectors.gassl.algorithm_1.algorithm_1`.
 
-    Each UAV has ``steps``, Ω, with the rate β.
+    The initial Φ ``phi`` ``(n, parameters)`` and Γ ``gamma`` ``(parameters,)`` stay.
     """
-    uavs, numbers, rate = len(inputs.history), sizes.numbers(), np.float32(learning_rate)
-    phi, gamma = phi.copy(), gamma.copy()
+    uavs, rate = len(inputs.history), np.float32(learning_rate)
+    phi, gamma, d_phi, d_gamma = phi.copy(), gamma.copy(), np.empty_like(phi[0]), np.empty_like(gamma)
+    phi_shapes, gamma_shapes = agat.shapes(), list_ifsn_shapes(inputs.entries, ifsn)
+    gamma_arrays = view_arrays(gamma, gamma_shapes)
+    gradients = view_arrays(d_phi, phi_shapes), view_arrays(d_gamma, gamma_shapes)
     loss, explained = np.zeros((uavs, steps), np.float32), np.zeros(uavs, np.float32)
-    attn_heads, votes = np.zeros((uavs, sizes.attn_heads, uavs), np.float32), np.zeros((uavs, uavs), np.float32)
+    attn_heads, votes = np.zeros((uavs, agat.attn_heads, uavs), np.float32), np.zeros((uavs, uavs), np.float32)
     with np.errstate(over="ignore", invalid="ignore"):  # where beta is too large, the loss overflows
         for i in range(uavs):  # line 1
-            uav_inputs = inputs.of(i)
+            uav_inputs, phi_arrays = inputs.of(i), view_arrays(phi[i], phi_shapes)
             for step in range(steps):  # line 3
-                loss[i, step], d_phi, d_gamma = compute_gradient(phi[i], gamma, numbers, uav_inputs)
+                loss[i, step] = compute_gradient(phi_arrays, gamma_arrays, uav_inputs, *gradients)
                 phi[i] -= rate * d_phi  # line 4, equation (24)
                 gamma -= rate * d_gamma  # line 4, equation (25)
-            final = _forward(phi[i], gamma, numbers, uav_inputs)
+            final = _forward(phi_arrays, gamma_arrays, uav_inputs)
             attn_heads[i] = final.alpha.mean(axis=2)
             votes[i] = _share_votes(final.alpha)  # line 6
             power = float((inputs.weight[i] * (inputs.target[i] ** 2).sum(axis=1)).sum())

@@ -15,7 +15,8 @@ import torch
 from detectors.clustering import Clustering
 from detectors.gassl import Gassl
 from detectors.gassl.detector import answer_cluster
-from detectors.gassl.ifsn import compute_pair_losses, standardise
+from detectors.gassl.ifsn import compute_pair_losses, list_ifsn_shapes, standardise
+from detectors.gassl.layers import view_arrays
 from detectors.gassl.topology_matrix import Inputs, build_batch
 from detectors.mc_gassl.features import make_inputs
 from detectors.mc_gassl.gru import GruParameters
@@ -43,7 +44,7 @@ def run_round(
     clustering = clusterer.cluster(window, rng)  # lines 2, 3
     heads, gamma = detect_heads(window, clustering, gassl, rng)  # line 4
     living = np.flatnonzero(window.alive)  # line 5
-    chosen = find_best_heads(build_batch(window, living, gassl.memory), gamma)  # equation (37)
+    chosen = find_best_heads(build_batch(window, living, gassl.memory), gamma, gassl.ifsn_hidden)  # equation (37)
     score = np.bincount(chosen, minlength=len(chosen)).astype(np.float64)  # c_{i'}, equation (38)
     followed = scatter_to_swarm(score, living, window.uavs)
     labels = scatter_to_swarm(recluster(chosen, clustering.count, rng), living, window.uavs, fill=-1)
@@ -84,12 +85,16 @@ def detect_heads(
     return Detection(candidates, scores, None, leader, attention, {"attention_heads": attn_heads}), gamma
 
 
-def find_best_heads(inputs: Inputs, gamma: Singles) -> Indices:
-    """i_H of every UAV, ``(n,)``: the other UAV from which the trained IFSN, Γ, predicts it best, equation (37)."""
+def find_best_heads(inputs: Inputs, gamma: Singles, width: int) -> Indices:
+    """i_H of every UAV, ``(n,)``: the other UAV from which the trained IFSN, Γ, predicts it best, equation (37).
+
+    ``width`` are the units of its hidden layers.
+    """
     own, source = inputs.own.copy(), inputs.history.copy()
     for values in (*own, *source):
         standardise(values)
-    loss = compute_pair_losses(gamma, own, source, inputs.target, inputs.weight)
+    arrays = view_arrays(gamma, list_ifsn_shapes(inputs.entries, width))
+    loss = compute_pair_losses(arrays, own, source, inputs.target, inputs.weight)
     np.fill_diagonal(loss, np.inf)
     return np.asarray(np.nan_to_num(loss, nan=np.inf).argmin(axis=1).astype(np.int64))
 

@@ -9,7 +9,8 @@ from synthetic_windows import answer
 from detectors.gassl import Gassl
 from detectors.gassl.agat import AgatSizes, draw_agat
 from detectors.gassl.algorithm_1 import algorithm_1, find_loss
-from detectors.gassl.ifsn import draw_ifsn
+from detectors.gassl.ifsn import draw_ifsn, list_ifsn_shapes
+from detectors.gassl.layers import view_arrays
 from detectors.gassl.topology_matrix import build_batch
 from detectors.gassl.training import compute_gradient, train
 from detectors.series.gaps import fill_gaps
@@ -105,11 +106,15 @@ def doubles(*arrays):
 def test_the_compiled_loss_and_gradients_are_those_of_the_readable_loss(case):
     inputs, phi, gamma, agat, ifsn = problem(**case)
     for i in (0, len(inputs.history) - 1):
-        found, d_phi, d_gamma = compute_gradient(phi[i], gamma, agat.numbers(), inputs.of(i))
+        networks = (phi[i], agat.shapes()), (gamma, list_ifsn_shapes(inputs.entries, ifsn))
+        gradients = [np.empty_like(flat) for flat, _ in networks]
+        arrays = (view_arrays(flat, shapes) for flat, shapes in networks)
+        into = (view_arrays(flat, shapes) for flat, (_, shapes) in zip(gradients, networks, strict=True))
+        found = compute_gradient(*arrays, inputs.of(i), *into)
         phi_i, of_all = doubles(phi[i], gamma)
         loss, _ = find_loss(inputs, i, phi_i, of_all, agat, ifsn)
         assert found == pytest.approx(loss.item(), rel=1e-4)
-        for got, expected in zip((d_phi, d_gamma), torch.autograd.grad(loss, (phi_i, of_all)), strict=True):
+        for got, expected in zip(gradients, torch.autograd.grad(loss, (phi_i, of_all)), strict=True):
             largest = float(expected.abs().max())
             assert largest > 0
             np.testing.assert_allclose(got, expected, atol=2e-4 * largest, rtol=0)
@@ -118,7 +123,7 @@ def test_the_compiled_loss_and_gradients_are_those_of_the_readable_loss(case):
 @pytest.mark.parametrize("case", CASES[:2])
 def test_a_compiled_run_is_the_readable_run(case):
     inputs, phi, gamma, agat, ifsn = problem(**case)
-    fast = train(inputs, phi, gamma, agat, 6, RATE)
+    fast = train(inputs, phi, gamma, agat, ifsn, 6, RATE)
     slow = algorithm_1(inputs, torch.from_numpy(phi), torch.from_numpy(gamma), agat, ifsn, 6, RATE)
     np.testing.assert_allclose(fast.attn_heads, slow.attn_heads, atol=1e-4)
     np.testing.assert_allclose(fast.gamma, slow.gamma, atol=1e-4)

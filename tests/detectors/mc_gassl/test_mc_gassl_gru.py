@@ -126,7 +126,7 @@ def test_best_heads_are_equation_37(seed, hidden, miss_rate):
     inputs = inputs_of_swarm(seed, miss_rate=miss_rate)
     gamma = draw_gamma(inputs, hidden, seed)
     kept = [inputs.own.copy(), inputs.value.copy()]
-    chosen = find_best_heads(inputs, gamma)
+    chosen = find_best_heads(inputs, gamma, hidden)
     for i in range(8):
         losses = {other: loss_of_pair(inputs, gamma, hidden, i, other) for other in range(8) if other != i}
         assert chosen[i] == min(losses, key=losses.get)
