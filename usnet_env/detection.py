@@ -110,7 +110,7 @@ class Detection:
         last = len(window.seen) - 1 - window.seen[::-1].argmax(axis=0)
         position = window.position[last, indices].astype(np.float64)
         nearest = heads[np.linalg.norm(position[:, None] - position[heads], axis=2).argmin(axis=1)]
-        leader = self._list_leaders()
+        leader = self.list_leaders()
         for _ in range(len(indices).bit_length()):  # past removed relays; each pass doubles the length of the chains
             leader = np.where(is_left[leader] | self.candidates[leader], leader, leader[leader])
         leader = np.where(is_left[leader] & (leader != indices), leader, nearest)
@@ -119,8 +119,11 @@ class Detection:
             leader = leader[leader]
         return np.where(is_left, np.where(self.candidates[leader] & is_left[leader], leader, nearest), -1)
 
-    def _list_leaders(self) -> Indices:
-        """``(N,)`` the one that each UAV follows; itself if it is a candidate or follows none."""
+    def list_leaders(self) -> Indices:
+        """``(N,)`` the one that each UAV follows, without ``leader`` the candidate of its cluster.
+
+        It is the UAV itself if it is a candidate or follows none.
+        """
         indices, leader = np.arange(len(self.candidates)), self.leader
         if leader is None and self.clusters is not None:
             leader = np.full(len(indices), -1)

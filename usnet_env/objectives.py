@@ -191,14 +191,7 @@ def list_followers(detection: Detection, head: int) -> list[int]:
 
     A detector may give the head a leader, such as the UAV that is most similar to it; a candidate follows no UAV.
     """
-    if detection.leader is not None:
-        leader = np.where(detection.candidates, np.arange(len(detection.leader)), detection.leader)
-        is_member = find_roots(leader) == head
-    elif detection.clusters is not None and detection.clusters[head] >= 0:
-        is_member = detection.clusters == detection.clusters[head]
-    else:
-        return []
-    return [int(i) for i in np.flatnonzero(is_member) if i != head]
+    return [int(i) for i in np.flatnonzero(find_roots(detection.list_leaders()) == head) if i != head]
 
 
 def group_leader_accuracy(leader: ArrayLike, scores: ArrayLike) -> float:

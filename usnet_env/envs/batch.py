@@ -173,13 +173,9 @@ class SwarmGames:
             swarm, self.window = self._fly_rows(state.swarm, running)
             self._game = replace(state, swarm=swarm)
         else:
-            if len(games) == self.num_envs:  # `before` keeps its windows
-                self.window = {name: np.zeros_like(array) for name, array in self.window.items()}
-            else:
-                if self.pictures:
-                    self.window = {name: array.copy() for name, array in self.window.items()}
-                for array in self.window.values():
-                    array[games] = 0
+            self.window = {name: array.copy() for name, array in self.window.items()}  # `before` keeps its windows
+            for array in self.window.values():
+                array[games] = 0
             if len(running):
                 swarm, window = self._fly_rows(state.swarm.rows(running), running)
                 self._game = replace(state, swarm=state.swarm.with_rows(running, swarm))

@@ -17,7 +17,7 @@ from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection
 from usnet_env.drawing import last_seen_position
 from usnet_env.files import as_path, atomic_write, describe_fault
-from usnet_env.objectives import hits_and_redundant, list_followers
+from usnet_env.objectives import find_roots, hits_and_redundant
 from usnet_env.provenance import versions
 from usnet_env.window import Window
 
@@ -64,12 +64,8 @@ def _list_reasons(answer: Detection) -> dict[str, str]:
 
 def _find_roots(answer: Detection) -> Indices:
     """``(N,)``: the candidate that each UAV follows by the answer; a candidate has its own index, -1: none."""
-    root = np.full(len(answer.candidates), -1, np.int64)
-    heads = np.flatnonzero(answer.candidates)
-    for head in heads.tolist():
-        root[list_followers(answer, head)] = head
-    root[heads] = heads
-    return root
+    root = find_roots(answer.list_leaders())
+    return np.where((root >= 0) & answer.candidates[root], root, -1)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
