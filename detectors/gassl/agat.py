@@ -12,10 +12,9 @@ formed. The compiled loops take some hundred pairs (time, UAV) at a time, in buf
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Any
 
 import numpy as np
-from pydantic import Field
 
 from detectors.gassl.layers import (
     add_in_place,
@@ -28,7 +27,6 @@ from detectors.gassl.layers import (
 )
 from usnet_env.arrays import Floats, Singles
 from usnet_env.compiling import compiled
-from usnet_env.config import Config
 
 SLOPE = 0.01  # of the leaky ReLU
 _SLOPE = np.float32(SLOPE)
@@ -36,50 +34,39 @@ _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
 _PAIRS = 512  # pairs that pass the layers together: long enough for vectors, few enough for the cache
 
-Width = Annotated[int, Field(ge=1, le=4096)]
+
+def list_agat_shapes(settings: Any) -> dict[str, tuple[int, ...]]:
+    """The arrays of Φ_i in the order in which they lie in one flat vector; matrices map rows to columns.
+
+    ``settings`` are the arguments of :class:`detectors.gassl.Gassl`: the paper is silent on the widths (decision (u)).
+    """
+    heads, width, query, key = settings.memory + 1, settings.query_hidden, settings.query, settings.key
+    first, second = settings.similarity_hidden
+    return {
+        "query_in": (3 * heads, width), "query_in_bias": (width,),
+        "query_out": (width, query), "query_out_bias": (query,), "key": (heads, key, 3),
+        "first_query": (heads, query, first), "first_key": (heads, key, first), "first_bias": (heads, first),
+        "second": (heads, first, second), "second_bias": (heads, second), "last": (heads, second),
+    }  # fmt: skip
 
 
-class AgatSizes(Config):
-    """Widths of the AGAT, on which the paper is silent (decision (u)), as in :class:`detectors.gassl.Gassl`."""
+def draw_agat(settings: Any, uavs: int, rng: np.random.Generator) -> Singles:
+    """Initial Φ of n UAVs, ``(n, parameters)``: uniform in ±scale / sqrt(inputs of the layer).
 
-    memory: Annotated[int, Field(ge=1, le=1000)] = 4
-    query_hidden: Width = 16
-    query: Width = 8
-    key: Width = 8
-    similarity_hidden: tuple[Width, Width] = (16, 8)
-    gain: Annotated[float, Field(gt=0)] = 3.0
-
-    @property
-    def attn_heads(self) -> int:
-        """Attention heads, T_0 + 1."""
-        return self.memory + 1
-
-    def shapes(self) -> dict[str, tuple[int, ...]]:
-        """The arrays of Φ_i in the order in which they lie in one flat vector; matrices map rows to columns."""
-        heads, (first, second) = self.attn_heads, self.similarity_hidden
-        return {
-            "query_in": (3 * heads, self.query_hidden), "query_in_bias": (self.query_hidden,),
-            "query_out": (self.query_hidden, self.query), "query_out_bias": (self.query,),
-            "key": (heads, self.key, 3), "first_query": (heads, self.query, first),
-            "first_key": (heads, self.key, first), "first_bias": (heads, first),
-            "second": (heads, first, second), "second_bias": (heads, second), "last": (heads, second),
-        }  # fmt: skip
-
-
-def draw_agat(sizes: AgatSizes, uavs: int, rng: np.random.Generator) -> Singles:
-    """Initial Φ of n UAVs, ``(n, parameters)``: uniform in ±scale / sqrt(inputs), see :class:`AgatSizes`."""
-    (first, second), shapes = sizes.similarity_hidden, list(sizes.shapes().items())
-    inputs = {"query_in": 3 * sizes.attn_heads, "query_out": sizes.query_hidden}
-    inputs |= {"key": 3, "first": sizes.query + sizes.key, "second": first, "last": second}
+    The scale is 1 for L, and the ``gain`` for K_l and s_l.
+    """
+    (first, second), shapes = settings.similarity_hidden, list(list_agat_shapes(settings).items())
+    inputs = {"query_in": 3 * (settings.memory + 1), "query_out": settings.query_hidden}
+    inputs |= {"key": 3, "first": settings.query + settings.key, "second": first, "last": second}
 
     def draw(name: str, shape: tuple[int, ...]) -> Floats:
         layer = name.removesuffix("_bias")
         count = inputs[layer] if layer in inputs else inputs["first"]
-        bound = (1.0 if layer.startswith("query") else sizes.gain) / count**0.5
+        bound = (1.0 if layer.startswith("query") else settings.gain) / count**0.5
         return rng.uniform(-bound, bound, (uavs, int(np.prod(shape))))
 
     query = [draw(name, shape) for name, shape in shapes[:4]]
-    heads = [[draw(name, shape[1:]) for name, shape in shapes[4:]] for _ in range(sizes.attn_heads)]
+    heads = [[draw(name, shape[1:]) for name, shape in shapes[4:]] for _ in range(settings.memory + 1)]
     parts = query + [part for of_heads in zip(*heads, strict=True) for part in of_heads]
     return np.concatenate(parts, axis=1).astype(np.float32)
 
@@ -227,7 +214,7 @@ def _weigh_backward(
 
 @compiled()
 def attend(phi, history, value):
-    """Forward pass of one UAV's AGAT with Φ_i, ``phi``, the arrays of :meth:`AgatSizes.shapes`, over all R times.
+    """Forward pass of one UAV's AGAT with Φ_i, ``phi``, the arrays of :func:`list_agat_shapes`, over all R times.
 
     ``history`` ``(R, 3 (T_0 + 1))`` is V_{i,t}, newest first, and p_{i,t-T_0+1}; ``value`` ``(T_0 + 1, 3, n, R)`` are
     x_{i',l} of all UAVs.

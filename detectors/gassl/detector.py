@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.base import Detector
-from detectors.gassl.agat import AgatSizes, Width, draw_agat
+from detectors.gassl.agat import draw_agat
 from detectors.gassl.ifsn import draw_ifsn
 from detectors.gassl.topology_matrix import build_batch
 from detectors.gassl.training import Fit, train
-from detectors.parameters import Count
+from detectors.parameters import Count, Lags
 from detectors.series import votes
 from detectors.series.designs import check_steps
 from usnet_env.arrays import Singles
+from usnet_env.config import Positive
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
+
+Width = Annotated[int, Field(ge=1, le=4096)]
 
 
 class Gassl(Detector):
@@ -49,20 +52,15 @@ class Gassl(Detector):
     top_k: Count = 1
     times: Literal["mean", "votes"] = "votes"
     steps: Annotated[int, Field(ge=0, le=1_000_000)] = 100
-    learning_rate: Annotated[float, Field(gt=0)] = 3e-3
-    query_hidden: int = 16
-    query: int = 8
-    key: int = 8
-    similarity_hidden: tuple[int, int] = (16, 8)
+    learning_rate: Positive = 3e-3
+    query_hidden: Width = 16
+    query: Width = 8
+    key: Width = 8
+    similarity_hidden: tuple[Width, Width] = (16, 8)
     ifsn_hidden: Width = 8
-    gain: float = 3.0
-    memory: int = 4
+    gain: Positive = 3.0
+    memory: Lags = 4
     implementation: Literal["compiled", "printed"] = "compiled"
-
-    def check_arguments(self) -> tuple[AgatSizes, Any]:
-        """Check every argument; return the widths of the AGAT, and all arguments."""
-        settings = super().check_arguments()
-        return settings.part(AgatSizes), settings
 
     def detect(self, window: Window) -> Detection:
         """Train on one window and name the candidates.
@@ -85,8 +83,7 @@ class Gassl(Detector):
 
     def draw_gamma(self, rng: np.random.Generator) -> Singles:
         """An initial Γ, ``(parameters,)``."""
-        agat, settings = self.check_arguments()
-        return draw_ifsn(6 * agat.attn_heads, settings.ifsn_hidden, rng)
+        return draw_ifsn(6 * (self.memory + 1), self.ifsn_hidden, rng)
 
     def fit_cluster(
         self, window: Window, members: NDArray[np.intp], gamma: Singles | None, rng: np.random.Generator
@@ -95,17 +92,15 @@ class Gassl(Detector):
 
         ``gamma`` is the Γ to begin with, such as the one that another cluster left; it is drawn for ``None``.
         """
-        agat, settings = self.check_arguments()
-        inputs, phi = build_batch(window, members, settings.memory), draw_agat(agat, len(members), rng)
+        inputs, phi = build_batch(window, members, self.memory), draw_agat(self, len(members), rng)
         gamma = self.draw_gamma(rng) if gamma is None else gamma
-        widths_and_descent = agat, settings.ifsn_hidden, settings.steps, settings.learning_rate
         if self.implementation == "compiled":
-            return train(inputs, phi, gamma, *widths_and_descent)
+            return train(inputs, phi, gamma, self)
         import torch  # an extra, which the compiled loops don't need
 
         from detectors.gassl.algorithm_1 import algorithm_1
 
-        return algorithm_1(inputs, torch.from_numpy(phi), torch.from_numpy(gamma), *widths_and_descent)
+        return algorithm_1(inputs, torch.from_numpy(phi), torch.from_numpy(gamma), self)
 
 
 def answer_cluster(

@@ -7,11 +7,11 @@ plain NumPy: that halves the compilation.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from detectors.gassl.agat import AgatSizes, attend, attend_backward
+from detectors.gassl.agat import attend, attend_backward, list_agat_shapes
 from detectors.gassl.ifsn import list_ifsn_shapes, predict, predict_backward, standardise
 from detectors.gassl.layers import view_arrays
 from detectors.gassl.topology_matrix import Inputs
@@ -83,20 +83,18 @@ def _share_votes(alpha: Singles) -> Singles:
     return np.ascontiguousarray(shares).sum(axis=0)
 
 
-def train(
-    inputs: Inputs, phi: Singles, gamma: Singles, agat: AgatSizes, ifsn: int, steps: int, learning_rate: float
-) -> Fit:
+def train(inputs: Inputs, phi: Singles, gamma: Singles, settings: Any) -> Fit:
     """Lines 1 to 7 of Algorithm 1; the arguments are those of :func:`detectors.gassl.algorithm_1.algorithm_1`.
 
     The initial Φ ``phi`` ``(n, parameters)`` and Γ ``gamma`` ``(parameters,)`` stay.
     """
-    uavs, rate = len(inputs.history), np.float32(learning_rate)
+    uavs, steps, rate = len(inputs.history), settings.steps, np.float32(settings.learning_rate)
     phi, gamma, d_phi, d_gamma = phi.copy(), gamma.copy(), np.empty_like(phi[0]), np.empty_like(gamma)
-    phi_shapes, gamma_shapes = agat.shapes(), list_ifsn_shapes(inputs.entries, ifsn)
+    phi_shapes, gamma_shapes = list_agat_shapes(settings), list_ifsn_shapes(inputs.entries, settings.ifsn_hidden)
     gamma_arrays = view_arrays(gamma, gamma_shapes)
     gradients = view_arrays(d_phi, phi_shapes), view_arrays(d_gamma, gamma_shapes)
     loss, explained = np.zeros((uavs, steps), np.float32), np.zeros(uavs, np.float32)
-    attn_heads, votes = np.zeros((uavs, agat.attn_heads, uavs), np.float32), np.zeros((uavs, uavs), np.float32)
+    attn_heads, votes = np.zeros((uavs, settings.memory + 1, uavs), np.float32), np.zeros((uavs, uavs), np.float32)
     with np.errstate(over="ignore", invalid="ignore"):  # where beta is too large, the loss overflows
         for i in range(uavs):  # line 1
             uav_inputs, phi_arrays = inputs.of(i), view_arrays(phi[i], phi_shapes)

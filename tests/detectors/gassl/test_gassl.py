@@ -7,9 +7,9 @@ from single_cluster_windows import cluster, clusters, detect_each, rate
 from synthetic_windows import answer
 
 from detectors.gassl import Gassl
-from detectors.gassl.agat import AgatSizes, draw_agat
+from detectors.gassl.agat import draw_agat, list_agat_shapes
 from detectors.gassl.algorithm_1 import algorithm_1, find_loss
-from detectors.gassl.ifsn import draw_ifsn, list_ifsn_shapes
+from detectors.gassl.ifsn import list_ifsn_shapes
 from detectors.gassl.layers import view_arrays
 from detectors.gassl.topology_matrix import build_batch
 from detectors.gassl.training import compute_gradient, train
@@ -80,7 +80,6 @@ def test_a_learning_rate_that_overflows_gives_even_attention():
 #: widths that all differ, so that no two axes can be confused
 ODD = {"query_hidden": 7, "query": 5, "key": 6, "similarity_hidden": (9, 3)}
 
-RATE = 3e-3
 CASES = [
     {"followers": 3},
     {"followers": 5, "miss_rate": 0.3, "widths": ODD, "hidden": 11},
@@ -90,12 +89,13 @@ CASES = [
 
 
 def problem(followers, memory=4, miss_rate=0.0, widths=None, hidden=8, steps=14, seed=0):
-    """Inputs of a small window, and initial networks: ``(inputs, phi, gamma, agat, ifsn)``."""
+    """Inputs of a small window, initial networks, and the settings: ``(inputs, phi, gamma, settings)``."""
     window, _ = cluster(seed, follow="f6", followers=followers, miss_rate=miss_rate, observation_steps=steps)
     assert bool(miss_rate) == (not window.seen.all())
     inputs = build_batch(window, np.arange(window.uavs), memory)
-    agat, ifsn, rng = AgatSizes(memory=memory, **widths or {}), hidden, np.random.default_rng(seed)
-    return inputs, draw_agat(agat, len(inputs.history), rng), draw_ifsn(inputs.entries, ifsn, rng), agat, ifsn
+    settings = Gassl(memory=memory, ifsn_hidden=hidden, steps=6, **widths or {})
+    rng = np.random.default_rng(seed)
+    return inputs, draw_agat(settings, len(inputs.history), rng), settings.draw_gamma(rng), settings
 
 
 def doubles(*arrays):
@@ -104,15 +104,15 @@ def doubles(*arrays):
 
 @pytest.mark.parametrize("case", CASES)
 def test_the_compiled_loss_and_gradients_are_those_of_the_readable_loss(case):
-    inputs, phi, gamma, agat, ifsn = problem(**case)
+    inputs, phi, gamma, settings = problem(**case)
     for i in (0, len(inputs.history) - 1):
-        networks = (phi[i], agat.shapes()), (gamma, list_ifsn_shapes(inputs.entries, ifsn))
+        networks = (phi[i], list_agat_shapes(settings)), (gamma, list_ifsn_shapes(inputs.entries, settings.ifsn_hidden))
         gradients = [np.empty_like(flat) for flat, _ in networks]
         arrays = (view_arrays(flat, shapes) for flat, shapes in networks)
         into = (view_arrays(flat, shapes) for flat, (_, shapes) in zip(gradients, networks, strict=True))
         found = compute_gradient(*arrays, inputs.of(i), *into)
         phi_i, of_all = doubles(phi[i], gamma)
-        loss, _ = find_loss(inputs, i, phi_i, of_all, agat, ifsn)
+        loss, _ = find_loss(inputs, i, phi_i, of_all, settings)
         assert found == pytest.approx(loss.item(), rel=1e-4)
         for got, expected in zip(gradients, torch.autograd.grad(loss, (phi_i, of_all)), strict=True):
             largest = float(expected.abs().max())
@@ -122,9 +122,9 @@ def test_the_compiled_loss_and_gradients_are_those_of_the_readable_loss(case):
 
 @pytest.mark.parametrize("case", CASES[:2])
 def test_a_compiled_run_is_the_readable_run(case):
-    inputs, phi, gamma, agat, ifsn = problem(**case)
-    fast = train(inputs, phi, gamma, agat, ifsn, 6, RATE)
-    slow = algorithm_1(inputs, torch.from_numpy(phi), torch.from_numpy(gamma), agat, ifsn, 6, RATE)
+    inputs, phi, gamma, settings = problem(**case)
+    fast = train(inputs, phi, gamma, settings)
+    slow = algorithm_1(inputs, torch.from_numpy(phi), torch.from_numpy(gamma), settings)
     np.testing.assert_allclose(fast.attn_heads, slow.attn_heads, atol=1e-4)
     np.testing.assert_allclose(fast.gamma, slow.gamma, atol=1e-4)
     np.testing.assert_allclose(fast.loss, slow.loss, rtol=1e-3)
