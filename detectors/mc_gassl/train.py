@@ -129,7 +129,8 @@ def train_meta(
         raise ArgumentError(
             f"episodes must be at least the {len(losses)} of the checkpoint in out, got {training.episodes}."
         )
-    parameters, metric = read_parameters(arrays) if arrays else _draw_start(training), training.part(Metric)
+    parameters = read_parameters(arrays) if arrays else _draw_start(training)
+    take_step = take_meta_step if training.method == "meta" else take_joint_step
     tasks, strategies = [], range(training.strategies)
     for windows in map_tasks(partial(_draw_windows, training), strategies, workers=workers, backend=backend):
         tasks.append(_make_task(training, windows))
@@ -137,11 +138,7 @@ def train_meta(
     while len(losses) < training.episodes:
         generator = _make_generator(training, _EPISODE, len(losses))  # of this episode
         task = tasks[int(torch.randint(len(tasks), (), generator=generator))]
-        if training.method == "meta":
-            rates = training.inner_rate, training.outer_rate
-            parameters, loss = take_meta_step(parameters, task, metric, *rates, generator)
-        else:
-            parameters, loss = take_joint_step(parameters, task, metric, training.outer_rate, generator)
+        parameters, loss = take_step(parameters, task, training, generator)
         losses.append(loss)
         if len(losses) % checkpoint_every == 0 or len(losses) == training.episodes:
             checkpoint.write(parameters._asdict(), losses)
@@ -153,14 +150,14 @@ def train_meta(
 
 def _measure_losses(training: MetaTraining, parameters: GruParameters, losses: list[float]) -> dict[str, Any]:
     """The loss at the beginning and end, and on strategies that were not trained on, beside the random start's."""
-    count, metric = max(1, min(500, len(losses) // 2)), training.part(Metric)
+    count = max(1, min(500, len(losses) // 2))
     swarms = [draw_task(training, number, _HELD_OUT).query for number in range(_HELD_OUT_TASKS)]
 
     def measure(weights: GruParameters) -> float:
         generators = (_make_generator(training, _MEASURE, number) for number in range(_HELD_OUT_TASKS))
         with torch.no_grad():
             pairs = zip(swarms, generators, strict=True)
-            return float(np.mean([float(compute_batch_loss(weights, *swarm, metric, rng)) for swarm, rng in pairs]))
+            return float(np.mean([float(compute_batch_loss(weights, *swarm, training, rng)) for swarm, rng in pairs]))
 
     return {
         "episodes_averaged": count,

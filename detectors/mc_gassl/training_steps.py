@@ -6,7 +6,7 @@ that they can be compared: one strategy's support and query swarm. On-line train
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -54,30 +54,25 @@ class Task(NamedTuple):
 
 
 def take_meta_step(
-    parameters: GruParameters,
-    task: Task,
-    metric: Metric,
-    inner_rate: float,
-    outer_rate: float,
-    generator: torch.Generator,
+    parameters: GruParameters, task: Task, training: Any, generator: torch.Generator
 ) -> tuple[GruParameters, float]:
-    """One episode, equations (35) and (36), first order; the rates are alpha and beta.
+    """One episode, equations (35) and (36), first order; of the ``training`` the metric, alpha and beta are used.
 
     The temporary parameters are Pi = W - alpha grad L_S(W); then W loses beta grad L_Q(Pi), the gradient with respect
     to Pi. The paper writes one rate for both steps where its text names two. The result is the new W, and L_Q(Pi).
     """
     trained = parameters.trainable()
-    support = compute_batch_loss(trained, *task.support, metric, generator)
-    temporary = descend(trained, support, trained, inner_rate).trainable()
-    query = compute_batch_loss(temporary, *task.query, metric, generator)
-    return descend(parameters, query, temporary, outer_rate), float(query.detach())
+    support = compute_batch_loss(trained, *task.support, training, generator)
+    temporary = descend(trained, support, trained, training.inner_rate).trainable()
+    query = compute_batch_loss(temporary, *task.query, training, generator)
+    return descend(parameters, query, temporary, training.outer_rate), float(query.detach())
 
 
 def take_joint_step(
-    parameters: GruParameters, task: Task, metric: Metric, outer_rate: float, generator: torch.Generator
+    parameters: GruParameters, task: Task, training: Any, generator: torch.Generator
 ) -> tuple[GruParameters, float]:
     """One episode of joint training: W less beta times the gradient of the mean of L_S(W) and L_Q(W); and L_Q(W)."""
     trained = parameters.trainable()
-    support = compute_batch_loss(trained, *task.support, metric, generator)
-    query = compute_batch_loss(trained, *task.query, metric, generator)
-    return descend(parameters, 0.5 * (support + query), trained, outer_rate), float(query.detach())
+    support = compute_batch_loss(trained, *task.support, training, generator)
+    query = compute_batch_loss(trained, *task.query, training, generator)
+    return descend(parameters, 0.5 * (support + query), trained, training.outer_rate), float(query.detach())

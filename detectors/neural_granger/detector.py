@@ -49,6 +49,7 @@ class NeuralGranger(Detector):
     """
 
     tags = Tags(needs=("torch",), most_uavs=10_000, least_steps=5, needs_unit_speed=True)
+
     top_k: Count = 1
     gate: bool = False
     gate_threshold: NonNegative = 0.5
@@ -76,7 +77,7 @@ class NeuralGranger(Detector):
             (bool), whether it reaches it. With fewer than 3 living UAVs, or where no velocity was seen, ``top_k``
             living UAVs are named at random (none with the gate) and all scores are 0.
         """
-        settings, living = self.check_arguments(), np.flatnonzero(window.alive)
+        living = np.flatnonzero(window.alive)
         check_steps(window, self.memory)
         if not shows_evidence(window, living):
             candidates = name_at_random(living, 0 if self.gate else self.top_k, window.uavs, self.rng)
@@ -84,7 +85,7 @@ class NeuralGranger(Detector):
         automatic = "cuda" if torch.cuda.is_available() else "cpu"
         device = torch.device(automatic if self.device == "auto" else self.device)
         generator = torch.Generator(device).manual_seed(int(self.rng.integers(2**63)))
-        fit = fit_networks(build_samples(window, living, self.memory, device), settings, generator)
+        fit = fit_networks(build_samples(window, living, self.memory, device), self, generator)
         second_gain = fit.held_out_gain.sort(dim=0, descending=True).values[1]
         attention, gain = (part.double().cpu().numpy() for part in (fit.attention, second_gain))
         choice, other_choice = choose_heads(attention, False, self.rng), choose_heads(attention, True, self.rng)

@@ -19,7 +19,7 @@ from detectors.weights import read_arrays
 from usnet_env.config import ArgumentError
 
 # Every hinge is far from its kink, so that differences are derivatives; the triplets don't depend on the weights.
-SMOOTH = Metric(margin=5.0, times=3, anchors=10)
+SMOOTH = MetaTraining(margin=5.0, times=3, anchors=10, inner_rate=0.3, outer_rate=0.2)
 
 
 def task(seed=0):
@@ -70,7 +70,7 @@ def test_the_meta_step_is_equations_35_and_36_to_first_order():
     support, query = losses_of(drawn, SMOOTH, generator(5))
     temporary = less(at, 0.3, numerical_gradient(support, at))
     want = less(at, 0.2, numerical_gradient(query, temporary))
-    found, loss = take_meta_step(at, drawn, SMOOTH, 0.3, 0.2, generator(5))
+    found, loss = take_meta_step(at, drawn, SMOOTH, generator(5))
     assert_equal_parameters(found, want, 1e-7)
     assert loss == pytest.approx(float(query(temporary)), abs=1e-7)
     # neither a plain step from W, nor one from the temporary parameters, nor the whole derivative through both steps

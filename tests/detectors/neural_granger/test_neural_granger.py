@@ -67,10 +67,6 @@ def samples_of(seed=0, memory=4, **arguments):
     return training.build_samples(window, np.arange(window.uavs), memory, CPU), window, head
 
 
-def settings(**arguments):
-    return NeuralGranger(**arguments).check_arguments()
-
-
 @pytest.mark.parametrize("memory", [2, 4])
 def test_samples_follow_the_index_convention(memory):
     one, window, _ = samples_of(memory=memory, miss_rate=0.2)
@@ -120,7 +116,7 @@ def literal_error(network, problem, i, j, times):
 @pytest.mark.parametrize("entries", [4_000_000, 1])
 def test_errors_of_all_pairs(monkeypatch, entries):
     monkeypatch.setattr(training, "_CHUNK_ENTRIES", entries)
-    problem = training.Problem(samples_of(follow="f6", miss_rate=0.1)[0], settings())
+    problem = training.Problem(samples_of(follow="f6", miss_rate=0.1)[0], NeuralGranger())
     network = training.AdditiveNetwork.draw(4, 12, 6, torch.Generator().manual_seed(0))
     for parameter in (*network.weights, *network.free):
         parameter.data += 0.3 * torch.randn(parameter.shape, generator=torch.Generator().manual_seed(1))
@@ -131,8 +127,8 @@ def test_errors_of_all_pairs(monkeypatch, entries):
 
 
 def test_noise_on_the_sources_is_a_share_of_the_error_of_the_null_model():
-    smooth = training.Problem(samples_of(follow="none", mobility="gauss_markov")[0], settings())
-    random = training.Problem(samples_of(follow="none")[0], settings())
+    smooth = training.Problem(samples_of(follow="none", mobility="gauss_markov")[0], NeuralGranger())
+    random = training.Problem(samples_of(follow="none")[0], NeuralGranger())
     assert smooth.noise.mean() < 0.7 * random.noise.mean()
     np.testing.assert_allclose(random.noise, 0.2, atol=0.04)  # unit variance after scaling, nothing predicted
     assert not training.Problem(samples_of()[0], SimpleNamespace(ridge=1.0, input_noise=0.0)).noise.any()
