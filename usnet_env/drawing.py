@@ -22,7 +22,7 @@ from usnet_env.arrays import Floats, Indices, Mask, Singles
 from usnet_env.config import MissingExtraError, how_to_install, instance_of
 from usnet_env.detection import Detection
 from usnet_env.files import atomic_write
-from usnet_env.objectives import find_roots
+from usnet_env.objectives import find_candidates
 from usnet_env.window import Window
 
 if TYPE_CHECKING:
@@ -202,11 +202,8 @@ def plot_detection(detection: Detection, window: Window) -> Figure:
     """
     instance_of("detection", detection, Detection)
     instance_of("window", window, Window)
-    root = np.full(window.uavs, -1) if detection.leader is None else find_roots(detection.leader)
-    heads, no_decoys = np.flatnonzero(detection.candidates), np.zeros(window.uavs, bool)
-    root = np.where(np.isin(root, heads), root, -1)
-    root[heads] = heads
-    return draw_round(window.position, window.seen, window.alive, detection.candidates, root, no_decoys)
+    head, root, no_decoys = detection.candidates, find_candidates(detection), np.zeros(window.uavs, bool)
+    return draw_round(window.position, window.seen, window.alive, head, root, no_decoys)
 
 
 def draw_round(

@@ -186,6 +186,12 @@ def find_roots(leader: ArrayLike) -> Indices:
     return np.where(is_end[root], root, -1)
 
 
+def find_candidates(detection: Detection) -> Indices:
+    """``(N,)``: the candidate that each UAV follows by an answer; a candidate has its own index, -1: none."""
+    root = find_roots(detection.list_leaders())
+    return np.where((root >= 0) & detection.candidates[root], root, -1)
+
+
 def list_followers(detection: Detection, head: int) -> list[int]:
     """Indices of those that follow a head, directly or through others; without leaders, those in its cluster.
 

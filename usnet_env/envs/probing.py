@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from gymnasium import spaces
@@ -16,10 +16,10 @@ from usnet_env.config import ArgumentError, list_arguments, quote, takes_argumen
 from usnet_env.envs import game
 from usnet_env.envs.batch import WINDOW, SwarmGames
 from usnet_env.envs.distribution import DistributionArguments, EpisodeSampler
-from usnet_env.envs.usnet import INFO, OBSERVATION, OutputArguments, UsnetEnv
+from usnet_env.envs.usnet import INFO, OBSERVATION, ClusterArguments, UsnetEnv
 from usnet_env.envs.vector import UsnetVectorEnv
 from usnet_env.swarm import SwarmConfig
-from usnet_env.swarm.config import Count, MobilityArguments, Price, SensorArguments, SwarmArguments
+from usnet_env.swarm.config import Count, Price
 from usnet_env.swarm.flight import fly_steps
 from usnet_env.swarm.kinematics import Avoidance
 from usnet_env.swarm.sensing import sense
@@ -29,14 +29,9 @@ MARGIN = 1.0  # by which the score of a name exceeds all others in a flat action
 Positive = Annotated[float, Field(gt=0, le=1000)]
 
 
-class ProbingArguments(OutputArguments, SensorArguments, MobilityArguments, SwarmArguments):
+class ProbingArguments(ClusterArguments):
     """The arguments of :class:`ProbingEnv`."""
 
-    instead: ClassVar[Mapping[str, str]] = dict.fromkeys(
-        ("clusters", "uavs", "cluster_sizes"), "there is one cluster; its size is 'followers'"
-    )
-
-    followers: Annotated[int, Field(ge=2, le=90_000)] = Field(15, description="m, number of followers, at least 2")
     formation: str = Field(
         "gathered", description="initial positions: ``gathered`` in a ball of 60 m, ``around`` heads, or ``uniform``"
     )

@@ -58,22 +58,18 @@ class OutputArguments(game.RenderArguments):
     )
 
 
-class SingleClusterArguments(
-    DistributionArguments,
-    OutputArguments,
-    game.ShotArguments,
-    SensorArguments,
-    BystanderArguments,
-    MobilityArguments,
-    SwarmArguments,
-):
-    """The arguments of :class:`SingleClusterEnv`."""
+class ClusterArguments(OutputArguments, SensorArguments, MobilityArguments, SwarmArguments):
+    """The arguments of environments with one cluster."""
 
     instead: ClassVar[Mapping[str, str]] = dict.fromkeys(
         ("clusters", "uavs", "cluster_sizes"), "there is one cluster; its size is 'followers'"
     )
 
     followers: Annotated[int, Field(ge=2, le=90_000)] = Field(15, description="m, number of followers, at least 2")
+
+
+class SingleClusterArguments(DistributionArguments, game.ShotArguments, BystanderArguments, ClusterArguments):
+    """The arguments of :class:`SingleClusterEnv`."""
 
 
 class MultiClusterArguments(DistributionArguments, OutputArguments, game.RoundArguments, SwarmConfig):

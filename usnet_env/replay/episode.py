@@ -17,7 +17,7 @@ from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection
 from usnet_env.drawing import last_seen_position
 from usnet_env.files import as_path, atomic_write, describe_fault
-from usnet_env.objectives import find_roots, hits_and_redundant
+from usnet_env.objectives import find_candidates, hits_and_redundant
 from usnet_env.provenance import versions
 from usnet_env.window import Window
 
@@ -60,12 +60,6 @@ def _list_reasons(answer: Detection) -> dict[str, str]:
     """The sentences of ``extras["reasons"]`` by the UAVs of ``extras["heads"]``."""
     heads, reasons = answer.extras.get("heads", ()), answer.extras.get("reasons", ())
     return {str(int(i)): str(reason) for i, reason in zip(heads, reasons, strict=False)}
-
-
-def _find_roots(answer: Detection) -> Indices:
-    """``(N,)``: the candidate that each UAV follows by the answer; a candidate has its own index, -1: none."""
-    root = find_roots(answer.list_leaders())
-    return np.where((root >= 0) & answer.candidates[root], root, -1)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -197,7 +191,7 @@ class EpisodeRecord:
             "labelled": truths is not None,
         }
         if truths is None:
-            arrays |= {"alive": [window.alive for window in windows], "root": [_find_roots(each) for each in answers]}
+            arrays |= {"alive": [window.alive for window in windows], "root": [*map(find_candidates, answers)]}
             arrays |= {"head": candidates.any(axis=0), "decoy": np.zeros(candidates.shape[1], bool)}
             arrays |= {"objective": np.zeros(rounds), "over_budget": np.ones(rounds, bool)}
         else:

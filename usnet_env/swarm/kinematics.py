@@ -256,7 +256,7 @@ def _accept_kinematics(model: Any, subject: str = "model") -> Kinematics:
     return model
 
 
-_BUILT_IN = {"unit": Unit(), "varied_speed": VariedSpeed(), "lagged": Lagged()}
+_BUILT_IN: dict[str, Kinematics] = {"unit": Unit(), "varied_speed": VariedSpeed(), "lagged": Lagged()}
 _BUILT_IN |= {"limited": Limited(), "layered": Layered()}
 
 #: All kinematics models by name.

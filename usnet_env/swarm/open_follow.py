@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from typing import NamedTuple
 
@@ -138,16 +139,10 @@ def _copy_large_turns(constants: Constants, moment: Moment) -> Floats:
     return np.where(turned > 0.01 + 0.05 * constants.sharpness, moment.heard, moment.velocity)
 
 
-def _turn_alike(constants: Constants, moment: Moment) -> Floats:
-    """The own course, turned about the axis about which the head turned."""
+def _turn(sign: float, constants: Constants, moment: Moment) -> Floats:
+    """The own course, turned about the axis about which the head turned, as the head or against its turn."""
     turn = np.cross(np.cross(moment.before, moment.heard), moment.velocity)
-    return moment.velocity + (0.5 + constants.sharpness) * turn
-
-
-def _turn_against(constants: Constants, moment: Moment) -> Floats:
-    """The own course, turned against the head's turn."""
-    turn = np.cross(np.cross(moment.before, moment.heard), moment.velocity)
-    return moment.velocity - (0.5 + constants.sharpness) * turn
+    return moment.velocity + sign * (0.5 + constants.sharpness) * turn
 
 
 def _pursue_ahead(constants: Constants, moment: Moment) -> Floats:
@@ -198,8 +193,8 @@ DELAYS: dict[str, Callable[[Constants, Singles, Floats], Floats]] = {
     "late": _hear_late, "by distance": _hear_by_distance, "with memory": _hear_with_memory
 }  # fmt: skip
 RESPONSES: dict[str, Callable[[Constants, Moment], Floats]] = {
-    "copies": _copy, "copies large turns": _copy_large_turns, "turns alike": _turn_alike,
-    "turns against": _turn_against, "pursues ahead": _pursue_ahead, "keeps a zone": _keep_zone,
+    "copies": _copy, "copies large turns": _copy_large_turns, "turns alike": partial(_turn, 1.0),
+    "turns against": partial(_turn, -1.0), "pursues ahead": _pursue_ahead, "keeps a zone": _keep_zone,
     "answers changes": _answer_changes,
 }  # fmt: skip
 DISTORTIONS: dict[str, Callable[[Constants, Floats], tuple[Floats, Floats]]] = {

@@ -71,8 +71,7 @@ def sense(
     uavs, alive = alive.shape[1], np.repeat(alive, observers_each, axis=0)
     seen = np.empty((len(alive), len(range(first, position.shape[1], k)), uavs), bool)
     seen[:] = alive[:, None]
-    faults = {key: _has_faults(sensor) for key, sensor in dict(zip(map(id, configs), configs, strict=True)).items()}
-    faulty = [r for r, sensor in enumerate(configs) if faults[id(sensor)]] if any(faults.values()) else []
+    faulty = [r for r, sensor in enumerate(configs) if _has_faults(sensor)]
     if k == 1 and reach is None and not faulty:
         return ObservationBatch(position[:, first:, :uavs], velocity[:, first:, :uavs], seen, alive)
     observers, instants = seen.shape[:2]
