@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.base import Detector
-from detectors.parameters import Count, Lags, check_clusters
+from detectors.parameters import Count, Lags
 from detectors.series.designs import centre_past, count_lags, shift_in_time
 from detectors.series.regressions import explain_beyond_own_past, explain_pairs, whiten
 from detectors.series.votes import Evidence, adjust_shares, detection_from_evidence, rank_uavs
 from usnet_env.arrays import Mask
+from usnet_env.config import ArgumentError
 from usnet_env.detection import Detection, Tags
 from usnet_env.series import centre_columns, correlate_over_lags, scale_to_unit
 from usnet_env.window import Window
@@ -53,7 +54,8 @@ class EvidenceDetector(Detector):
             Candidates (at least one if a UAV is alive), scores (sums of weighted votes), clusters, leader, and
             attention (the evidence, clipped at 0).
         """
-        check_clusters(window, self.clusters)
+        if self.clusters is not None and self.clusters > window.uavs:
+            raise ArgumentError(f"clusters must be at most the number of UAVs, {window.uavs}, got {self.clusters}.")
         living = np.flatnonzero(window.alive)
         evidence = self.evidence(window.velocity[:, living], window.velocity_seen[:, living])
         return detection_from_evidence(evidence, window.alive, self.clusters, window.round == 1, self.rng)

@@ -11,9 +11,8 @@ from typing import Annotated, Any, ClassVar, Self, dataclass_transform
 
 from pydantic import Field, create_model
 
-from usnet_env.config import ArgumentError, Config
+from usnet_env.config import Config
 from usnet_env.config import Count as Count  # for the detectors
-from usnet_env.window import Window
 
 Lags = Annotated[int, Field(ge=1, le=1000)]  # a number of samples of the past
 
@@ -81,9 +80,3 @@ def _make_config(owner: Any) -> type[Config]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # an argument may have the name of a method of pydantic's
         return create_model(owner.__name__, __base__=Config, **declared)
-
-
-def check_clusters(window: Window, clusters: int | None) -> None:
-    """Refuse more clusters than the window has UAVs."""
-    if clusters is not None and clusters > window.uavs:
-        raise ArgumentError(f"clusters must be at most the number of UAVs, {window.uavs}, got {clusters}.")

@@ -74,9 +74,3 @@ class Checkpoint:
                 f"{quote(str(self._path))}."
             )
         return arrays, arrays["losses"].tolist()
-
-
-def write_losses(folder: Path, step: str, losses: Sequence[float]) -> None:
-    """Write ``losses.csv`` atomically: the loss of each step, from 1; ``step`` is the heading of their numbers."""
-    lines = [f"{step},loss", *(f"{number},{loss}" for number, loss in enumerate(losses, start=1))]
-    write_text(folder / "losses.csv", "\n".join(lines) + "\n")

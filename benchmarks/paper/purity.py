@@ -51,8 +51,7 @@ def make_features(name: str) -> Any:
     """The argument ``features`` of a clusterer."""
     if name != "gru-single":
         return name
-    from detectors.mc_gassl.features import compute_gru_features  # they need PyTorch
-    from detectors.mc_gassl.gru import load_meta_weights
+    from detectors.mc_gassl.gru import compute_gru_features, load_meta_weights  # they need PyTorch
 
     return partial(compute_gru_features, parameters=load_meta_weights())
 

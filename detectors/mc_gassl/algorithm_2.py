@@ -18,8 +18,7 @@ from detectors.gassl.detector import answer_cluster
 from detectors.gassl.ifsn import compute_pair_losses, list_ifsn_shapes, standardise
 from detectors.gassl.layers import view_arrays
 from detectors.gassl.topology_matrix import Inputs, build_batch
-from detectors.mc_gassl.features import make_inputs
-from detectors.mc_gassl.gru import GruParameters
+from detectors.mc_gassl.gru import GruParameters, make_inputs
 from detectors.mc_gassl.training_steps import train_online
 from detectors.mc_gassl.triplet import Metric
 from detectors.series.votes import scatter_to_swarm, select_top, shows_evidence

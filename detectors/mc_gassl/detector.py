@@ -14,8 +14,7 @@ from detectors.base import Detector
 from detectors.clustering import CLUSTERERS, make_clusterer
 from detectors.gassl import Gassl
 from detectors.mc_gassl.algorithm_2 import run_round
-from detectors.mc_gassl.features import compute_gru_features
-from detectors.mc_gassl.gru import GruParameters, draw_parameters, load_meta_weights
+from detectors.mc_gassl.gru import GruParameters, compute_gru_features, draw_parameters, load_meta_weights
 from detectors.parameters import Count, Lags
 from detectors.series.designs import check_steps
 from detectors.series.votes import name_at_random, shows_evidence

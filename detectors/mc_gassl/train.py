@@ -16,15 +16,14 @@ import numpy as np
 import torch
 from pydantic import Field
 
-from detectors.mc_gassl.features import make_inputs
-from detectors.mc_gassl.gru import GruParameters, draw_parameters, read_parameters
+from detectors.mc_gassl.gru import GruParameters, draw_parameters, make_inputs, read_parameters
 from detectors.mc_gassl.training_steps import Clustered, Task, take_joint_step, take_meta_step
 from detectors.mc_gassl.triplet import Metric, compute_batch_loss
-from detectors.weights import Checkpoint, write_losses, write_weights
+from detectors.weights import Checkpoint, write_weights
 from usnet_env.arrays import Indices
 from usnet_env.config import ArgumentError, Positive
 from usnet_env.evaluation.run import map_tasks
-from usnet_env.files import reserve_folder
+from usnet_env.files import reserve_folder, write_text
 from usnet_env.swarm import SwarmConfig, advance, start
 from usnet_env.swarm.random_follow import random_follow_strategy
 from usnet_env.window import Window
@@ -143,7 +142,8 @@ def train_meta(
         if len(losses) % checkpoint_every == 0 or len(losses) == training.episodes:
             checkpoint.write(parameters._asdict(), losses)
             progress(training.strategies + len(losses), total)
-    write_losses(folder, "episode", losses)
+    lines = [f"{number},{loss}\n" for number, loss in enumerate(losses, start=1)]
+    write_text(folder / "losses.csv", "episode,loss\n" + "".join(lines))
     path, metrics = folder / f"{training.method}.safetensors", _measure_losses(training, parameters, losses)
     return write_weights(path, parameters._asdict(), training.model_dump(mode="json"), metrics)
 
