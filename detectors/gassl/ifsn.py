@@ -62,8 +62,9 @@ def standardise(values):
 
 
 @compiled(inner=True)
-def _run_hidden_layers(h1, second, second_bias, third, third_bias, output, output_bias, h2, h3, predicted):
+def _run_hidden_layers(gamma, h1, h2, h3, predicted):
     """All layers after the first affine one, in place."""
+    second, second_bias, third, third_bias, output, output_bias = gamma[2:]
     tanh_in_place(h1)
     affine(h1, second, second_bias, h2)
     tanh_in_place(h2)
@@ -75,13 +76,11 @@ def _run_hidden_layers(h1, second, second_bias, third, third_bias, output, outpu
 @compiled()
 def predict(gamma, inputs):
     """v̂_{i,t+1} ``(R, 3)`` of standardised inputs ``(R, d)``, and the three hidden layers; ``gamma`` are Γ's arrays."""
-    times = len(inputs)
-    first, first_bias, second, second_bias, third, third_bias, output, output_bias = gamma
-    width = second.shape[0]
-    h1 = np.empty((times, width), np.float32)
-    h2, h3, predicted = np.empty_like(h1), np.empty_like(h1), np.empty((times, 3), np.float32)
+    first, first_bias = gamma[:2]
+    h1 = np.empty((len(inputs), len(first_bias)), np.float32)
+    h2, h3, predicted = np.empty_like(h1), np.empty_like(h1), np.empty((len(inputs), 3), np.float32)
     affine(inputs, first, first_bias, h1)
-    _run_hidden_layers(h1, second, second_bias, third, third_bias, output, output_bias, h2, h3, predicted)
+    _run_hidden_layers(gamma, h1, h2, h3, predicted)
     return predicted, h1, h2, h3
 
 
@@ -121,8 +120,7 @@ def compute_pair_losses(gamma, own, source, target, weight):
     ``(n, n)``: row i, column i'.
     """
     uavs, times, own_entries = own.shape
-    first, first_bias, second, second_bias, third, third_bias, output, output_bias = gamma
-    width = first.shape[1]
+    (first, first_bias), width = gamma[:2], len(gamma[1])
     from_own, from_source = np.empty((uavs, times, width), np.float32), np.empty((uavs, times, width), np.float32)
     no_bias = np.zeros(width, np.float32)
     for i in range(uavs):
@@ -134,7 +132,7 @@ def compute_pair_losses(gamma, own, source, target, weight):
     for i in range(uavs):
         for j in range(uavs):
             np.add(from_own[i], from_source[j], h1)
-            _run_hidden_layers(h1, second, second_bias, third, third_bias, output, output_bias, h2, h3, predicted)
+            _run_hidden_layers(gamma, h1, h2, h3, predicted)
             total = _ZERO
             for t in range(times):
                 for c in range(3):
