@@ -13,7 +13,7 @@ from detectors.base import Detector
 from detectors.parameters import Count, Lags
 from detectors.series.designs import centre_past, count_lags, shift_in_time
 from detectors.series.regressions import explain_beyond_own_past, explain_pairs, whiten
-from detectors.series.votes import Evidence, adjust_shares, detection_from_evidence, rank_uavs
+from detectors.series.votes import Evidence, adjust_shares, cover_voters, rank_uavs
 from usnet_env.arrays import Mask
 from usnet_env.config import ArgumentError
 from usnet_env.detection import Detection, Tags
@@ -50,15 +50,37 @@ class EvidenceDetector(Detector):
     def detect(self, window: Window) -> Detection:
         """Name the heads of one window.
 
+        Each UAV votes for the UAV with the highest evidence in its row; the weight is the difference from its value by
+        chance, at least 0, so that of a head is about 0.
+
         Returns:
-            Candidates (at least one if a UAV is alive), scores (sums of weighted votes), clusters, leader, and
-            attention (the evidence, clipped at 0).
+            Candidates: in round 1 the UAVs with the M highest scores, if M is known; otherwise the heads of
+            :func:`detectors.series.votes.cover_voters`, or the UAV with the highest score if there are none. Scores are
+            the sums of the weights of the votes, clusters are numbered in the order of the heads' indices, and
+            attention is the evidence, clipped at 0.
         """
         if self.clusters is not None and self.clusters > window.uavs:
             raise ArgumentError(f"clusters must be at most the number of UAVs, {window.uavs}, got {self.clusters}.")
-        living = np.flatnonzero(window.alive)
+        uavs, living = window.uavs, np.flatnonzero(window.alive)
         evidence = self.evidence(window.velocity[:, living], window.velocity_seen[:, living])
-        return detection_from_evidence(evidence, window.alive, self.clusters, window.round == 1, self.rng)
+        scores, attention = np.zeros(uavs), np.zeros((uavs, uavs))
+        label, leader = np.full((2, uavs), -1, np.int64)
+        cover: list[int] = []
+        if evidence is not None:
+            weight = np.maximum(evidence.pairs.max(axis=1) - evidence.chance, 0.0)
+            scores += np.bincount(living[evidence.pairs.argmax(axis=1)], weight, uavs)
+            attention[np.ix_(living, living)] = np.maximum(evidence.pairs, 0.0)
+            cover = cover_voters(evidence, self.clusters)
+        ranking = rank_uavs(scores, window.alive, self.rng)
+        heads = living[cover] if cover else ranking[:1]
+        if self.clusters is not None and window.round == 1:
+            heads = ranking[: self.clusters]
+        heads = np.sort(heads)
+        if len(heads):
+            label[living] = attention[np.ix_(living, heads)].argmax(axis=1)
+            label[heads] = np.arange(len(heads))
+            leader[living] = heads[label[living]]
+        return Detection(np.isin(np.arange(uavs), heads), scores, label, leader, attention)
 
 
 class LaggedCorrelation(EvidenceDetector):

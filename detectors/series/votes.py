@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from detectors.series.designs import compute_chance
 from usnet_env.arrays import Floats, Indices, Mask
-from usnet_env.detection import Detection
 from usnet_env.series import find_middle
 from usnet_env.window import Window
 
@@ -161,37 +160,3 @@ def find_trees(lead: Floats, strength: Floats, threshold: float) -> tuple[Indice
             leader[i] = leaders[strength[i, leaders].argmax()]
             root[root == i] = root[leader[i]]
     return leader, root
-
-
-def detection_from_evidence(
-    evidence: Evidence | None, alive: Mask, clusters: int | None, first_round: bool, rng: np.random.Generator
-) -> Detection:
-    """Derive a detection from pairwise evidence among the living UAVs; ``None``: the window is too short.
-
-    Candidates are in the first round the UAVs with the ``clusters`` highest scores, if M is known; otherwise the heads
-    of :func:`cover_voters`, or the UAV with the highest score if there are none. Each UAV votes for the UAV with the
-    highest evidence in its row; the weight is the difference from its value by chance, at least 0, so that of a head
-    is about 0. A score is the sum of the weights of a UAV's votes; ``rng`` breaks ties. Clusters are numbered in the
-    order of the heads' indices; attention is the evidence, from 0.
-    """
-    uavs = len(alive)
-    living = np.flatnonzero(alive)
-    scores, attention = np.zeros(uavs), np.zeros((uavs, uavs))
-    label, leader = np.full((2, uavs), -1, np.int64)
-    cover: list[int] = []
-    if evidence is not None:
-        weight = np.maximum(evidence.pairs.max(axis=1) - evidence.chance, 0.0)
-        scores += np.bincount(living[evidence.pairs.argmax(axis=1)], weight, uavs)
-        attention[np.ix_(living, living)] = np.maximum(evidence.pairs, 0.0)
-        cover = cover_voters(evidence, clusters)
-
-    ranking = rank_uavs(scores, alive, rng)
-    heads = living[cover] if cover else ranking[:1]
-    if clusters is not None and first_round:
-        heads = ranking[:clusters]
-    heads = np.sort(heads)
-    if len(heads):
-        label[living] = attention[np.ix_(living, heads)].argmax(axis=1)
-        label[heads] = np.arange(len(heads))
-        leader[living] = heads[label[living]]
-    return Detection(np.isin(np.arange(uavs), heads), scores, label, leader, attention)

@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 from sklearn.linear_model import Ridge
 from synthetic_windows import window_of
 
-from detectors.lagged import Granger, LaggedCorrelation, LaggedRegression
+from detectors.lagged import EvidenceDetector, Granger, LaggedCorrelation, LaggedRegression
 from detectors.series.designs import centre_past
 from detectors.series.gaps import fill_gaps
 from detectors.series.regressions import explain_beyond_own_past, explain_pairs, whiten
-from detectors.series.votes import Evidence, choose_heads, count_votes, cover_voters, detection_from_evidence
+from detectors.series.votes import Evidence, choose_heads, count_votes, cover_voters
 from usnet_env.series import centre_columns
 
 
@@ -161,5 +161,10 @@ def test_a_head_needs_voters_that_no_other_head_explains():
     assert evidence.threshold == pytest.approx(0.15)
     assert (cover_voters(evidence), cover_voters(evidence, most=1)) == ([0, 4], [0])
     assert cover_voters(Evidence(surrogate, surrogate, spread=0.05)) == []
-    found = detection_from_evidence(evidence, np.ones(9, bool), None, False, np.random.default_rng(0))
+
+    class Voters(EvidenceDetector):
+        def evidence(self, velocity, seen):
+            return evidence
+
+    found = Voters().detect(window_of(np.zeros((7, 9, 3))))
     np.testing.assert_allclose(found.scores, [1.8, 0, 0.95, 0, 1.5, 0, 0, 0.9, 0])  # the weighted votes
