@@ -25,15 +25,19 @@ def _make_number(option: str, least: int, most: int, default: int, text: str) ->
     return click.Option([option], type=click.IntRange(least, most), default=default, show_default=True, help=text)
 
 
-def _add_training(name: str, made: str, module: str, settings: str, run: str, *options: click.Option) -> None:
-    """Add a command that trains by ``run(out, settings(**options), ...)`` of a module, and prints the path it made."""
+def _make_choice(option: str, choices: list[str], text: str) -> click.Option:
+    return click.Option([option], type=click.Choice(choices), default=choices[0], show_default=True, help=text)
+
+
+def _add_training(name: str, made: str, module: str, *options: click.Option) -> None:
+    """Add a command that calls ``train_name(out, NameTraining(**options), ...)`` of a module, and prints the path."""
 
     def call(out: str, resume: bool, workers: int, backend: str | None, **values: Any) -> None:
         reserve_folder(Path(out))  # before libraries that take seconds are imported
         training = import_module(module)
         with progress_bar("steps") as progress:
-            arguments = getattr(training, settings)(**values)
-            path = getattr(training, run)(out, arguments, progress, resume, workers=workers, backend=backend)
+            settings, run = getattr(training, f"{name.title()}Training"), getattr(training, f"train_{name}")
+            path = run(out, settings(**values), progress, resume, workers=workers, backend=backend)
         click.echo(str(path))
 
     shared = [
@@ -56,11 +60,7 @@ _add_training(
     "meta",
     "the GRU network of mc-gassl",
     "detectors.mc_gassl.train",
-    "MetaTraining",
-    "train_meta",
-    click.Option(
-        ["--method"], type=click.Choice(["meta", "joint"]), default="meta", show_default=True, help="Training method."
-    ),
+    _make_choice("--method", ["meta", "joint"], "Training method."),
     _make_number("--strategies", 1, 10**7, 100, "F, number of random follow strategies."),
     _make_number("--episodes", 1, 10**7, 10_000, "Number of episodes."),
 )
@@ -68,16 +68,10 @@ _add_training(
     "reader",
     "the network of the reader",
     "detectors.reader.train",
-    "ReaderTraining",
-    "train_reader",
-    click.Option(
-        ["--preset"], type=click.Choice(["minutes", "hours"]), default="minutes", show_default=True, help="How long."
-    ),
+    _make_choice("--preset", ["minutes", "hours"], "How long."),
     click.Option(["--start"], metavar="WEIGHTS", help="Weights to begin with, instead of random ones."),
     click.Option(["--without"], multiple=True, metavar="FAMILY", help="A family of the prior that is left out."),
-    click.Option(
-        ["--device"], type=click.Choice(["cpu", "cuda"]), default="cpu", show_default=True, help="Where it learns."
-    ),
+    _make_choice("--device", ["cpu", "cuda"], "Where it learns."),
 )
 
 

@@ -227,6 +227,3 @@ class Shifted(FieldStrategy):
         """Compiled loop of f2."""
         kappa = np.full(self.lags, KAPPA, np.float32)
         follow_kernels.fly_lags(kappa, False, np.float32(self.noise), flight.source, *flight.loop_arguments)
-
-
-Links, Kinds, Slots = CopyingStrategy, MixedStrategies, FormationSlots  # their names in version 0.1.0
