@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from itertools import count
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import gymnasium as gym
 import numpy as np
@@ -64,35 +64,42 @@ def detector_step(label: str, step: str) -> Iterator[None]:
         raise EvaluationError(f"detector {label!r} failed in {reason}.", reason) from error
 
 
-def play_episode(
-    env: gym.Env[Any, Any], agent: Agent, cell: str, label: str, episode: int, seeds: tuple[int, int]
-) -> Row:
+class Task(NamedTuple):
+    """An episode that is to be played; the ``seeds`` are those of :func:`episode_seeds`."""
+
+    cell: str
+    label: str
+    episode: int
+    seeds: tuple[int, int]
+
+
+def play_episode(env: gym.Env[Any, Any], agent: Agent, task: Task) -> Row:
     """Play one episode to its end, and return its row: the values of :data:`KEYS`, the metrics, and an empty ``error``.
 
-    The seeds are those of :func:`episode_seeds`. An exception of the agent is raised as an :class:`EvaluationError`.
+    An exception of the agent is raised as an :class:`EvaluationError`.
     """
     round_numbers = count(1)
 
     def answer_round(observation: Any) -> tuple[Detection, float]:
-        with detector_step(label, f"round {next(round_numbers)}"):
+        with detector_step(task.label, f"round {next(round_numbers)}"):
             return agent.answer(observation)
 
-    with detector_step(label, "its reset"):
-        agent.reset(seeds[1])
-    rounds = list(play_rounds(env, answer_round, seeds[0]))
+    with detector_step(task.label, "its reset"):
+        agent.reset(task.seeds[1])
+    rounds = list(play_rounds(env, answer_round, task.seeds[0]))
     first, game = rounds[0], cast(Any, env.unwrapped)
     fired = np.array([played.answer.candidates & (not played.info["over_budget"]) for played in rounds])
     return {
-        **row_keys(cell, label, episode, seeds, first.truth.head),
+        **row_keys(task, first.truth.head),
         **_episode_metrics(game.problem, first.truth, first.answer, fired, [played.seconds for played in rounds]),
         **(game.score_answer(first.answer.scores) if hasattr(game, "score_answer") else {}),
         "error": "",
     }
 
 
-def row_keys(cell: str, label: str, episode: int, seeds: tuple[int, int], head: Any) -> Row:
+def row_keys(task: Task, head: Any) -> Row:
     """What a row says of its episode, by the names of :data:`KEYS`; ``head`` is the mask of the heads."""
-    return dict(zip(KEYS, (cell, label, episode, *seeds, len(head), int(head.sum())), strict=True))
+    return dict(zip(KEYS, (*task[:3], *task.seeds, len(head), int(head.sum())), strict=True))
 
 
 def _episode_metrics(

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing
 from itertools import product
 from os import PathLike
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import gymnasium as gym
 from pydantic import Field
@@ -17,7 +17,7 @@ from usnet_env.evaluation.agents import TRIVIAL, Agent, DetectorAgent, label_det
 from usnet_env.evaluation.child import ChildDetector
 from usnet_env.evaluation.environments import make_environment
 from usnet_env.evaluation.folder import COLUMNS, RunFolder
-from usnet_env.evaluation.play import TRACK_METRICS, Row, detector_step, episode_seeds, play_episode, row_keys
+from usnet_env.evaluation.play import TRACK_METRICS, Row, Task, detector_step, episode_seeds, play_episode, row_keys
 from usnet_env.evaluation.result import EvaluationResult
 from usnet_env.evaluation.suites import Cell, Suite, load_suite
 from usnet_env.evaluation.tasks import EvaluationError, map_tasks
@@ -48,15 +48,6 @@ class RunArguments(Config):
         return self.isolate or self.time_limit is not None or self.memory_limit is not None
 
 
-class Task(NamedTuple):
-    """An episode that is to be played."""
-
-    cell: str
-    label: str
-    episode: int
-    seeds: tuple[int, int]
-
-
 class DetectorPlayer:
     """Plays tasks in one process, with the agent of one detector in one cell at a time, which is warmed up first."""
 
@@ -74,12 +65,12 @@ class DetectorPlayer:
                 self._prepare(task)
             if self._failure is not None:
                 raise self._failure
-            return play_episode(self._env, self._agent, *task)
+            return play_episode(self._env, self._agent, task)
         except EvaluationError as error:
             if isinstance(self._agent, ChildDetector) and not self._agent.running and self._failure is None:
                 self._agent_key = (task.cell, "")  # a new one is made, and warmed up as the first one was
             self._env.reset(seed=task.seeds[0])
-            return {**row_keys(*task, self._env.unwrapped.swarm.head), "error": error.reason}
+            return {**row_keys(task, self._env.unwrapped.swarm.head), "error": error.reason}
 
     def _prepare(self, task: Task) -> None:
         """Make the agent, and the environment if the cell is another one than before."""
