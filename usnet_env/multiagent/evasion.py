@@ -21,6 +21,7 @@ from usnet_env.swarm.config import Price
 from usnet_env.swarm.flight import JITTER, normalise
 from usnet_env.swarm.mobility import MOBILITIES
 from usnet_env.swarm.simulator import advance
+from usnet_env.swarm.state import find_each
 from usnet_env.swarm.strategy import TrajectoryBatch
 
 Most = Annotated[int, Field(ge=0, le=1000)]
@@ -147,14 +148,9 @@ class DelayedFollow(FollowStrategy):
         flight.velocity[...] = velocity[:, :, :uavs]
 
 
-def find_heads(state: SwarmState) -> Indices:
-    """The indices of the heads of each swarm, ``(B, M)``, destroyed or not."""
-    return np.asarray(np.nonzero(state.head)[1].reshape(len(state.head), -1))
-
-
 def find_followers(state: SwarmState) -> Mask:
     """The living followers of each head, ``(B, M, N)``."""
-    led = state.root[:, None] == find_heads(state)[..., None]
+    led = state.root[:, None] == find_each(state.head)[..., None]
     return np.asarray(led & (state.alive & ~state.head & ~state.decoy)[:, None])
 
 
@@ -164,7 +160,7 @@ def select_decoys(state: SwarmState, plan: Plan) -> tuple[Indices, Mask]:
     Returns followers of each head and which of them become decoys, both ``(B, M, d)``.
     """
     followers = find_followers(state)
-    of_heads = np.take_along_axis(state.position, find_heads(state)[..., None], axis=1)
+    of_heads = np.take_along_axis(state.position, find_each(state.head)[..., None], axis=1)
     offset = state.position[:, None] - of_heads[:, :, None]
     nearest = np.argsort(np.where(followers, (offset * offset).sum(axis=-1), np.inf), axis=-1, kind="stable")
     nearest = nearest[..., : plan.decoys.max(initial=0)]
@@ -186,7 +182,7 @@ def compute_prices(manoeuvres: Manoeuvres, state: SwarmState, plan: Plan) -> Flo
     cluster = np.where(plan.mobility > 0, manoeuvres.mobility_price, 0.0) + manoeuvres.jitter_price * plan.jitter
     cost = (followers + 1) * cluster + manoeuvres.decoy_price * decoys
     cost = cost + manoeuvres.delay_price * plan.delay * (followers - decoys)
-    living = np.take_along_axis(state.alive, find_heads(state), axis=1)
+    living = np.take_along_axis(state.alive, find_each(state.head), axis=1)
     return np.where(living, cost / state.alive.shape[1], 0.0)
 
 
@@ -205,7 +201,7 @@ def fly_windows(
     those of :func:`select_decoys`. It returns the state at the end, the windows, and the mobility of each head in them.
     """
     mobilities = tuple(MOBILITIES.find(name) for name in manoeuvres.mobilities)
-    heads, (uavs, taken) = find_heads(state), decoys
+    heads, (uavs, taken) = find_each(state.head), decoys
     now = np.where(np.take_along_axis(state.alive, heads, axis=1), plan.mobility, flown)
     obeys = state.free[..., None] == heads[:, None]
     row = np.tile(np.repeat(np.arange(heads.shape[1]), taken.shape[2]), (len(heads), 1))

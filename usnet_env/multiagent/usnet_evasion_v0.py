@@ -15,18 +15,11 @@ from usnet_env.envs import game
 from usnet_env.envs.batch import WINDOW
 from usnet_env.multiagent import base
 from usnet_env.multiagent.batch import OBSERVER, ByRole, GameBatch, Observations
-from usnet_env.multiagent.evasion import (
-    Manoeuvres,
-    Plan,
-    compute_prices,
-    find_followers,
-    find_heads,
-    fly_windows,
-    select_decoys,
-)
+from usnet_env.multiagent.evasion import Manoeuvres, Plan, compute_prices, find_followers, fly_windows, select_decoys
 from usnet_env.swarm import SwarmConfig, SwarmState
 from usnet_env.swarm.config import SensorArguments, Steps
 from usnet_env.swarm.flock_follow import Flock
+from usnet_env.swarm.state import find_each
 
 HEAD = "head"
 
@@ -111,11 +104,11 @@ class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
 
     def _find_leaving(self) -> ByRole:
         swarm = self.game.swarm
-        return {HEAD: ~np.take_along_axis(swarm.alive, find_heads(swarm), axis=1)}
+        return {HEAD: ~np.take_along_axis(swarm.alive, find_each(swarm.head), axis=1)}
 
     def _observe(self) -> Observations:
         state, uavs, clusters = self.game, self.config.uavs, self.config.clusters
-        swarm, heads, followers = state.swarm, find_heads(state.swarm), find_followers(state.swarm)
+        swarm, heads, followers = state.swarm, find_each(state.swarm.head), find_followers(state.swarm)
         legal = np.ones((self.num_envs, clusters, int(self.manoeuvres.choices.sum())), np.int8)
         most = np.maximum(followers.sum(axis=2) - 1, 0)  # one follower must remain
         first, decoys = self.manoeuvres.choices[:2].sum(), np.arange(self.manoeuvres.choices[2])
@@ -241,7 +234,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         if role == OBSERVER:
             return ""
         mobility, jitter, decoys, delay = np.asarray(action).tolist()
-        head = find_heads(self.games.game.swarm)[0, j]
+        head = find_each(self.games.game.swarm.head)[0, j]
         words = [self.games.manoeuvres.mobilities[mobility]]
         words += ["jitter"] * (jitter > 0) + [format_count(decoys, "decoy")] * (decoys > 0)
         words += [f"followers delayed by {format_count(delay, 'step')}"] * (delay > 0)

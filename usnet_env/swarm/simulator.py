@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.arrays import Indices, Mask, Singles
+from usnet_env.arrays import Indices, Singles
 from usnet_env.swarm import kernels
 from usnet_env.swarm.config import SwarmConfig
 from usnet_env.swarm.flight import draw_plan, find_mobilities, fly_free, fly_steps, group_by_config
 from usnet_env.swarm.formation import FORMATIONS, draw_corridors, draw_offsets
 from usnet_env.swarm.sensing import Generators, ObservationBatch, draw_normals, sense, shift_tracks
-from usnet_env.swarm.state import LASTING, Roles, SwarmState, destroy
+from usnet_env.swarm.state import LASTING, Roles, SwarmState, destroy, find_each
 
 SETTLING = 20  # steps that swarms with unseen UAVs fly at the start, besides their lags
 
@@ -135,7 +135,7 @@ def _draw_swarms(config: SwarmConfig, rngs: Generators) -> dict[str, NDArray[Any
     else:
         is_free = ~initial.not_led
     bystander = initial.not_led & ~initial.traffic & ~initial.clutter
-    groups = _find_each(is_free), sources[:, :points], *map(_find_each, (bystander, initial.traffic, initial.clutter))
+    groups = find_each(is_free), sources[:, :points], *map(find_each, (bystander, initial.traffic, initial.clutter))
     free = np.concatenate(groups, axis=1)
     counts = [(mobility, free[0, columns].size) for mobility, columns in find_mobilities(config, free.shape[1])]
     states = [np.array([mobility.start(rng, count) for rng in rngs]) for mobility, count in counts]
@@ -171,7 +171,7 @@ def _draw_chains(config: SwarmConfig, rngs: Generators, initial: Roles, roles: R
     are drawn, follow the first, and no UAV follows them.
     """
     fewest, most = config.unseen_levels
-    visible = np.concatenate([initial.initial_heads, _find_each(initial.decoy)], axis=1)
+    visible = np.concatenate([initial.initial_heads, find_each(initial.decoy)], axis=1)
     chains = visible.shape[1]
     unseen = initial.head.shape[1] + np.arange(most * chains).reshape(most, chains)
     length = np.array([rng.integers(fewest, most + 1, chains) for rng in rngs])
@@ -181,11 +181,6 @@ def _draw_chains(config: SwarmConfig, rngs: Generators, initial: Roles, roles: R
     np.put_along_axis(source, visible, sources[:, -1], axis=1)
     source = np.where(roles.head, np.take_along_axis(source, roles.source, axis=1), source)
     return roles._replace(source=source), sources[:, :-1].reshape(len(rngs), -1), visible
-
-
-def _find_each(mask: Mask) -> Indices:
-    """The indices of the UAVs that are chosen in each swarm, ``(B, n)``; n is the same in all."""
-    return np.asarray(np.nonzero(mask)[1].reshape(len(mask), -1))
 
 
 def advance(config: SwarmConfig, state: SwarmState, rngs: Generators) -> tuple[SwarmState, ObservationBatch]:

@@ -39,6 +39,11 @@ def join_rows(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
     return _pack([row for part in parts for row in part])
 
 
+def find_each(mask: Mask) -> Indices:
+    """The indices of the UAVs that are chosen in each swarm, ``(B, n)``; n is the same in all."""
+    return np.asarray(np.nonzero(mask)[1].reshape(len(mask), -1))
+
+
 class Roles(NamedTuple):
     """The role of every UAV in one swarm, or in B swarms with a leading axis B.
 
