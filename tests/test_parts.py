@@ -47,7 +47,7 @@ def test_a_name_is_taken_once(numbers, declare):
     assert (numbers["two"], numbers["one"]) == (22, 1)
     with pytest.raises(ArgumentError, match=r"^name must be a new one, got 'one', which is the name of an installed"):
         numbers.register("one", 22, replace=True)
-    with pytest.raises(ArgumentError, match=r"^part must be a whole number"):
+    with pytest.raises(ArgumentError, match=r"^number must be a whole number"):
         numbers.register("half", 0.5)
 
 

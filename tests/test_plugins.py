@@ -106,7 +106,7 @@ def test_a_detector_is_registered_by_a_class_or_a_function():
     assert {"mine", "five"} <= set(DETECTORS)
     assert make_detector("mine(count=4)").count == 4
     assert make_detector("five(extra=1)").count == 5
-    with pytest.raises(ArgumentError, match=r"^factory must be a class or a function"):
+    with pytest.raises(ArgumentError, match=r"^detector must be a class or a function"):
         register_detector("other", Mine())
 
 

@@ -79,7 +79,7 @@ class Registry(Mapping[str, PartT], Generic[PartT]):
         """
         if not isinstance(name, str) or not _NAME.fullmatch(name) or name in self._reserved:
             raise ArgumentError(f"name must consist of letters, digits, '_', '.' and '-', got {quote(name)}.")
-        accepted = self._accept(part)
+        accepted = self._accept(part, self.kind)
         is_fixed = name in self._own or name in self.entry_points()
         present = self[name] if is_fixed or (name in self.registered and not replace) else accepted
         if not are_equal(present, accepted):
@@ -138,11 +138,25 @@ def are_equal(one: Any, other: Any) -> bool:
         return False
 
 
-def check_factory(factory: Any, subject: str = "factory") -> Callable[..., Any]:
+def check_factory(factory: Any, subject: str) -> Callable[..., Any]:
     """Accept a class or a function for a registry of parts that are made by calls."""
     if not callable(factory):
         raise ArgumentError(f"{subject} must be a class or a function, got {quote(factory)}.")
     return factory
+
+
+def accept_objects(kind: type, wrap: Callable[[Any], Any] | None = None) -> Callable[..., Any]:
+    """What accepts objects of a class for a registry, and functions if ``wrap`` makes such an object of one."""
+
+    def accept(part: Any, subject: str) -> Any:
+        if isinstance(part, kind):
+            return part
+        if wrap is None or not callable(part):
+            expected = f"{kind.__name__} or a function" if wrap else kind.__name__
+            raise ArgumentError(f"{subject} must be a {expected}, got {quote(part)}.")
+        return wrap(part)
+
+    return accept
 
 
 def describe_error(error: BaseException) -> str:

@@ -200,11 +200,7 @@ def factorise_affinity(affinity: Floats, rank: int, rng: np.random.Generator, st
     return factor, losses
 
 
-_BUILT_IN: dict[str, Callable[..., Clusterer]] = {
-    "kmeans": KMeans,
-    "spectral": Spectral,
-    "snmf": SymmetricNMF,
-}
+_BUILT_IN: dict[str, Callable[..., Clusterer]] = {"kmeans": KMeans, "spectral": Spectral, "snmf": SymmetricNMF}
 
 #: All clusterers by name.
 CLUSTERERS = Registry("clusterer", "clusterer", "usnet.clusterers", __name__, check_factory, _BUILT_IN, classes=True)

@@ -115,7 +115,7 @@ def test_a_registered_function_is_used_by_name_and_keeps_its_state():
     angle = turns(np.stack([one.velocity[0, -1, head], two.velocity[0, 0, head]])[:, None])[0, 0]
     assert angle == pytest.approx(0.5, abs=1e-3)  # T_0 = 4 unobserved steps, then one
     assert MOBILITIES["test-circle"].description == "Circles."
-    with pytest.raises(ArgumentError, match="model must be a Mobility or a function"):
+    with pytest.raises(ArgumentError, match="mobility must be a Mobility or a function"):
         register_mobility("test-x", 3)
     register_mobility("test-short", lambda rng, position, steps, state: np.zeros((1, 3)), replace=True)
     with pytest.raises(ValueError, match="reshape"):

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from usnet_env.arrays import Singles
-from usnet_env.config import ArgumentError, quote
-from usnet_env.parts import Registry
+from usnet_env.parts import Registry, accept_objects
 from usnet_env.swarm import field_follow, flock_follow, follow_kernels
 from usnet_env.swarm.field_follow import FieldStrategy
 from usnet_env.swarm.field_kernels import EACH_CLUSTER, EACH_FOLLOWER
@@ -115,15 +114,6 @@ class FollowFunction(FollowStrategy):
     def direction(self, inputs: FollowInputs) -> Singles:
         """Call the function."""
         return np.asarray(self.function(inputs), np.float32).reshape(len(inputs.own_position), 3)
-
-
-def accept_strategy(strategy: Any, subject: str = "strategy") -> FollowStrategy:
-    """Return a strategy, made of a function if it is one."""
-    if isinstance(strategy, FollowStrategy):
-        return strategy
-    if not callable(strategy):
-        raise ArgumentError(f"{subject} must be a FollowStrategy or a function, got {quote(strategy)}.")
-    return FollowFunction(strategy)
 
 
 #: The field models by name: the equation, the citation, the broken assumption, the parameters, and their values.
@@ -284,9 +274,10 @@ _BUILT_IN |= {**OPEN_LAWS, **SECOND_LAWS}
 Lags, Network = LaggedSum, TanhNetworkStrategy  # their names in version 0.1.0
 
 #: All follow strategies by name; ``"none"`` selects the control without followers.
-FOLLOW_STRATEGIES = Registry(
-    "follow strategy", "follow", "usnet.follow_strategies", __name__, accept_strategy, _BUILT_IN, reserved=("none",)
-)
+FOLLOW_STRATEGIES = Registry[FollowStrategy](
+    "follow strategy", "follow", "usnet.follow_strategies", __name__, accept_objects(FollowStrategy, FollowFunction),
+    _BUILT_IN, reserved=("none",),
+)  # fmt: skip
 
 
 def register_follow_strategy(

@@ -9,14 +9,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from usnet_env.arrays import Singles
-from usnet_env.config import ArgumentError, quote
-from usnet_env.parts import Registry
+from usnet_env.parts import Registry, accept_objects
 from usnet_env.swarm import kernels
 
 
@@ -250,17 +249,13 @@ def find_push(position: Singles, intruders: Singles, reach: float) -> Singles:
     return np.asarray((np.maximum(1 - distance / np.float32(reach), 0) * offset / distance).sum(axis=-2))
 
 
-def _accept_kinematics(model: Any, subject: str = "model") -> Kinematics:
-    if not isinstance(model, Kinematics):
-        raise ArgumentError(f"{subject} must be a Kinematics, got {quote(model)}.")
-    return model
-
-
-_BUILT_IN: dict[str, Kinematics] = {"unit": Unit(), "varied_speed": VariedSpeed(), "lagged": Lagged()}
+_BUILT_IN = {"unit": Unit(), "varied_speed": VariedSpeed(), "lagged": Lagged()}
 _BUILT_IN |= {"limited": Limited(), "layered": Layered()}
 
 #: All kinematics models by name.
-KINEMATICS = Registry("kinematics model", "kinematics", "usnet.kinematics", __name__, _accept_kinematics, _BUILT_IN)
+KINEMATICS = Registry[Kinematics](
+    "kinematics model", "kinematics", "usnet.kinematics", __name__, accept_objects(Kinematics), _BUILT_IN
+)
 
 #: Register a model, so that ``kinematics=name`` selects it; see :meth:`usnet_env.parts.Registry.register`.
 register_kinematics = KINEMATICS.register

@@ -9,13 +9,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from usnet_env.arrays import Floats, Singles
-from usnet_env.config import ArgumentError, quote
-from usnet_env.parts import Registry
+from usnet_env.parts import Registry, accept_objects
 from usnet_env.swarm import kernels
 from usnet_env.swarm.formation import ARENA
 
@@ -106,7 +104,11 @@ class MobilityFunction(Mobility):
     """A mobility that calls a function; made by :func:`register_mobility`."""
 
     function: Callable[[np.random.Generator, Singles, int, Floats], Singles]
-    description: str = ""
+
+    @property
+    def description(self) -> str:  # type: ignore[override]  # follows from the function
+        """The first line of the function's docstring."""
+        return (self.function.__doc__ or "").partition("\n")[0]
 
     def start(self, rng: np.random.Generator, uavs: int) -> Floats:
         """Zeros: the function sets its own state in its first call."""
@@ -136,15 +138,6 @@ class SharedMobility(Mobility):
         return directions.repeat(len(state), axis=1)
 
 
-def _accept_mobility(model: Any, subject: str = "model") -> Mobility:
-    """Return a mobility, made of a function if it is one."""
-    if isinstance(model, Mobility):
-        return model
-    if not callable(model):
-        raise ArgumentError(f"{subject} must be a Mobility or a function, got {quote(model)}.")
-    return MobilityFunction(model, (model.__doc__ or "").partition("\n")[0])
-
-
 _BUILT_IN: dict[str, Mobility] = {
     "iid": CompiledMobility(kernels.IID, 3, description="a new random direction at each step (the paper's setting)"),
     "gauss_markov": CompiledMobility(
@@ -167,7 +160,9 @@ _ALIKE = "all heads and decoys fly alike: one new random direction for all at ea
 _BUILT_IN["alike"] = SharedMobility(_BUILT_IN["iid"], _ALIKE)
 
 #: All mobilities by name.
-MOBILITIES = Registry("mobility", "mobility", "usnet.mobilities", __name__, _accept_mobility, _BUILT_IN)
+MOBILITIES = Registry[Mobility](
+    "mobility", "mobility", "usnet.mobilities", __name__, accept_objects(Mobility, MobilityFunction), _BUILT_IN
+)
 
 #: Register a mobility, so that ``mobility=name`` selects it; see :meth:`usnet_env.parts.Registry.register`. It is a
 #: :class:`Mobility`, or a function ``(rng, position (n, 3), steps, state (n, 8)) -> (steps, n, 3)`` of directions of
