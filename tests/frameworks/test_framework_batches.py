@@ -39,6 +39,7 @@ def test_stable_baselines_plays_the_games_of_the_batch():
     masks = envs.env_method("action_masks", indices=[2])
     np.testing.assert_array_equal(masks, envs.env_method("action_masks")[2:])
     assert (envs.get_attr("problem", indices=0), len(envs.get_images())) == (["P2"], 3)
+    assert [set(state) >= {"swarm"} for state in envs.env_method("get_state")] == [True] * 3
     envs.set_attr("note", [5, 6], indices=[0, 2])
     assert envs.get_attr("note", indices=2) == [[5, 6]]
     envs.set_attr("note", 1, indices=1)

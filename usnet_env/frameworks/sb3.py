@@ -66,10 +66,7 @@ class SwarmVecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """The attribute of some games."""
-        if indices is None:  # any batch of Gymnasium can tell
-            return list(self.envs.get_attr(attr_name))
-        games = self.envs.games
-        return [getattr(games[b], attr_name) for b in self._get_indices(indices)]
+        return [self.envs.envs[b].get_wrapper_attr(attr_name) for b in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
         """Set an attribute of some games; the batch refuses one that all games share."""
