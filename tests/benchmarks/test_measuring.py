@@ -110,6 +110,7 @@ def test_published_rows_are_what_this_code_plays(without, name, cell):
     """The first episode of all detectors, but for those whose training takes too long."""
     published, columns = results(name), ["detector", "swarm_seed", "J", "exact", "f1_first"]
     known = published.rows.query("cell == @cell and episode == 0 and not detector.str.contains(@without)")
+    known = known.assign(f1_first=known.f1_first.mask(known.exact == 1, 1.0))  # old rows have 0 for two empty sets
     seed, detectors = published.config["seed"], list(known.detector)
     played = evaluate_suite(name, detectors, cells=[cell], episodes=1, seed=seed).rows[columns]
     pd.testing.assert_frame_equal(played, known[columns].reset_index(drop=True), check_dtype=False, rtol=1e-3)
