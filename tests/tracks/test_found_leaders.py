@@ -95,8 +95,10 @@ def test_leaders_are_found_in_whatever_holds_tracks(tmp_path):
     assert len(find_leaders(path, "one-per-round", step=1.0, window=13, confirm=False).windows) == 3
     frame = pd.read_csv(path).assign(id=lambda rows: pd.factorize(rows.id)[0])
     frame["t"] = pd.Timestamp("2024-05-01 12:00", tz="Europe/Berlin") + pd.to_timedelta(frame.t, unit="s")
-    typed = find_leaders(frame, "one-per-round", confirm=False).to_frame()
+    dated = find_leaders(frame, "one-per-round", confirm=False)
+    typed = dated.to_frame()
     assert typed["start"][0] == frame["t"][0]
+    assert len(dated.plot_timeline().axes[0].lines)  # the stars of heads
     assert [*map(str, typed.dtypes[:5])] == [*["datetime64[ns, Europe/Berlin]"] * 2, *["Int64"] * 3]
     for wrong in (3, [], straight()):
         with pytest.raises(ArgumentError, match=r"^path must be a file of tracks, .* or an xarray.Dataset"):

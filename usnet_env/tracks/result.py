@@ -209,7 +209,7 @@ class FoundLeaders:
         """An id, its head, begin and end in windows: by the periods, or else by windows."""
         if not self.periods:
             number = {window.start: k for k, window in enumerate(self.windows)}
-            rows = self.to_frame()[["id", "head", "start"]].itertuples(index=False)
+            rows = self._list_rows()[["id", "head", "start"]].itertuples(index=False)
             return [(name, head, number[start], number[start] + 1) for name, head, start in rows]
         starts = [*(track_window.start for track_window in self.track_windows), self.track_windows[-1].end]
         spans = []
