@@ -47,9 +47,7 @@ def leave_out_repeats(tracks: SamplesT) -> tuple[SamplesT, list[str]]:
     is_same = (np.diff(tracks.position, axis=0) == 0).all(axis=1) & tracks.inner_steps
     starts = np.flatnonzero(np.append(True, ~is_same))
     length = np.diff(np.append(starts, tracks.samples))  # of each run of one place
-    first = np.searchsorted(starts, tracks.offsets)  # of each id
-    owner = np.repeat(np.arange(len(tracks.ids)), np.diff(first))
-    runs = np.split(length, first[1:-1])
+    owner, runs = tracks.owner[starts], np.split(length, np.searchsorted(starts, tracks.offsets)[1:-1])
     typical_run = np.array([np.median(lengths) if len(lengths) >= _MARGIN else 0.0 for lengths in runs])
     is_stale = typical_run[owner] >= _REPEAT_FACTOR * max(1.0, np.quantile(typical_run, 0.25))
     is_stale &= length <= 2 * typical_run[owner]
@@ -70,8 +68,8 @@ def find_moving(tracks: Samples, intervals: Floats, interval: float) -> Indices:
     """
     from scipy.ndimage import median_filter  # a refusal does not wait for SciPy
 
-    duration, typical = np.diff(tracks.time), np.repeat(intervals, np.diff(tracks.offsets))[:-1]
-    is_near = tracks.inner_steps & (duration <= _GAP * typical)
+    duration = np.diff(tracks.time)
+    is_near = tracks.inner_steps & (duration <= _GAP * intervals[tracks.owner[:-1]])
     speed = np.linalg.norm(np.diff(tracks.position, axis=0), axis=1)[is_near] / duration[is_near]
     top_speed = np.quantile(median_filter(speed, 5), 0.99) if len(speed) else 0.0  # the speed of no spike
     number, index = np.unique(_number_intervals(tracks.time[:-1][is_near], interval), return_inverse=True)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from usnet_env.arrays import Floats
+from usnet_env.arrays import Floats, Indices
 from usnet_env.config import printable
 from usnet_env.files import write_html
 from usnet_env.tracks.found import DetectedWindow, Leader, Name
@@ -55,13 +55,8 @@ def write_page(
 ) -> None:
     """Write the page of found leaders; pictures of links beside it become parts of it, if a leader was found.
 
-    Args:
-        path: where to.
-        title: what the tracks are.
-        sentences: what was found.
-        data: what :func:`collect_data` returns; ``None``: without a map.
-        table: HTML.
-        facts: sentences about the tracks and the settings.
+    ``sentences`` say what was found, and ``facts`` tell of the tracks and the settings. ``data`` is what
+    :func:`collect_data` returns, or ``None``: without a map. ``table`` is HTML.
     """
     parts = [_list_sentences(sentences)]
     has_leader = data is not None and any(window["leaders"] for window in data["windows"])
@@ -97,29 +92,24 @@ def collect_data(
     that of the map, ``spread`` the largest extent of all ids at an instant, ``middles`` their middle at each instant,
     and ``unit`` how many of these numbers are a unit of length.
 
-    Args:
-        tracks: the resampled tracks.
-        windows: what was found in each window.
-        track_windows: the windows of the tracks.
-        leaders: those over the file.
-        colors: the colour of each id that leads.
-        chances: of each window, the probability to lead of each id, and under ``None`` that none does.
-        curves: the lag curves of the followers of a leader, and the largest correlation by chance.
+    ``tracks`` are resampled. ``chances`` are the probabilities to lead of each id in each window, under ``None`` that
+    none does. ``curves`` gives the lag curves of the followers of a leader, and the largest correlation by chance.
     """
     rows = _choose_rows(tracks, leaders)
     names = [tracks.ids[row] for row in rows]
     row_of = {name: k for k, name in enumerate(names)}
-    instants = _choose_instants(tracks)
+    numbers = _choose_instants(tracks)
+    instants = np.asarray(numbers * float(tracks.step or 1.0), np.float64)
     window_of = _number_windows(track_windows, instants)
     curves_of = {leader.id: curves(leader.id) for leader in leaders[:_MAX_CURVES] if leader.id in row_of}
     return {
         "ids": [printable(name) for name in names],
         "all": len(tracks.ids),
         "colors": [colors.get(name) for name in names],
-        "times": [str(tracks.clock.file_time(second)) for second in instants],
+        "times": [str(tracks.clock.file_time(second)) for second in instants.tolist()],
         "window_of": window_of,
         "windows": [_collect_window(window, row_of) for window in windows],
-        **_scale(_locate(tracks, rows, instants)),
+        **_scale(_locate(tracks, rows, numbers)),
         "length_unit": "pixels" if tracks.frame == "pixels" else "m",
         "chances": [[_round(each.get(name)) for each in chances] for name in names] if any(chances) else None,
         "no_leader": [_round(each.get(None)) for each in chances],
@@ -145,24 +135,19 @@ def _choose_rows(tracks: Tracks, leaders: Sequence[Leader]) -> list[int]:
     return [row_of[name] for name in order][:_MAX_IDS]
 
 
-def _choose_instants(tracks: Tracks) -> list[float]:
-    """Seconds on the grid of the resampled tracks, some of them if they are many."""
-    step = float(tracks.step or 1.0)
-    numbers = np.unique(np.round(tracks.time / step).astype(np.int64))
-    chosen = numbers[np.unique(np.linspace(0, len(numbers) - 1, min(len(numbers), _MAX_INSTANTS)).astype(int))]
-    return [float(second) for second in chosen * step]
+def _choose_instants(tracks: Tracks) -> Indices:
+    """Numbers of steps of the resampled tracks, some of them if they are many."""
+    numbers = np.unique(tracks.step_numbers)
+    return numbers[np.unique(np.linspace(0, len(numbers) - 1, min(len(numbers), _MAX_INSTANTS)).astype(int))]
 
 
-def _locate(tracks: Tracks, rows: list[int], instants: list[float]) -> Floats:
-    """Where some ids are at some instants, ``(n, T, 2)``; not a number where they are not seen."""
-    step, position = float(tracks.step or 1.0), np.full((len(rows), len(instants), 2), np.nan)
-    numbers = np.round(np.array(instants) / step).astype(np.int64)
-    for k, row in enumerate(rows):
-        part = slice(tracks.offsets[row], tracks.offsets[row + 1])
-        sample_numbers = np.round(tracks.time[part] / step).astype(np.int64)
-        _, columns, samples = np.intersect1d(numbers, sample_numbers, return_indices=True)
-        position[k, columns] = tracks.position[part][samples, :2]
-    return position
+def _locate(tracks: Tracks, rows: list[int], numbers: Indices) -> Floats:
+    """Where some ids are at some steps, ``(n, T, 2)``; not a number where they are not seen."""
+    position = np.full((len(tracks.ids), len(numbers), 2), np.nan)
+    is_shown = np.isin(tracks.step_numbers, numbers)
+    columns = np.searchsorted(numbers, tracks.step_numbers[is_shown])
+    position[tracks.owner[is_shown], columns] = tracks.position[is_shown, :2]
+    return position[rows]
 
 
 def _scale(position: Floats) -> dict[str, Any]:
@@ -181,12 +166,12 @@ def _scale(position: Floats) -> dict[str, Any]:
     }
 
 
-def _number_windows(track_windows: Sequence[TrackWindow], instants: list[float]) -> list[int]:
+def _number_windows(track_windows: Sequence[TrackWindow], seconds: Floats) -> list[int]:
     """The last window that holds each instant, or -1."""
-    numbers, seconds = np.full(len(instants), -1), np.array(instants)
+    numbers = np.full(len(seconds), -1)
     for number, window in enumerate(track_windows):
         numbers[(seconds >= window.start - 1e-6) & (seconds <= window.end + 1e-6)] = number
-    return [int(number) for number in numbers]
+    return numbers.tolist()
 
 
 def _collect_window(window: DetectedWindow, row_of: Mapping[Name, int]) -> dict[str, Any]:

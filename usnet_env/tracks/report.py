@@ -59,8 +59,7 @@ def find_problems(tracks: Samples) -> TrackReport:
 
 
 def _locate(tracks: Samples, sample: int) -> str:
-    owner = int(np.searchsorted(tracks.offsets, sample, side="right")) - 1
-    return f"{tracks.file_time(tracks.time[sample])} (id {tracks.ids[owner]})"
+    return f"{tracks.file_time(tracks.time[sample])} (id {tracks.ids[tracks.owner[sample]]})"
 
 
 def _doubt_units(tracks: Samples, typical_speed: float) -> Iterator[str]:
@@ -74,7 +73,7 @@ def _doubt_units(tracks: Samples, typical_speed: float) -> Iterator[str]:
 
 def _doubt_gaps(tracks: Samples) -> Iterator[str]:
     interval, inside = np.diff(tracks.time), tracks.inner_steps
-    expected = np.repeat(typical_intervals(tracks), np.diff(tracks.offsets))[:-1]
+    expected = typical_intervals(tracks)[tracks.owner[:-1]]
     recording = np.searchsorted([begin for begin, _ in tracks.recordings], tracks.time, side="right")
     inside = inside & (np.diff(recording) == 0)  # between two recordings is no gap
     gaps = np.flatnonzero(inside & (interval > _GAP * expected))

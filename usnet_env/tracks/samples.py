@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
+from functools import cached_property
 from itertools import pairwise
 from typing import Any, Literal, TypeVar
 
@@ -107,11 +108,20 @@ class Samples:
         """The first and the last second of each recording: of all tracks, if they are not pooled."""
         return [(begin, end) for _, begin, end, _ in self.clock.recordings] or [(0.0, self.duration)]
 
+    @cached_property
+    def owner(self) -> Indices:
+        """``(S,)`` index of the id of each sample."""
+        return np.repeat(np.arange(len(self.ids)), np.diff(self.offsets))
+
     @property
     def inner_steps(self) -> Mask:
         """``(S - 1,)`` bool: whether sample s and s + 1 belong to the same id."""
-        owner = np.repeat(np.arange(len(self.ids)), np.diff(self.offsets))
-        return np.asarray(owner[1:] == owner[:-1])
+        return np.asarray(np.diff(self.owner) == 0)
+
+    @cached_property
+    def step_numbers(self) -> Indices:
+        """``(S,)`` number of the grid time of each sample, of resampled tracks."""
+        return np.round(self.time / (self.step or 1.0)).astype(np.int64)
 
     def file_time(self, seconds: float) -> float | int | str:
         """Write ``seconds`` after the start as a time of the file."""
@@ -192,7 +202,7 @@ def keep_samples(tracks: SamplesT, is_kept: Mask) -> SamplesT:
 def split_gaps(tracks: SamplesT, gap: float) -> SamplesT:
     """The tracks with another id after each gap of more than so many seconds: ``a``, then ``a/2``, ``a/3``."""
     parts = np.flatnonzero(np.append(True, ~tracks.inner_steps | (np.diff(tracks.time) > gap)))
-    owner, start = np.searchsorted(tracks.offsets, parts, side="right") - 1, tracks.time[parts]
+    owner, start = tracks.owner[parts], tracks.time[parts]
     number = np.arange(len(parts)) - np.searchsorted(owner, owner)
     if not number.any():
         return tracks

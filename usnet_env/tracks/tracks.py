@@ -184,10 +184,8 @@ class Tracks(Samples):
         """The window with the same ids and times in tracks with another step, or ``None`` if it is of no use."""
         step = float(self.step or 1.0)
         first = int(np.ceil(track_window.start / step - 1e-6))
-        last = int(np.floor(track_window.end / step + 1e-6))
-        if last - first > _MAX_STEPS:
-            return None
-        return _cut_window(self, np.round(self.time / step).astype(np.int64), first, last - first, 0, track_window.rows)
+        length = int(np.floor(track_window.end / step + 1e-6)) - first
+        return None if length > _MAX_STEPS else _cut_window(self, first, length, 0, track_window.rows)
 
     def to_dataset(self) -> Any:
         """A dataset of xarray with ``position`` in metres ``(time, space, individuals)``, as that of movement."""
@@ -197,8 +195,7 @@ class Tracks(Samples):
             raise MissingExtraError("to_dataset needs xarray; `pip install xarray` installs it.") from None
         times, instant = np.unique(self.time, return_inverse=True)
         position = np.full((len(times), 3, len(self.ids)), np.nan)
-        owner = np.repeat(np.arange(len(self.ids)), np.diff(self.offsets))
-        position[instant, :, owner] = self.position + self._file_offset
+        position[instant, :, self.owner] = self.position + self._file_offset
         coordinates: Any = {"time": times, "space": [*"xyz"][: self.dimensions], "individuals": [*self.ids]}
         attributes = {"time_unit": "seconds", "source_software": "usnet"} | (
             {"fps": 1 / self.step} if self.step else {}
@@ -233,11 +230,9 @@ class Tracks(Samples):
         if not len(starts):
             limit = f"{round(resampled.duration / step)}, the steps of {step:g} s in the tracks"
             raise ArgumentError(f"length must be at most {limit}, got {length} (--window sets it).")
-        step_numbers = np.round(resampled.time / step).astype(np.int64)
-        instants = np.unique(step_numbers)
+        instants = np.unique(resampled.step_numbers)
         filled = np.searchsorted(instants, starts + length, side="right") > np.searchsorted(instants, starts)
-        windows = (_cut_window(resampled, step_numbers, int(first), length, least_steps) for first in starts[filled])
-        return (track_window for track_window in windows if track_window is not None)
+        return filter(None, (_cut_window(resampled, int(first), length, least_steps) for first in starts[filled]))
 
     def choose_length(self) -> int:
         """Steps of windows that fit resampled tracks: 100 to 199, or fewer if ids typically stay for fewer steps."""
@@ -273,20 +268,16 @@ def _read_ids(name: str, value: Any, samples: int) -> tuple[Indices, tuple[str |
 
 
 def _cut_window(
-    tracks: Tracks, step_numbers: Indices, first: int, length: int, least_steps: int, subset: Indices | None = None
+    tracks: Tracks, first: int, length: int, least_steps: int, subset: Indices | None = None
 ) -> TrackWindow | None:
-    """Cut the window from grid time ``first`` on, if two ids are seen long enough; ``step_numbers`` ``(S,)``.
-
-    Its ids are those in ``subset``, or all.
-    """
-    step = float(tracks.step or 0.0)
-    samples = np.flatnonzero((step_numbers >= first) & (step_numbers <= first + length))
-    owner = np.searchsorted(tracks.offsets, samples, side="right") - 1
-    rows = np.unique(owner) if subset is None else subset
-    samples, owner = samples[is_known := np.isin(owner, rows)], owner[is_known]
-    column = np.searchsorted(rows, owner)
+    """Cut the window from grid time ``first`` on, of the ids in ``subset`` or all, if two are seen long enough."""
+    step, instant = float(tracks.step or 0.0), tracks.step_numbers - first
+    samples = np.flatnonzero((instant >= 0) & (instant <= length))
+    rows = np.unique(tracks.owner[samples]) if subset is None else subset
+    samples = samples[np.isin(tracks.owner[samples], rows)]
+    column = np.searchsorted(rows, tracks.owner[samples])
     seen = np.zeros((length + 1, len(rows)), bool)
-    seen[step_numbers[samples] - first, column] = True
+    seen[instant[samples], column] = True
     is_enough = (seen[1:] & seen[:-1]).sum(axis=0) >= least_steps
     if is_enough.sum() < 2:
         return None
@@ -296,7 +287,7 @@ def _cut_window(
     rows, seen = rows[is_enough], seen[:, is_enough]
     origin = tracks.position[samples].mean(axis=0)
     position = np.zeros((length + 1, len(rows), 3))
-    position[step_numbers[samples] - first, column] = tracks.position[samples] - origin
+    position[instant[samples], column] = tracks.position[samples] - origin
     velocity = np.where((seen[1:] & seen[:-1])[..., None], np.diff(position, axis=0), 0.0)
     leader = None
     if tracks.leader is not None:
