@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -43,20 +43,13 @@ def draw_maps(
     title: str,
     detector: str,
 ) -> Figure:
-    """Draw up to six windows as maps from above.
+    """Draw up to six of the windows with leaders, or of all, evenly spread, as maps from above.
 
-    Args:
-        tracks: the tracks, which say where their origin is.
-        track_windows: all windows; up to six of those with leaders are drawn, evenly spread.
-        windows: what was found in each.
-        leading: the ids that lead in any window, in the order of their colours.
-        title: what the tracks are.
-        detector: its label.
+    ``leading`` are the ids that lead in any window, in the order of their colours; ``title`` is what the tracks are.
     """
     candidates = [k for k, window in enumerate(windows) if window.leaders] or [*range(len(windows))]
     chosen = [candidates[int(k)] for k in np.linspace(0, len(candidates) - 1, min(len(candidates), _MAX_MAPS))]
-    columns = min(len(chosen), _COLUMNS)
-    rows = -(-len(chosen) // columns)
+    columns, rows = min(len(chosen), _COLUMNS), -(-len(chosen) // _COLUMNS)
     figure = drawing.new_figure(columns * _MAP_SIZE + _MARGIN + 1, rows * _MAP_SIZE + _MARGIN)
     figure.set_layout_engine("constrained")
     share = f"{len(chosen)} of {len(windows)} windows, " if len(chosen) < len(windows) else ""
@@ -129,16 +122,13 @@ def draw_network(rows: pd.DataFrame, windows: int, colors: Mapping[Id, str], ax:
         arrow["linestyle"] = "-" if direct else (0, (4, 2))
         axes.annotate("", end, begin, arrowprops=arrow | {"alpha": 0.8, "mutation_scale": 10 + 2 * width})
         if len(links) <= _MAX_LABELS and not np.isnan(delay):
-            axes.text(
-                *(begin + 0.45 * vector), format_seconds(delay, 3), fontsize=7, ha="center", va="center", bbox=_BOX
-            )
-    for name, (x, y) in position.items():
+            style: Any = {"fontsize": 7, "ha": "center", "va": "center", "bbox": _BOX}
+            axes.text(*(begin + 0.45 * vector), format_seconds(delay, 3), **style)
+    for name, point in position.items():
         size, color = 420 if name in heads else 200, colors.get(name, colors[main_head[name]])
-        axes.scatter(x, y, s=size, color=color, edgecolor="black", linewidth=0.6, zorder=3)
-        label = drawing.escape_math(drawing.abbreviate([str(name)], _MAX_NAME_LENGTH)[0])
-        axes.annotate(
-            label, (x, y), xytext=(0, 13), textcoords="offset points", fontsize=8, ha="center", zorder=4, bbox=_BOX
-        )
+        axes.scatter(*point, s=size, color=color, edgecolor="black", linewidth=0.6, zorder=3)
+        style = {"textcoords": "offset points", "fontsize": 8, "ha": "center", "zorder": 4, "bbox": _BOX}
+        axes.annotate(_shorten_names([name])[0], point, xytext=(0, 13), **style)
     axes.set(xlim=(-1.2, 1.2), ylim=(-1.2, 1.2), aspect="equal")
     axes.set_axis_off()
     note = "\n(dashed: in the group of, directly or not)" * (len(links) > 0 and not links["direct"].all())
@@ -188,7 +178,7 @@ def draw_timeline(
 
     ``spans`` are an id, its head, a begin and an end, which are numbers of windows from 0 on with the times ``starts``.
     """
-    figure, axes = _make_axes(ax, 8, 1.5 + 0.24 * len(ids))
+    _, axes = _make_axes(ax, 8, 1.5 + 0.24 * len(ids))
     row = {name: k for k, name in enumerate(ids)}
     for name, head, begin, end in spans:
         axes.barh(row[name], end - begin - 0.04, left=begin, height=0.8, color=colors[head])
@@ -198,15 +188,12 @@ def draw_timeline(
             stars = middles if len(middles) else [(begin + end) / 2]
             axes.plot(stars, [row[name]] * len(stars), "*", color="white", markersize=7, markeredgewidth=0)
     axes.set_yticks(range(len(ids)), _shorten_names(ids), fontsize=8)
-    ticks = np.unique(np.linspace(0, len(starts) - 1, min(len(starts), 6)).astype(int))
-    axes.set_xticks(ticks, _write_times(starts[k] for k in ticks), fontsize=8)
-    axes.set(xlim=(0, len(starts)), ylim=(len(ids) - 0.4, -0.6), xlabel="start of the window")
-    patches = [axes.barh([0], 0, color=color, label=str(head)) for head, color in list(colors.items())[:9]]
-    if patches:
-        axes.legend(title="follows", loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8, frameon=False)
-    axes.set_title("Which id each id follows (star: it leads)" if patches else "No leader was found.", fontsize=10)
-    axes.spines[["top", "right"]].set_visible(False)
-    return figure
+    for head, color in list(colors.items())[:9]:
+        axes.barh([0], 0, color=color, label=str(head))
+    axes.set(ylim=(len(ids) - 0.4, -0.6))
+    _label_windows(axes, starts)
+    title = "Which id each id follows (star: it leads)" if colors else "No leader was found."
+    return _end_picture(axes, title, fontsize=8, title="follows")
 
 
 def draw_evidence(curves: pd.DataFrame, chance: float, leader: Id, ax: Any = None) -> Figure:
@@ -214,7 +201,7 @@ def draw_evidence(curves: pd.DataFrame, chance: float, leader: Id, ax: Any = Non
 
     The index of ``curves`` are seconds, and a column is a follower. ``chance`` is the largest value by chance.
     """
-    figure, axes = _make_axes(ax, 7.6, 3.8)
+    _, axes = _make_axes(ax, 7.6, 3.8)
     unit, size = choose_unit(float(np.abs(curves.idxmax()).max()))
     curves = curves.set_axis(curves.index / size)
     shown_curves = curves[curves.max().sort_values(ascending=False, kind="stable").index[:_MAX_CURVES]]
@@ -228,11 +215,8 @@ def draw_evidence(curves: pd.DataFrame, chance: float, leader: Id, ax: Any = Non
     axes.axvline(0, color="black", linewidth=0.8)
     name = _shorten_names([leader])[0]
     note = f" ({_MAX_CURVES} of {curves.shape[1]})" * (curves.shape[1] > _MAX_CURVES)
-    axes.set_title(f"Why {name}: its followers{note} repeat its velocity later", fontsize=10)
     axes.set(xlabel=f"{unit} after {name}", ylabel="correlation of velocity")
-    axes.legend(fontsize=7, ncols=2, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    axes.spines[["top", "right"]].set_visible(False)
-    return figure
+    return _end_picture(axes, f"Why {name}: its followers{note} repeat its velocity later", fontsize=7, ncols=2)
 
 
 def draw_probabilities(table: pd.DataFrame, colors: Mapping[Id, str], ax: Any = None) -> Figure:
@@ -240,7 +224,7 @@ def draw_probabilities(table: pd.DataFrame, colors: Mapping[Id, str], ax: Any = 
 
     The columns of ``table`` are ids, ``None`` for none, and the index are the times of the windows.
     """
-    figure, axes = _make_axes(ax, 8, 3)
+    _, axes = _make_axes(ax, 8, 3)
     x = np.arange(len(table)) + 0.5
     for name in sorted(table.columns, key=lambda name: name in colors or name is None):
         style: dict[str, Any] = {"color": "#bbbbbb", "linewidth": 0.8}
@@ -248,14 +232,9 @@ def draw_probabilities(table: pd.DataFrame, colors: Mapping[Id, str], ax: Any = 
             style = {"label": "no id leads" if name is None else _shorten_names([name])[0], "linewidth": 1.6}
             style |= {"color": "black", "linestyle": ":"} if name is None else {"color": colors[name]}
         axes.plot(x, table[name], marker=".", **style)
-    ticks = np.unique(np.linspace(0, len(table) - 1, min(len(table), 6)).astype(int))
-    axes.set_xticks(ticks, _write_times(table.index[ticks]), fontsize=8)
-    axes.set(ylim=(-0.03, 1.03), xlim=(0, len(table)), xlabel="start of the window", ylabel="p")
-    axes.set_title("Probability to lead (grey: ids that lead in no window)", fontsize=10)
-    if axes.get_legend_handles_labels()[0]:
-        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8, frameon=False)
-    axes.spines[["top", "right"]].set_visible(False)
-    return figure
+    axes.set(ylim=(-0.03, 1.03), ylabel="p")
+    _label_windows(axes, [*table.index])
+    return _end_picture(axes, "Probability to lead (grey: ids that lead in no window)", fontsize=8)
 
 
 def _make_axes(ax: Any, width: float, height: float, box: Any = None) -> tuple[Figure, Any]:
@@ -272,9 +251,21 @@ def _place_on_circle(points: int) -> Any:
     return np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
-def _write_times(times: Iterable[Any]) -> list[str]:
-    """Times of the file for an axis: those in ISO 8601 have two lines, the day and the time of day."""
-    return [re.sub(r"(\d)T(\d.*)Z$", r"\1\n\2", str(time)) for time in times]
+def _label_windows(axes: Axes, starts: Sequence[float | int | str]) -> None:
+    """Write up to six times of the file below windows; one in ISO 8601 has two lines, the day and the time of day."""
+    ticks = np.unique(np.linspace(0, len(starts) - 1, min(len(starts), 6)).astype(int))
+    axes.set_xticks(ticks, [re.sub(r"(\d)T(\d.*)Z$", r"\1\n\2", str(starts[k])) for k in ticks], fontsize=8)
+    axes.set(xlim=(0, len(starts)), xlabel="start of the window")
+
+
+def _end_picture(axes: Any, heading: str, **legend: Any) -> Figure:
+    """Write a heading, and a legend at the right if the axes have labels; leave out the upper and right lines."""
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, **legend)
+    axes.set_title(heading, fontsize=10)
+    axes.spines[["top", "right"]].set_visible(False)
+    figure: Figure = axes.get_figure()
+    return figure
 
 
 def _shorten_names(names: Any) -> list[str]:
