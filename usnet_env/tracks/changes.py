@@ -67,13 +67,8 @@ def trace_periods(
 ) -> tuple[Period, ...]:
     """The periods of all groups in the order of time; empty if the tracks are too short, or too long.
 
-    Args:
-        resampled: the tracks of the windows.
-        windows: what was found in them.
-        track_windows: the windows.
-        answer: a detector.
-        confirm: whether a leader of each group must be confirmed in a period, or lead in a window of which the period
-            has the most.
+    ``answer`` asks a detector. With ``confirm``, a leader of each group must be confirmed in a period, or lead in a
+    window of which the period has the most.
     """
     step, max_windows = float(resampled.step or 1.0), min(_MAX_WINDOWS, max(1, _MAX_IDS // len(resampled.ids)))
     ends = track_windows[0].start, track_windows[-1].end
@@ -84,7 +79,8 @@ def trace_periods(
     stride = max(_STRIDE, -(-round((span[1] - span[0]) / step) // max_windows))
     if 2 * stride > _LENGTH:
         return ()
-    span_tracks = _cut_span(resampled, *span)
+    is_inside = (resampled.time >= span[0] - 1e-6 * step) & (resampled.time <= span[1] + 1e-6 * step)
+    span_tracks = replace(keep_samples(resampled, is_inside), leader=None, source=None)
     short_windows = [each for each in span_tracks.windows(_LENGTH, stride) if each.end <= span[1] + step / 2]
     root, log_p_leads, log_p_none = _read_roots(short_windows, answer, len(resampled.ids))
     centres = np.array([(each.start + each.end) / 2 for each in short_windows])
@@ -115,13 +111,6 @@ def _find_span(windows: Sequence[DetectedWindow], track_windows: Sequence[TrackW
     ]
     changes = [k for k, (a, b) in enumerate(pairwise(heads)) if any(a[name] != b[name] for name in a.keys() & b.keys())]
     return (track_windows[changes[0]].start, track_windows[changes[-1] + 1].end) if changes else None
-
-
-def _cut_span(tracks: Tracks, begin: float, end: float) -> Tracks:
-    """The tracks from second ``begin`` to ``end``, at their times."""
-    slack = 1e-6 * float(tracks.step or 1.0)
-    inside = (tracks.time >= begin - slack) & (tracks.time <= end + slack)
-    return replace(keep_samples(tracks, inside), leader=None, source=None)
 
 
 def _read_roots(
@@ -246,14 +235,8 @@ def find_change(
     """The second at which the members stop copying ``old`` and begin to copy ``new``, and its 95 % interval.
 
     Before and after, each velocity is that of the leader some steps earlier, times a number, or constant if the leader
-    is -1. The time is the one with the least sum of squared residuals.
-
-    Args:
-        tracks: resampled tracks.
-        rows: of the members; those of both leaders don't count, unless there is no other.
-        old: the row of the leader before, or -1.
-        new: the row of the leader after, or -1.
-        between: seconds: the earliest time, a guess, and the latest.
+    is -1. The time is the one with the least sum of squared residuals. ``rows`` are those of the members; the leaders
+    don't count, unless there is no other. ``between`` are seconds: the earliest time, a guess, and the latest.
     """
     step = float(tracks.step or 1.0)
     followers = rows[~np.isin(rows, (old, new))] if len(np.setdiff1d(rows, (old, new))) else rows[:1]

@@ -6,14 +6,35 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from usnet_env.config import format_seconds
 from usnet_env.series import centre_columns, correlate_at_lag, scale_to_unit
+from usnet_env.tracks.found import DetectedWindow, Name
 from usnet_env.tracks.links import cut_velocities
 from usnet_env.tracks.tracks import Tracks, TrackWindow
 
 _MIN_SHARE_AHEAD, _MIN_GROUP, _MAX_COMPARED = 0.75, 4, 20  # of a group: those ahead, and its size
 
 
-def find_late_clock(
+def describe_late_clocks(
+    windows: Sequence[DetectedWindow], track_windows: Sequence[TrackWindow], fine: Tracks
+) -> list[str]:
+    """A sentence about each leader of which a follower may lead, in more than half of its windows."""
+    hubs_of: dict[Name, list[tuple[Name, float] | None]] = {}
+    for window, track_window in zip(windows, track_windows, strict=True):
+        for leader in window.leaders:
+            head, *followers = map(track_window.ids.index, (leader.id, *leader.followers))
+            hub = _find_late_clock(fine, track_window, head, followers)
+            hubs_of.setdefault(leader.id, []).append(hub and (track_window.ids[hub[0]], hub[1]))
+    sentences = []
+    for name, hubs in hubs_of.items():
+        if 2 * len(late_hubs := [hub for hub in hubs if hub]) > len(hubs):
+            comes = f"{late_hubs[0][0]} comes {format_seconds(late_hubs[0][1], 2)} after {name}"
+            agrees = f"agrees better with those that follow {name}: if its clock is late, it leads."
+            sentences.append(f"{comes}, but {agrees}")
+    return sentences
+
+
+def _find_late_clock(
     fine: Tracks, track_window: TrackWindow, leader: int, followers: Sequence[int]
 ) -> tuple[int, float] | None:
     """The follower that agrees best with all others but comes last, and how many seconds after the leader.

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain, product
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from usnet_env.config import ArgumentError, format_count, format_number, format_seconds, quote, whole_number
+from usnet_env.config import ArgumentError, format_count, format_number, quote, whole_number
 from usnet_env.detection import Detection, ask
 from usnet_env.objectives import list_followers
 from usnet_env.parts import describe_error
 from usnet_env.plugins import DetectorLike, detector_label, find_detector
 from usnet_env.tracks.changes import Period, blur_links, trace_periods
-from usnet_env.tracks.clocks import find_late_clock
+from usnet_env.tracks.clocks import describe_late_clocks
 from usnet_env.tracks.confirm import LEAST_STEPS, LEVEL, confirm_leaders, find_confound
 from usnet_env.tracks.evidence import add_evidence, compare_with_head, describe_lead
 from usnet_env.tracks.found import DetectedWindow, Leader, Link
@@ -32,6 +32,7 @@ _MIN_SHARED_PART = 0.25  # two groups are one if they share this part of all the
 _LEADER_BONUS = 0.25
 
 Group = tuple[int, set[int]]  # the row of its leader in ``Tracks.ids``, and those of its members
+Found = tuple[TrackWindow, Detection, DetectedWindow]
 
 
 def find_leaders(
@@ -78,14 +79,13 @@ def find_leaders(
     tracks = tracks if isinstance(tracks, Tracks) else read_tracks(tracks)
     player = find_detector(detector)
     seed = whole_number("seed", seed, 0)
-    groups: list[Group] = []
     windows, track_windows, answers = list[DetectedWindow](), list[TrackWindow](), list[Detection]()
     length = length if window is None else window
     resampled = tracks if step is None and tracks.step is not None else tracks.resample(step, length=length or 0)
-    fine = sample_finely(resampled)
+    search = _Search(player, resampled, sample_finely(resampled), confirm)
     for number, track_window in enumerate(resampled.windows(length, stride)):
         window_seed = int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1)[0])
-        for result in _detect_in_window(player, resampled, fine, track_window, window_seed, confirm, groups):
+        for result in search.read_window(track_window, window_seed):
             track_windows.append(result[0])
             answers.append(replace(result[1], attention=None))  # of N by N numbers, which nothing here reads
             windows.append(result[2])
@@ -94,7 +94,8 @@ def find_leaders(
     if not windows:
         hint = "no window does (--window makes them shorter)"
         raise ArgumentError(f"tracks must hold a window in which 2 ids are seen in half of the steps; {hint}.")
-    facts = [*resampled.facts, describe_windows(track_windows), *_describe_late_clocks(windows, track_windows, fine)]
+    facts = [*resampled.facts, describe_windows(track_windows)]
+    facts += describe_late_clocks(windows, track_windows, search.fine)
     if confirm and track_windows[0].window.observation_steps < LEAST_STEPS:
         facts.append(f"Windows of fewer than {LEAST_STEPS} steps are too short for the test that confirms leaders.")
     elif confirm:
@@ -140,102 +141,80 @@ def answer_window(player: DetectorLike, resampled: Tracks, track_window: TrackWi
     return Answer(chosen, min(track_windows, key=lambda window: window.step))
 
 
-def _detect_in_window(
-    player: DetectorLike,
-    resampled: Tracks,
-    fine: Tracks,
-    track_window: TrackWindow,
-    seed: int,
-    confirm: bool,
-    groups: list[Group],
-) -> list[tuple[TrackWindow, Detection, DetectedWindow]]:
-    """Ask the detector for one window, and for its halves if its ids move alike without a leader: it may change there.
-
-    Halves have 32 steps or more, and count if both have a leader, and not the same.
-    """
-    times = resampled.file_time(track_window.start), resampled.file_time(track_window.end)
-    answer = _try_answer(player, resampled, track_window, seed, times)
-    detected = _detect_window(track_window, fine, answer, confirm, groups, times)
-    result_of_window, steps = [(track_window, answer.detection, detected)], track_window.window.observation_steps
-    if detected.confound != "one signal" or steps < 4 * LEAST_STEPS:
-        return result_of_window
-    middle = track_window.start + steps // 2 * track_window.step
-    parts = map(resampled.cut_like, (replace(track_window, end=middle), replace(track_window, start=middle)))
-    halves = [_detect_in_window(player, resampled, fine, part, seed, confirm, groups) for part in parts if part]
-    names = [{leader.id for _, _, window in half for leader in window.leaders} for half in halves]
-    return [*chain(*halves)] if all(names) and names[0] != names[-1] else result_of_window
-
-
 def _ask_detector(player: DetectorLike, seed: int, track_window: TrackWindow) -> Detection:
     player.reset(seed)
     return ask(player, track_window.window)[0]
 
 
-def _try_answer(
-    player: DetectorLike, resampled: Tracks, track_window: TrackWindow, seed: int, times: tuple[Any, Any]
-) -> Answer:
-    """Ask the detector for one window; what it raises becomes an ``ArgumentError`` that names the window."""
-    try:
-        return answer_window(player, resampled, track_window, seed)
-    except Exception as error:  # a detector may raise anything
-        fault = f"{describe_error(error)} from {quote(detector_label(player))} in the window from {times[0]}"
-        raise ArgumentError(f"detector must answer every window, got {fault} to {times[1]}.") from error
+@dataclass(frozen=True)
+class _Search:
+    """What the windows of a file share; ``groups`` has each group as it was found last, in the order of the numbers."""
 
+    player: DetectorLike
+    resampled: Tracks
+    fine: Tracks
+    confirm: bool
+    groups: list[Group] = field(default_factory=list)
 
-def _describe_late_clocks(windows: list[DetectedWindow], track_windows: list[TrackWindow], fine: Tracks) -> list[str]:
-    """A sentence about each leader of which a follower may lead, in more than half of its windows."""
-    hubs_of: dict[str | int, list[tuple[str | int, float] | None]] = {}
-    for window, track_window in zip(windows, track_windows, strict=True):
-        column = {name: k for k, name in enumerate(track_window.ids)}
-        for leader in window.leaders:
-            hub = find_late_clock(fine, track_window, column[leader.id], [column[name] for name in leader.followers])
-            hubs_of.setdefault(leader.id, []).append(hub and (track_window.ids[hub[0]], hub[1]))
-    sentences = []
-    for name, hubs in hubs_of.items():
-        if 2 * len(late_hubs := [hub for hub in hubs if hub]) > len(hubs):
-            comes = f"{late_hubs[0][0]} comes {format_seconds(late_hubs[0][1], 2)} after {name}"
-            agrees = f"agrees better with those that follow {name}: if its clock is late, it leads."
-            sentences.append(f"{comes}, but {agrees}")
-    return sentences
+    def read_window(self, track_window: TrackWindow, seed: int) -> list[Found]:
+        """Read one window, and its halves if its ids move alike without a leader: it may change there.
 
+        Halves have 32 steps or more, and count if both have a leader, and not the same.
+        """
+        try:
+            answer = answer_window(self.player, self.resampled, track_window, seed)
+        except Exception as error:  # a detector may raise anything
+            start, end = map(self.resampled.file_time, (track_window.start, track_window.end))
+            fault = f"{describe_error(error)} from {quote(detector_label(self.player))} in the window from {start}"
+            raise ArgumentError(f"detector must answer every window, got {fault} to {end}.") from error
+        detected = self._name_leaders(track_window, answer)
+        found, steps = [(track_window, answer.detection, detected)], track_window.window.observation_steps
+        if detected.confound != "one signal" or steps < 4 * LEAST_STEPS:
+            return found
+        middle = track_window.start + steps // 2 * track_window.step
+        halves = replace(track_window, end=middle), replace(track_window, start=middle)
+        found_in = [self.read_window(part, seed) for part in map(self.resampled.cut_like, halves) if part]
+        names = [{leader.id for _, _, window in half for leader in window.leaders} for half in found_in]
+        return [*chain(*found_in)] if all(names) and names[0] != names[-1] else found
 
-def _detect_window(
-    track_window: TrackWindow, fine: Tracks, answer: Answer, confirm: bool, groups: list[Group], times: tuple[Any, Any]
-) -> DetectedWindow:
-    """The leaders that an answer names in a window; their groups update those of earlier windows."""
-    detection, shortest_step_window = answer
-    ids, rows, window = track_window.ids, track_window.rows, track_window.window
-    scores, extras = detection.scores, detection.extras
-    order = np.argsort(-scores, kind="stable")
-    heads = order[detection.candidates[order]]
-    followers = [list_followers(detection, int(head)) for head in heads]
-    confirmed = np.ones(len(heads), bool)
-    if confirm:
-        confirmed, followers = confirm_leaders(window, heads, followers, shortest_step_window.window)
-    followers_of = {int(heads[k]): followers[k] for k in np.flatnonzero(confirmed)}
-    members_of = [(int(rows[head]), set(rows[[head, *members]].tolist())) for head, members in followers_of.items()]
-    labels = _number_groups(members_of, groups)
-    reasons = dict(zip(map(int, extras.get("heads", ())), extras.get("reasons", ()), strict=False))
-    leaders, links = list[Leader](), list[Link]()
-    for (head, members), label in zip(followers_of.items(), labels, strict=True):
-        head_links = find_links(fine, track_window, head, members, detection.leader) if members else []
-        head_links = add_evidence(head_links, compare_with_head(fine, track_window, head, members))
-        reason = str(reasons.get(head) or describe_lead(head_links))
-        probability = float(extras["probability"][head]) if "probability" in extras else None
-        follower_ids = tuple(ids[i] for i in members)
-        leaders.append(Leader(ids[head], probability, follower_ids, reason, label, float(scores[head])))
-        links += head_links
-    rejected = tuple(ids[head] for head in heads[~confirmed])
-    confound, alike = find_confound(window) if confirm and not leaders else ("", [])
-    alike_ids = tuple(ids[i] for i in alike)
-    return DetectedWindow(*times, tuple(leaders), rejected, tuple(links), track_window.left_out, confound, alike_ids)
+    def _name_leaders(self, track_window: TrackWindow, answer: Answer) -> DetectedWindow:
+        """The leaders that an answer names in a window; their groups update those of earlier windows."""
+        (detection, shortest_step_window), window = answer, track_window.window
+        ids, rows, scores, extras = track_window.ids, track_window.rows, detection.scores, detection.extras
+        order = np.argsort(-scores, kind="stable")
+        heads = order[detection.candidates[order]]
+        followers = [list_followers(detection, int(head)) for head in heads]
+        confirmed = np.ones(len(heads), bool)
+        if self.confirm:
+            confirmed, followers = confirm_leaders(window, heads, followers, shortest_step_window.window)
+        followers_of = {int(heads[k]): followers[k] for k in np.flatnonzero(confirmed)}
+        members_of = [(int(rows[head]), set(rows[[head, *members]].tolist())) for head, members in followers_of.items()]
+        labels = _number_groups(members_of, self.groups)
+        reasons = dict(zip(map(int, extras.get("heads", ())), extras.get("reasons", ()), strict=False))
+        leaders, links = list[Leader](), list[Link]()
+        for (head, members), label in zip(followers_of.items(), labels, strict=True):
+            head_links = find_links(self.fine, track_window, head, members, detection.leader) if members else []
+            head_links = add_evidence(head_links, compare_with_head(self.fine, track_window, head, members))
+            reason = str(reasons.get(head) or describe_lead(head_links))
+            probability = float(extras["probability"][head]) if "probability" in extras else None
+            follower_ids = tuple(ids[i] for i in members)
+            leaders.append(Leader(ids[head], probability, follower_ids, reason, label, float(scores[head])))
+            links += head_links
+        confound, alike = find_confound(window) if self.confirm and not leaders else ("", [])
+        return DetectedWindow(
+            self.resampled.file_time(track_window.start),
+            self.resampled.file_time(track_window.end),
+            tuple(leaders),
+            tuple(ids[head] for head in heads[~confirmed]),
+            tuple(links),
+            track_window.left_out,
+            confound,
+            tuple(ids[i] for i in alike),
+        )
 
 
 def _number_groups(groups: list[Group], known_groups: list[Group]) -> list[int]:
-    """Number the groups of a window from 1, by the earlier groups with which they share the most members.
-
-    ``known_groups`` holds each group as it was found last, in the order of the numbers, and is updated.
-    """
+    """Number the groups of a window from 1, by the known ones, which are updated, that share the most members."""
     from scipy.optimize import linear_sum_assignment  # a refusal does not wait for SciPy
 
     share = np.zeros((len(groups), len(known_groups)))

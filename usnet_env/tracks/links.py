@@ -56,14 +56,9 @@ def sample_finely(tracks: Tracks) -> Tracks:
 def find_links(
     fine: Tracks, track_window: TrackWindow, head: int, followers: Sequence[int], leader: Indices | None
 ) -> list[Link]:
-    """The link of each follower of a head.
+    """The link of each follower of a head, in a window and in the tracks of :func:`sample_finely`.
 
-    Args:
-        fine: the tracks of :func:`sample_finely`.
-        track_window: a window of the same ids and times.
-        head: its index in the window.
-        followers: those of the group.
-        leader: ``(N,)`` the id that each follows by the detector's answer, -1: none; ``None``: the answer has none.
+    ``leader`` ``(N,)`` is the id that each follows by the detector's answer, -1: none; ``None``: the answer has none.
     """
     group, ids, step = np.array([head, *followers]), track_window.ids, float(fine.step or 1.0)
     position, velocity, known, half, longest = cut_velocities(fine, track_window, group)

@@ -325,16 +325,12 @@ class FoundLeaders:
                 write(folder / name)
             except MissingExtraError as error:
                 warnings.warn(f"{name} was not drawn: {error}", stacklevel=3)
-        self._write_page(folder / "page.html", title)
-
-    def _write_page(self, path: Path, title: str) -> None:
-        """Write the page; without tracks it has no map."""
         data, version = None, versions().get("usnet", "unknown")
         if self.tracks is not None and self.windows:
             results = (self.windows, self.track_windows, self.leaders, self.colors, self._probabilities)
             data = collect_data(self.tracks, *results, self._compute_lag_curves)
         facts = [*self.facts, f"Found by {self.detector}, seed {self.seed}, with usnet {version}."]
-        write_page(path, title, str(self).splitlines(), data, self._repr_html_(), facts)
+        write_page(folder / "page.html", title, str(self).splitlines(), data, self._repr_html_(), facts)
 
 
 def _expand_answer(ids: int, track_window: TrackWindow, answer: Detection, detected: DetectedWindow) -> Detection:
