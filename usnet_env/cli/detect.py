@@ -19,8 +19,6 @@ from usnet_env.files import as_path, reserve_folder
 from usnet_env.progress import progress_bar
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from usnet_env.detection import Detection
     from usnet_env.tracks import DetectedWindow, FoundLeaders, Leader, TrackWindow
 
@@ -187,33 +185,27 @@ def _follow_stream(tracks: tuple[str, ...], reading: dict[str, Any], **options: 
 
 
 def _print_leaders(found: FoundLeaders, by_windows: bool) -> None:
-    summary, window_table = _make_tables(found)
-    show(summary)
+    headings = ["leader", "p", "followers", "why"]
+    summary = [[*_list_cells(leader), f"{leader.share or 0.0:.0%}"] for leader in found.leaders]
+    _show_table(f"Over the file, by {found.detector}", [*headings, "windows"], summary or [["none found"]])
     events = [printable(event) for event in (*found.confounds, *found.events)]
     if len(events) > _MAX_ROWS:
         events[_MAX_ROWS:] = [f"{len(events) - _MAX_ROWS} more changes; --out DIR writes all windows."]
     click.echo("\n".join(["", *events]))
     if by_windows:
-        show(window_table)
+        rows = [[str(window.start), str(window.end), *row] for window in found.windows for row in _list_rows(window)]
+        _show_table("Windows", ["from", "to", *headings], rows)
     click.echo("\n".join(map(printable, ["", *found.facts])))
 
 
-def _make_tables(found: FoundLeaders) -> list[Table]:
+def _list_rows(window: DetectedWindow) -> list[list[str]]:
     from usnet_env.tracks.found import CONFOUNDS
 
-    rows: list[list[str]] = []
-    for window in found.windows:
-        confound = f"{list_names(window.alike, _MAX_NAMES)} {CONFOUNDS[window.confound]}." if window.confound else ""
-        cells = [_list_cells(leader) for leader in window.leaders] or [["none found", "", "", confound]]
-        if window.not_confirmed:
-            cells.append(["", "", "", f"Not confirmed: {list_names(window.not_confirmed, _MAX_NAMES)}."])
-        rows += [[str(window.start), str(window.end), *row] for row in cells]
-    summary = [[*_list_cells(leader), f"{leader.share or 0.0:.0%}"] for leader in found.leaders]
-    headings = ["leader", "p", "followers", "why"]
-    return [
-        _make_table(f"Over the file, by {found.detector}", [*headings, "windows"], summary or [["none found"]]),
-        _make_table("Windows", ["from", "to", *headings], rows),
-    ]
+    confound = f"{list_names(window.alike, _MAX_NAMES)} {CONFOUNDS[window.confound]}." if window.confound else ""
+    rows = [_list_cells(leader) for leader in window.leaders] or [["none found", "", "", confound]]
+    if window.not_confirmed:
+        rows.append(["", "", "", f"Not confirmed: {list_names(window.not_confirmed, _MAX_NAMES)}."])
+    return rows
 
 
 def _list_cells(leader: Leader) -> list[str]:
@@ -221,10 +213,10 @@ def _list_cells(leader: Leader) -> list[str]:
     return [str(leader.id), probability, list_names(leader.followers, _MAX_NAMES), leader.reason]
 
 
-def _make_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+def _show_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     from usnet_env.evaluation.tables import make_table
 
     table = make_table(title, headings, rows[:_MAX_ROWS], words=True)
     if len(rows) > _MAX_ROWS:
         table.caption = f"{len(rows) - _MAX_ROWS} more rows; --out DIR writes all of them."
-    return table
+    show(table)

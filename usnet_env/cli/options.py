@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import Any
 
@@ -24,12 +24,8 @@ def complete_names(context: click.Context, option: click.Parameter, prefix: str)
     from usnet_env.plugins import DETECTORS
     from usnet_env.swarm import FOLLOW_STRATEGIES
 
-    if option.name == "env_id":
-        names = list(ENVIRONMENTS)
-    elif option.name == "suite":
-        names = list(list_suites())
-    else:
-        names = list(FOLLOW_STRATEGIES) if option.name == "follow" else sorted(DETECTORS)
+    names_of: dict[str, Iterable[str]] = {"env_id": ENVIRONMENTS, "suite": list_suites(), "follow": FOLLOW_STRATEGIES}
+    names = names_of.get(str(option.name), sorted(DETECTORS))
     return [CompletionItem(name) for name in names if name.startswith(prefix)]
 
 
