@@ -5,10 +5,10 @@ from itertools import product
 import numpy as np
 import pytest
 from scipy.stats import gumbel_r
-from track_files import Answers, Sure, answer_of
+from track_files import Answers, Sure, answer_of, tracks_of
 
 from usnet_env import Window
-from usnet_env.tracks import Tracks, confirm, find_leaders
+from usnet_env.tracks import confirm, find_leaders
 
 STEPS, UAVS = 200, 6
 
@@ -19,9 +19,7 @@ def wander(rng):
 
 def confirmed(velocities, head=0, seen=None, **options):
     """The windows in which ``head`` is named, of two."""
-    places = np.cumsum(np.stack(velocities, axis=1), axis=0)
-    t, i = np.nonzero(np.ones(places.shape[:2], bool) if seen is None else seen)
-    tracks = Tracks.from_samples(i.tolist(), t.tolist(), places[t, i]).resample(1.0)
+    tracks = tracks_of(np.cumsum(np.stack(velocities, axis=1), axis=0), seen=seen).resample(1.0)
     found = find_leaders(tracks, Sure(head), length=99, **options)
     assert len(found.windows) == 2
     return sum(bool(window.leaders) for window in found.windows)
@@ -142,9 +140,8 @@ def test_what_is_followed_instead_of_a_leader_is_named():
 
 
 def test_a_sentence_tells_what_is_followed_instead_of_a_leader():
-    place = go_along(0).position
-    t, i = np.nonzero(np.ones(place.shape[:2], bool))
-    found = find_leaders(Tracks.from_samples(i.tolist(), t.tolist(), place[t, i]).resample(1.0), "none", length=99)
+    tracks = tracks_of(go_along(0).position, names=range(6)).resample(1.0)
+    found = find_leaders(tracks, "none", length=99)
     assert (found.windows[0].confound, found.windows[0].alike) == ("one path", tuple(range(6)))
     sentence = "In 1 of 1 window no leader is found, and 6 ids go along one path, each at a pace of its own."
     assert str(found) == f"No leader was found.\n{sentence}"
@@ -171,8 +168,7 @@ def group(seed, followers, others, steps, shared):
     velocity = [head, *(np.roll(head, 1 + k % 3, axis=0) for k in range(followers))]
     velocity += [route if shared else walk(rng, steps) for _ in range(others)]
     place = np.cumsum(np.array(velocity) + rng.normal(0, 0.1, (len(velocity), steps, 2)), axis=1) / 2
-    ids, time = np.repeat(np.arange(len(place)), steps), np.tile(np.arange(steps) / 2, len(place))
-    return Tracks.from_samples(ids, time, place.reshape(-1, 2)).resample(0.5)
+    return tracks_of(place.swapaxes(0, 1), 0.5, names=range(len(place))).resample(0.5)
 
 
 def test_an_independent_group_is_removed_from_the_followers():
@@ -253,14 +249,6 @@ def follow(steps, delays, *, seed=0, gain=1.0):
     return np.cumsum(moved, axis=0) + rng.normal(0, 5, (1, len(late), 2)) + rng.normal(0, 0.05, moved.shape)
 
 
-def tracks_of(position, seen=None, time=None):
-    steps, ids = position.shape[:2]
-    time = np.arange(float(steps)) if time is None else time
-    kept = np.ones((steps, ids), bool) if seen is None else seen
-    at, of = np.nonzero(kept)
-    return Tracks.from_samples([f"a{k}" for k in of], time[at], position[at, of])
-
-
 def names(found):
     return {leader.id for leader in found.leaders}
 
@@ -280,7 +268,7 @@ def test_pauses_are_skipped_and_times_are_those_of_the_file(rests):
     at = np.concatenate([np.arange(bout) + every * k for k in range(bouts)])
     whole = np.repeat(np.arange(bout * bouts), np.diff(np.append(at, every * bouts)))
     still = np.random.default_rng(1).normal(0, 0.02, (len(whole), *moving.shape[1:]))
-    tracks = tracks_of(moving[whole] + still) if rests else tracks_of(moving, time=at.astype(float))
+    tracks = tracks_of(moving[whole] + still) if rests else tracks_of(moving, times=at)
     found = find_leaders(tracks)
     assert names(found) == {"a0"}
     assert any("pauses skipped" in fact for fact in found.facts)

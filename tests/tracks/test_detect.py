@@ -6,11 +6,11 @@ import sys
 
 import numpy as np
 import pytest
-from track_files import Answers, Sure, answer_of, example, write_csv
+from track_files import Answers, Sure, answer_of, example, tracks_of, write_csv
 
 from usnet_env import ArgumentError
 from usnet_env.replay import EpisodeRecord
-from usnet_env.tracks import Tracks, find_leaders, read_tracks
+from usnet_env.tracks import find_leaders, read_tracks
 
 QUICK = ["--detector", "lagged-correlation"]
 CHAIN = Answers(lambda uavs, _: answer_of(uavs, 0, np.maximum(np.arange(uavs) - 1, 0)))  # each follows the one before
@@ -147,10 +147,7 @@ def test_links_have_the_direct_leader_and_the_delay_in_seconds():
     path = 4 * np.stack([np.cos(np.cumsum(turn)), np.sin(np.cumsum(turn))], axis=1)
     relay = np.roll(path, 2, axis=0) + rng.normal(0, 0.5, path.shape)
     place = np.cumsum(np.stack([path, relay, np.roll(relay, 3, axis=0)], axis=1), axis=0)
-    place += rng.normal(0, 0.1, place.shape)
-    time, who = np.repeat(np.arange(600) * 0.5, 3), ["a", "b", "c"] * 600
-    tracks = Tracks.from_samples(who, time, place.reshape(-1, 2)).resample(0.5)
-
+    tracks = tracks_of(place + rng.normal(0, 0.1, place.shape), 0.5, names="abc").resample(0.5)
     for window in (*find_leaders(tracks, CHAIN).windows[1:], *find_leaders(tracks, Sure(0)).windows[1:]):
         assert [(link.follower, link.leader, link.head) for link in window.links] == [("b", "a", "a"), ("c", "b", "a")]
         assert all(link.direct for link in window.links)
@@ -164,8 +161,7 @@ def test_copies_of_copies_have_no_direct_leader():
     heading = np.cumsum(np.random.default_rng(3).normal(0, 0.3, 650))
     path = np.cumsum(np.stack([np.cos(heading), np.sin(heading)], axis=1), axis=0)
     place = np.stack([path[20:620], path[18:618], path[15:615]], axis=1) + 30 * np.eye(3)[:, :2]
-    tracks = Tracks.from_samples(["a", "b", "c"] * 600, np.repeat(np.arange(600) * 0.5, 3), place.reshape(-1, 2))
-    for window in find_leaders(tracks.resample(0.5), Sure(0)).windows:
+    for window in find_leaders(tracks_of(place, 0.5, names="abc").resample(0.5), Sure(0)).windows:
         assert [(link.leader, link.direct) for link in window.links] == [("a", False)] * 2
         assert [link.delay for link in window.links] == pytest.approx([1.0, 2.5], abs=0.05)
 
@@ -178,8 +174,7 @@ def test_an_id_that_copies_two_has_no_direct_leader():
     b, d = np.roll(path, 2, axis=0) + own[0], np.roll(path, 3, axis=0) + own[1]
     c = np.roll(0.6 * b + 0.4 * d, 2, axis=0) + own[2] / 4
     place = np.cumsum(np.stack([path, b, c, d], axis=1), axis=0)
-    tracks = Tracks.from_samples([*"abcd"] * 650, np.repeat(np.arange(650) * 0.5, 4), place.reshape(-1, 2))
-    for window in find_leaders(tracks.resample(0.5), Sure(0)).windows:
+    for window in find_leaders(tracks_of(place, 0.5, names="abcd").resample(0.5), Sure(0)).windows:
         direct = {link.follower: link.direct for link in window.links}
         assert direct == {"b": True, "c": False, "d": True}
 

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
-from track_files import Answers, answer_of, example, rows_of, straight, write_csv
+from track_files import Answers, answer_of, example, rows_of, straight, tracks_of, write_csv
 
 import usnet_env
 from usnet_env import ArgumentError, Detection, plot_detection
@@ -138,8 +138,7 @@ def test_a_change_of_the_leader_is_dated_within_a_window():
         velocity[t] += velocity[max(0, t - 2), lead] - (t < 2) * velocity[0, lead]
         velocity[t, lead] = free[t, own]
     place = np.cumsum(velocity, axis=0) + 20 * rng.normal(size=(6, 2))
-    tracks = Tracks.from_samples([*range(6)] * 200, np.repeat(np.arange(200.0), 6), place.reshape(-1, 2)).resample(1.0)
-    first, change = find_leaders(tracks, "reader(policy='map')").events
+    first, change = find_leaders(tracks_of(place, names=range(6)).resample(1.0), "reader(policy='map')").events
     assert (first.time, first.kind, first.new) == (0.0, "leads", 0)
     assert (change.kind, change.old, change.new, change.ids) == ("takes over", 0, 5, (1, 2, 3, 4))
     assert abs(change.time - 88) <= 2

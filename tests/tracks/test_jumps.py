@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from track_files import write_csv
+from track_files import tracks_of, write_csv
 
-from usnet_env.tracks import Tracks, read_tracks
+from usnet_env.tracks import read_tracks
 
 HEADER = ["timestamp", "location-long", "location-lat", "individual-local-identifier", "visible"]
 QUICK = ("--detector", "lagged-correlation")
@@ -23,12 +23,6 @@ def pigeons(steps=300, ids=4):
             stamp = f"2010-07-08 09:{12 + t // 60:02}:{t % 60:02}.000"
             rows.append([stamp, 19.04 + float(lon[t]), 47.5 + float(lat[t]), f"bird-{k}", "true"])
     return rows
-
-
-def pair(places):
-    """Tracks ``(T, 2, 2 or 3)`` of two ids, a sample each second."""
-    times = np.tile(np.arange(float(len(places))), 2)
-    return Tracks.from_samples(np.repeat(["a", "b"], len(places)), times, np.concatenate([*places.swapaxes(0, 1)]))
 
 
 def test_one_fix_at_zero_degrees_is_left_out_and_changes_nothing_else(run, tmp_path):
@@ -77,7 +71,7 @@ def test_a_part_at_another_place_is_left_out_or_goes_on(begin, end, moved):
     rng = np.random.default_rng(3)
     walks = np.cumsum(rng.normal(0, 1, (300, 2, 2)) + 1, axis=0)
     walks[begin:end, 0] = -1e5
-    even = pair(walks).resample(1.0)
+    even = tracks_of(walks).resample(1.0)
     assert even.samples == 600 - (end - begin)
     assert moved or np.abs(np.diff(even.position[:200], axis=0)).max() < 150
 
@@ -85,7 +79,7 @@ def test_a_part_at_another_place_is_left_out_or_goes_on(begin, end, moved):
 def test_many_single_jumps_of_both_ids_are_left_out():
     walks = np.cumsum(np.random.default_rng(6).normal(0, 1, (300, 2, 2)) + 1, axis=0)
     walks[[40, 90, 130, 210]] += 1e4
-    even = pair(walks).resample(1.0)
+    even = tracks_of(walks).resample(1.0)
     assert even.samples == 600 - 8
     assert np.linalg.norm(np.diff(even.position[:296, :2], axis=0), axis=1).max() < 20
 
@@ -95,14 +89,14 @@ def test_a_jump_that_stays_is_closed_and_repeated_fixes_are_left_out():
     expected = np.diff(walks[:, 0], axis=0)
     walks[150:, 0] += 7000
     walks[40:60, 1] = walks[40, 1]
-    tracks = pair(walks)
+    tracks = tracks_of(walks)
     even = tracks.resample(1.0)
     assert "1 jump closed: the track goes on from where it was before." in even.notes
     flown = np.diff(even.position[:300, :2], axis=0)
     np.testing.assert_allclose(np.delete(flown, 149, axis=0), np.delete(expected, 149, axis=0), atol=1e-9)
     assert (even.samples, tracks.resample(1.0, keep_spikes=True).samples) == (581, 600)
     walks[150:, 0] -= 6970  # ten times as fast as usual may have been flown
-    assert not any("closed" in note for note in pair(walks).resample(1.0).notes)
+    assert not any("closed" in note for note in tracks_of(walks).resample(1.0).notes)
 
 
 def test_heights_whose_grain_hides_the_movement_are_left_out():
@@ -110,5 +104,5 @@ def test_heights_whose_grain_hides_the_movement_are_left_out():
     walks = np.cumsum(rng.normal(0, 1, (200, 2, 3)) + 1, axis=0)
     rough = walks * (1, 1, 0) + rng.integers(0, 5, (200, 2, 1)) * (0, 0, 25)
     for places, dimensions in ((walks, 3), (rough, 2)):
-        even = pair(places).resample()
+        even = tracks_of(places).resample()
         assert even.dimensions == dimensions

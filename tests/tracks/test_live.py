@@ -4,9 +4,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from track_files import tracks_of
 
 from usnet_env import ArgumentError
-from usnet_env.tracks import LeaderTracker, Tracks, find_leaders
+from usnet_env.tracks import LeaderTracker, find_leaders
 
 CHANGE = 34  # seconds at which another one leads
 
@@ -55,11 +56,9 @@ def test_a_window_has_the_heads_of_find_leaders():
         part, tracker = place[:until], LeaderTracker(step=1.0, window=20)
         tracker.update(np.repeat(np.arange(float(until)), 6), part.reshape(-1, 2), [*range(6)] * until)
         same.append([tracker.track_window.ids[k] for k in np.flatnonzero(tracker.detection.candidates)])
-        last = place[until - 21 : until].reshape(-1, 2)
-        tracks = Tracks.from_samples([*range(6)] * 21, np.repeat(np.arange(21.0), 6), last)
-        heads.append(
-            [leader.id for leader in find_leaders(tracks, step=1.0, window=20, confirm=False).windows[0].leaders]
-        )
+        tracks = tracks_of(place[until - 21 : until], names=range(6))
+        (window,) = find_leaders(tracks, step=1.0, window=20, confirm=False).windows
+        heads.append([leader.id for leader in window.leaders])
     assert heads == same
     assert [0] in heads
     assert [4] in heads

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from track_files import HEADER, refusal, rows_of, straight, write_csv, write_gpx, write_parquet
+from track_files import HEADER, refusal, rows_of, straight, tracks_of, write_csv, write_gpx, write_parquet
 
 from usnet_env.tracks import Tracks, read_tracks
 
@@ -194,8 +194,7 @@ def test_ids_that_may_be_one_body_are_doubted():
     drift = rng.normal(0, 0.01, way.shape).cumsum(axis=0)
     beside = {"estimates": way + drift, "tags": way + rng.normal(0, 1, way.shape), "behind": np.roll(way, 2, axis=0)}
     for name, each in beside.items():
-        place = np.stack([way, each, other], axis=1)[2:]
-        tracks = Tracks.from_samples([*"abc"] * 398, np.repeat(np.arange(398.0), 3), place.reshape(-1, 2))
+        tracks = tracks_of(np.stack([way, each, other], axis=1)[2:], names="abc")
         doubts = [sentence for sentence in tracks.report().warnings if "one body" in sentence]
         assert [sentence[:12] for sentence in doubts] == ["2 ids (a, b)"] * (name != "behind")
 

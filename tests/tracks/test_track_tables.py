@@ -7,9 +7,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from track_files import Answers, Sure, answer_of, example, rows_of, straight, write_csv
+from track_files import Answers, Sure, answer_of, example, rows_of, straight, tracks_of, write_csv
 
-from usnet_env.tracks import Tracks, find_leaders, read_tracks
+from usnet_env.tracks import find_leaders, read_tracks
 
 QUICK = ("--detector", "lagged-correlation")
 
@@ -101,11 +101,10 @@ def test_microseconds_and_nanoseconds_since_1970_are_read_from_every_format(tmp_
 
 def test_a_delay_of_less_than_a_step_is_left_empty(run, tmp_path, no_picture):
     places = flying(lag=0)
-    who, time = ["a", "b", "c"] * 600, np.repeat(np.arange(600) * 0.5, 3)
-    tracks = Tracks.from_samples(who, time, places.reshape(-1, 2)).resample(0.5)
+    tracks = tracks_of(places, 0.5, names="abc").resample(0.5)
     for window in find_leaders(tracks, Sure(0), confirm=False).windows[1:]:
         assert {link.follower: link.delay for link in window.links} == {"b": None, "c": pytest.approx(0.5, abs=0.05)}
-    write_csv(tmp_path / "tracks.csv", [[who[i], time[i], *places.reshape(-1, 2)[i]] for i in range(1800)])
+    write_csv(tmp_path / "tracks.csv", rows_of(np.pad(places, ((0, 0), (0, 0), (0, 1)))))
     words = ("--step", "0.5", "--unconfirmed", "--out", tmp_path / "found")
     assert run("detect", tmp_path / "tracks.csv", *QUICK, *words)[0] == 0
     with open(tmp_path / "found" / "links.csv", newline="", encoding="utf-8") as file:
@@ -121,10 +120,8 @@ def test_delays_are_measured_up_to_12_steps(lag, steps, measured):
     rng = np.random.default_rng(0)
     leader = rng.normal(0, 1, (2 * steps, 2))
     velocity = np.stack([leader, np.roll(leader, lag, axis=0)], axis=1)[-steps - 1 :]
-    tracks = Tracks.from_samples(
-        ["a", "b"] * (steps + 1), np.repeat(np.arange(steps + 1.0), 2), np.cumsum(velocity, axis=0).reshape(-1, 2)
-    )
-    (window,) = find_leaders(tracks.resample(1.0), Sure(0), length=steps, confirm=False).windows
+    tracks = tracks_of(np.cumsum(velocity, axis=0)).resample(1.0)
+    (window,) = find_leaders(tracks, Sure(0), length=steps, confirm=False).windows
     assert (window.links[0].delay == pytest.approx(lag, abs=0.1)) == measured
 
 

@@ -2,24 +2,20 @@
 
 import re
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from track_files import answer_of, example, straight
+from track_files import answer_of, example, straight, tracks_of
 
 from detectors import Detector
 from usnet_env import ArgumentError
 from usnet_env.tracks import Tracks, find_leaders
 
-
-def dense(places, step=0.5, keep=None, **options):
-    """Tracks of positions ``(T, N, 3)``; ``keep`` ``(T, N)`` says which samples there are."""
-    keep = np.ones(places.shape[:2], bool) if keep is None else keep
-    who, when = np.nonzero(keep.T)
-    return Tracks.from_samples([f"uav-{i}" for i in who], when * step, places[when, who], **options)
+dense = partial(tracks_of, step=0.5)
 
 
 def wandering(steps=400, uavs=6, delay=2, noise=0.0, seed=0):
@@ -45,8 +41,7 @@ def test_resampling_of_straight_flight_is_exact(step, seed, velocity, far, even)
     """Whether positions are interpolated or fitted, and however uneven the sampling is."""
     rng = np.random.default_rng(seed)
     times = np.arange(60) * 0.25 if even else np.cumsum(rng.uniform(0.05, 0.4, 60))
-    places = far + times[:, None] * np.array(velocity)
-    tracks = Tracks.from_samples(["a"] * 60 + ["b"] * 60, np.tile(times, 2), np.tile(places, (2, 1)))
+    tracks = tracks_of(np.repeat(far + times[:, None, None] * np.array(velocity), 2, axis=1), times=times)
     grid = tracks.resample(step, max_gap=10.0)
     assert grid.samples
     expected = far + (times[0] + grid.time)[:, None] * np.array(velocity) - tracks.origin
@@ -71,9 +66,9 @@ def test_windows_hold_positions_velocities_masks_ids_and_times():
     keep = np.ones((101, 6), bool)
     keep[40:50, 2] = False
     keep[:95, 5] = False
-    tracks = dense(places, keep=keep)
+    tracks = dense(places, seen=keep)
     (cut,) = tracks.resample(0.5).windows(100, least_steps=10)
-    assert cut.ids == tuple(f"uav-{i}" for i in range(5))  # the sixth is seen in 5 steps
+    assert cut.ids == tuple(f"a{i}" for i in range(5))  # the sixth is seen in 5 steps
     window = cut.window
     assert (window.uavs, window.observation_steps, cut.start, cut.end, cut.step) == (5, 100, 0.0, 50.0, 0.5)
     assert window.step == 0.5
@@ -91,7 +86,7 @@ def test_windows_hold_positions_velocities_masks_ids_and_times():
 def test_windows_overlap_by_the_stride_and_leave_out_where_too_few_are_seen():
     keep = np.ones((400, 6), bool)
     keep[100:200, 1:] = False
-    even = dense(wandering(), keep=keep).resample(0.5)
+    even = dense(wandering(), seen=keep).resample(0.5)
     starts = [cut.start for cut in even.windows(50, 25)]
     assert starts == [12.5 * k for k in (0, 1, 2, 7, 8, 9, 10, 11, 12, 13, 13.96)]  # 75 to 174 see one id in most steps
     with pytest.raises(ArgumentError, match=r"^length must be at most 399"):
@@ -133,7 +128,7 @@ def test_a_window_is_cut_alike_at_other_steps():
     places = wandering(steps=1500, delay=30)
     keep = np.ones(places.shape[:2], bool)
     keep[700:900, 2] = False
-    even = dense(places, keep=keep).resample()
+    even = dense(places, seen=keep).resample()
     times = [other.step / even.step for other in even.other_steps]
     assert times == [0.25, 0.5]
     assert [dense(places).resample(step).other_steps for step in (0.5, 4.0)] == [(), ()]
@@ -173,7 +168,7 @@ def test_of_the_steps_at_which_somebody_leads_the_usual_answer_counts(best):
 
     for answer in (name_another_at_each, name_one_more_at_the_best):
         found = find_leaders(even, AnswersByStep(answer), length=80, confirm=False)
-        assert [leader.id for leader in found.leaders] == ["uav-0"]
+        assert [leader.id for leader in found.leaders] == ["a0"]
 
 
 def test_where_no_id_follows_the_step_is_four_intervals():
@@ -187,19 +182,15 @@ def test_where_no_id_follows_the_step_is_four_intervals():
 def test_gaps_are_masked_and_short_ones_interpolated_on_demand():
     keep = np.ones((400, 6), bool)
     keep[50, 0] = keep[100:110, 1] = False
-    tracks = dense(wandering(), keep=keep)
+    tracks = dense(wandering(), seen=keep)
     assert tracks.resample(0.5).samples == 400 * 6 - 11
     assert tracks.resample(0.5, max_gap=1.0).samples == 400 * 6 - 10
     assert tracks.resample(0.5, max_gap=100).samples == 400 * 6
 
 
 def test_sessions_that_are_years_apart_need_no_memory_for_the_time_between():
-    places, times = wandering(steps=100), np.arange(100) * 0.1
-    ids = np.repeat([f"uav-{i}" for i in range(6)], 100)
-    flat = places.swapaxes(0, 1).reshape(-1, 3)
-    both = np.tile(np.concatenate([times, 1e8 + times]), 6)
-    tracks = Tracks.from_samples(np.repeat(ids, 2).tolist(), both, np.repeat(flat, 2, axis=0))
-    even = tracks.resample(0.5)
+    times = np.arange(100) * 0.1
+    even = dense(np.tile(wandering(steps=100), (2, 1, 1)), times=np.append(times, 1e8 + times)).resample(0.5)
     assert even.samples == 6 * 40
     assert [even.file_time(cut.start) >= 1e8 for cut in even.windows(10)] == [False, False, False, True, True]
 
@@ -212,16 +203,15 @@ def test_gaps_jumps_and_uneven_sampling_are_reported_and_nothing_of_clean_tracks
         dense(wandering()).position[0] = 0
     keep = np.ones((400, 6), bool)
     keep[100:110, 1] = False
-    (found,) = dense(wandering(), keep=keep).report().warnings
-    assert "takes 5.5 s, after 49.5 (id uav-1)" in found
+    (found,) = dense(wandering(), seen=keep).report().warnings
+    assert "takes 5.5 s, after 49.5 (id a1)" in found
     places = wandering()
     places[200:, 3] += (300, 0, 0)
     (found,) = dense(places).report().warnings
     assert found.startswith("1 jump, ")
-    assert "after 99.5 (id uav-3)" in found
-    ids, flat = np.repeat([f"uav-{i}" for i in range(6)], 400).tolist(), wandering().swapaxes(0, 1).reshape(-1, 3)
+    assert "after 99.5 (id a3)" in found
     times = np.cumsum(np.random.default_rng(0).uniform(0.2, 0.8, 400))
-    (found,) = Tracks.from_samples(ids, np.tile(times, 6), flat).report().warnings
+    (found,) = dense(wandering(), times=times).report().warnings
     assert "uneven" in found
 
 

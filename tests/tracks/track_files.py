@@ -10,7 +10,7 @@ import pytest
 
 from detectors import Detector
 from usnet_env import ArgumentError, Detection
-from usnet_env.tracks import read_tracks
+from usnet_env.tracks import Tracks, read_tracks
 
 HEADER = ["id", "t", "x", "y"]
 
@@ -51,6 +51,14 @@ def straight(steps=20, uavs=3, height=False):
     start, velocity = rng.normal(0, 100, (uavs, 3)), rng.normal(0, 5, (uavs, 3))
     place = start + np.arange(steps)[:, None, None] * velocity
     return np.round(place * (1, 1, bool(height)), 3)
+
+
+def tracks_of(places, step=1.0, *, names=None, seen=None, times=None):
+    """Tracks of positions ``(T, N, 2 or 3)``, where they are ``seen`` ``(T, N)``; of ids a0, a1, … without names."""
+    owner, instant = np.nonzero((np.ones(places.shape[:2], bool) if seen is None else seen).T)
+    names = [f"a{k}" for k in range(places.shape[1])] if names is None else names
+    times = np.arange(len(places)) * step if times is None else times
+    return Tracks.from_samples([names[k] for k in owner], times[instant], places[instant, owner])
 
 
 def rows_of(places, step=0.5, first=0):
