@@ -27,25 +27,6 @@ _PICTURES = {
     "timeline.png": "Which id each id follows in each window",
     "delays.png": "The delay of each follower",
 }
-_STYLE = """<style>
-#map { width: 100%; height: min(65vh, 34rem); border: 1px solid #8888; touch-action: pan-y; }
-#charts { display: flex; flex-wrap: wrap; gap: 1rem; } #charts figure { flex: 1 1 18rem; margin: 0; min-width: 0; }
-#charts canvas { width: 100%; height: 12rem; } #slider { width: 100%; } #charts figcaption { font-size: 0.85rem; }
-#controls { display: flex; flex-wrap: wrap; gap: 0.7rem; align-items: center; } #time { font-variant: tabular-nums; }
-figure img { background: white; }
-#map, #charts canvas { background: #f7f7f7; color: #222; }
-</style>"""
-_MAP = """<section aria-label="map">
-<canvas id="map" role="img" aria-label="the ids seen from above; lines connect followers to the ids that they follow">
-</canvas>
-<input id="slider" type="range" min="0" value="0" aria-label="time">
-<p id="controls"><button id="play" type="button">Play</button> <span>Time: <span id="time"></span></span>
-<label>Id: <select id="chooser"></select></label>
-<label><input type="checkbox" id="follow"> Stay with the ids</label></p>
-<p id="about" role="status"></p>
-<div id="charts"><figure id="lag-part"><figcaption id="lag-title"></figcaption><canvas id="lags"></canvas></figure>
-<figure id="chance-part"><figcaption id="chance-title"></figcaption><canvas id="chances"></canvas></figure></div>
-<p id="some"></p></section>"""
 _HINT = """Click an id to see which one it follows. Dots have the colour of the leader that they follow; a large dot
 leads. A dashed line means: in the group of, directly or not."""
 
@@ -62,8 +43,9 @@ def write_page(
     has_leader = data is not None and any(window["leaders"] for window in data["windows"])
     if data is not None:
         values = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", r"\u003c")
-        script = files("usnet_env.tracks").joinpath("page.js").read_text(encoding="utf-8")
-        parts += [_STYLE, _MAP, f"<p>{_HINT * has_leader}</p>", f"<script>const data = {values};{script}</script>"]
+        here = files("usnet_env.tracks")
+        frame, script = (here.joinpath(f"page.{kind}").read_text(encoding="utf-8") for kind in ("html", "js"))
+        parts += [frame.rstrip(), f"<p>{_HINT * has_leader}</p>", f"<script>const data = {values};{script}</script>"]
     parts.append(table if has_leader or data is None else "")
     for name, words in _PICTURES.items() if has_leader else ():
         if (image := path.with_name(name)).exists():
