@@ -302,3 +302,6 @@ def test_a_window_is_read_in_halves_where_its_leader_changes():
     position = np.concatenate([first, first[-1] + second[:, order] - second[0, order]])
     found = find_leaders(tracks_of(position))
     assert names(found) == {"a0", "a1"}
+    record, steps = found.to_episode(), [each.window.observation_steps for each in found.track_windows]
+    assert record.seen.any(axis=2).sum(axis=1).tolist() == [1 + count for count in steps]
+    assert len({*steps}) > 1

@@ -29,7 +29,6 @@ from usnet_env.tracks.page import collect_data, write_page
 from usnet_env.tracks.samples import Clock
 from usnet_env.tracks.silence import explain_silence
 from usnet_env.tracks.tracks import Tracks, TrackWindow
-from usnet_env.window import Window
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -264,10 +263,10 @@ class FoundLeaders:
         """A record with a round for each window, without truth and destroyed UAVs; ``title`` is what the tracks are."""
         from usnet_env.replay import EpisodeRecord
 
-        tracks, windows, answers = self._resampled, list[Window](), list[Detection]()
-        for track_window, answer, detected in zip(self.track_windows, self.answers, self.windows, strict=True):
-            windows.append(track_window.among(len(tracks.ids)))
-            answers.append(_expand_answer(len(tracks.ids), track_window, answer, detected))
+        tracks, results = self._resampled, zip(self.track_windows, self.answers, self.windows, strict=True)
+        steps = max(track_window.window.observation_steps for track_window in self.track_windows)  # parts have fewer
+        windows = [track_window.among(len(tracks.ids), steps) for track_window in self.track_windows]
+        answers = [_expand_answer(len(tracks.ids), *result) for result in results]
         config: dict[str, Any] = {"ids": [*tracks.ids], "step": tracks.step, "frame": tracks.frame}
         config |= {"origin": tracks.origin.tolist()}
         config |= {end: [getattr(window, end) for window in self.windows] for end in ("start", "end")}

@@ -55,12 +55,13 @@ class TrackWindow:
     def __repr__(self) -> str:
         return f"<TrackWindow of {len(self.ids)} ids from {self.start:g} s to {self.end:g} s, {self.window!r}>"
 
-    def among(self, ids: int) -> Window:
-        """The window of all ids of the tracks, so many, in their coordinates; those that it lacks are not seen."""
-        seen = np.zeros((len(self.window.seen), ids), bool)
-        position, velocity = np.zeros((*seen.shape, 3), np.float32), np.zeros((len(seen) - 1, ids, 3), np.float32)
-        seen[:, self.rows], velocity[:, self.rows] = self.window.seen, self.window.velocity
-        position[:, self.rows] = np.where(self.window.seen[..., None], self.window.position + self.origin, 0.0)
+    def among(self, ids: int, steps: int) -> Window:
+        """The last so many steps of all ids of the tracks, in their coordinates; unseen where the window has none."""
+        seen, window = np.zeros((steps + 1, ids), bool), self.window
+        position, velocity = np.zeros((steps + 1, ids, 3), np.float32), np.zeros((steps, ids, 3), np.float32)
+        first = steps - window.observation_steps
+        seen[first:, self.rows], velocity[first:, self.rows] = window.seen, window.velocity
+        position[first:, self.rows] = np.where(window.seen[..., None], window.position + self.origin, 0.0)
         return Window(position, velocity, seen, np.ones(ids, bool), step=self.step)
 
 
