@@ -4,7 +4,6 @@ from itertools import product
 
 import numpy as np
 import pytest
-from scipy.stats import gumbel_r
 from track_files import Answers, Sure, answer_of, tracks_of
 
 from usnet_env import Window
@@ -206,37 +205,6 @@ def test_a_uav_that_follows_one_outside_its_group_is_rejected_at_any_lead():
         inside += confirm.find_followers(window, [0], [[1, 2, 3, 4]])[0]
     assert outside >= 34
     assert inside <= 20
-
-
-def correlation(one, other):
-    """Fisher's z of the largest correlation of two velocities ``(T, 2)`` at any lag up to 4, slowly."""
-    one, other = one - one.mean(axis=0), other - other.mean(axis=0)
-    lags = sum(np.correlate(*axis, "full") for axis in zip(one.T, other.T, strict=True))[len(one) - 5 : len(one) + 4]
-    return np.arctanh(max(lags) / np.sqrt((one**2).sum() * (other**2).sum()))
-
-
-@pytest.mark.parametrize("begin", [0, 50])
-def test_those_alike_exceed_a_quantile_of_maxima(begin):
-    """The limit is the quantile of a Gumbel distribution with the moments of the largest z at nine other times."""
-    named = 0
-    for seed in range(12):
-        rng = np.random.default_rng(seed)
-        head = walk(rng, 100)
-        mixed = [share * np.roll(head, 1, axis=0) + (1 - share) * walk(rng, 100) for share in np.linspace(0.2, 0.8, 8)]
-        velocity = np.array([head, *mixed])
-        found = confirm.find_alike(make_window(velocity), np.array([0]), slice(begin, begin + 50))[0]
-        starts = np.linspace(12, 50, 9).astype(int) if begin == 0 else 50 - np.linspace(12, 50, 9).astype(int)
-        now, *maxima = (
-            [correlation(velocity[0, begin : begin + 50], other[start : start + 50]) for other in velocity[1:]]
-            for start in (begin, *starts)
-        )
-        largest = np.max(maxima, axis=1, initial=0.0)
-        scale = largest.std() * np.sqrt(6) / np.pi
-        limit = gumbel_r(largest.mean() - np.euler_gamma * scale, scale).ppf(1 - confirm.LEVEL / 2)
-        expected = [1 + k for k in np.argsort(-np.array(now))[:5] if now[k] > limit]
-        assert found == expected
-        named += len(found)
-    assert 12 <= named <= 55
 
 
 def follow(steps, delays, *, seed=0, gain=1.0):

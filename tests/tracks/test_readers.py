@@ -20,17 +20,22 @@ BODIES = PLACES[:, :, None] + PARTS  # (20, 3, 2 parts, 2)
 FRAMES = [[row[0], round(row[1] * 2), *row[2:]] for row in rows_of(straight())]
 
 
-def write_sleap(path, names, **axes):
+def write_hdf5(path, name, values, attributes, **others):
     h5py = pytest.importorskip("h5py")
     with h5py.File(path, "w") as file:
-        order = axes.get("order", ("track", "xy", "node", "frame"))
-        values = BODIES.transpose([("frame", "track", "node", "xy").index(name) for name in order])
-        file["tracks"] = values
-        if axes:
-            file["tracks"].attrs["dims"] = json.dumps(order)
-        file["track_names"] = names
-        file["instance_scores"] = np.full((3, 20), 0.9)
+        file[name] = values
+        for owner in (file, file[name]):
+            owner.attrs.update(attributes)
+        for other, array in others.items():
+            file[other] = array
     return path
+
+
+def write_sleap(path, names, **axes):
+    order = axes.get("order", ("track", "xy", "node", "frame"))
+    values = BODIES.transpose([("frame", "track", "node", "xy").index(name) for name in order])
+    dims = {"dims": json.dumps(order)} if axes else {}
+    return write_hdf5(path, "tracks", values, dims, track_names=names, instance_scores=np.full((3, 20), 0.9))
 
 
 def write_movement(path):
@@ -47,20 +52,12 @@ def write_movement(path):
 
 
 def write_idtracker(path):
-    h5py = pytest.importorskip("h5py")
-    with h5py.File(path, "w") as file:
-        file["trajectories"], file["id_probabilities"] = PLACES, np.ones((20, 3, 1))
-        file.attrs["frames_per_second"] = 2.0
-    return path
+    return write_hdf5(path, "trajectories", PLACES, {"frames_per_second": 2.0}, id_probabilities=np.ones((20, 3, 1)))
 
 
 def write_archive(path):
-    h5py = pytest.importorskip("h5py")
     kinds = [("id", "S1"), ("frame", int), ("x", float), ("y", float)]
-    with h5py.File(path, "w") as file:
-        file["trajectory"] = np.array([tuple(row) for row in FRAMES], kinds)
-        file["trajectory"].attrs["fps"] = 2.0
-    return path
+    return write_hdf5(path, "trajectory", np.array([tuple(row) for row in FRAMES], kinds), {"fps": 2.0})
 
 
 def write_jupedsim(path):
@@ -74,8 +71,7 @@ def write_jupedsim(path):
 
 def write_deeplabcut(path):
     names = [["scorer", *["net"] * 18], ["individuals", *np.repeat(list("abc"), 6)]]
-    names += [["bodyparts", *["nose"] * 3, *["tail"] * 3] * 1 + ["nose", "nose", "nose", "tail", "tail", "tail"] * 2]
-    names += [["coords", *["x", "y", "likelihood"] * 6]]
+    names += [["bodyparts", *np.tile(np.repeat(["nose", "tail"], 3), 3)], ["coords", *["x", "y", "likelihood"] * 6]]
     sure = np.concatenate([BODIES, np.full((20, 3, 2, 1), 0.9)], axis=3)
     return write_csv(path, [*names[1:], *([k, *now.ravel()] for k, now in enumerate(sure))], names[0])
 
