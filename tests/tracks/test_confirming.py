@@ -60,8 +60,13 @@ def set_off(order, lateral, instants=120, wait=12):
     """A window in which ids set off one after another, each on a straight way of its own at some lateral distance."""
     gone = np.maximum(0.0, np.arange(instants)[:, None] - 5 - wait * np.array(order))
     ways = lateral * np.random.default_rng(2).normal(0, 1, len(order)) + 0 * gone
-    position = np.stack([gone, ways, 0 * gone], axis=2).astype(np.float32)
-    position += np.random.default_rng(3).normal(0, 0.05, position.shape).astype(np.float32)
+    position = np.stack([gone, ways, 0 * gone], axis=2)
+    return window_of(position + np.random.default_rng(3).normal(0, 0.05, position.shape))
+
+
+def window_of(position):
+    """A window of positions ``(T + 1, N, 3)``, with a step of 1 s."""
+    position = position.astype(np.float32)
     seen = np.ones(position.shape[:2], bool)
     return Window(position, np.diff(position, axis=0), seen, seen[0], step=1.0)
 
@@ -83,11 +88,9 @@ def test_straight_ways_at_one_speed_tell_nothing_of_a_leader():
     """In whole numbers, at a speed that they hold exactly or hardly, or with noise."""
     for speed, noise in product((1.0, 1.3), (0.0, 0.05)):
         gone = np.floor(speed * np.arange(101)) if not noise else speed * np.arange(101)
-        position = np.zeros((101, 6, 3), np.float32)
+        position = np.zeros((101, 6, 3))
         position[..., 0], position[..., 1] = gone[:, None] + 7 * np.arange(6), 1000 * np.arange(6)
-        position += np.random.default_rng(5).normal(0, noise, position.shape)
-        seen = np.ones(position.shape[:2], bool)
-        window = Window(position, np.diff(position, axis=0), seen, seen[0], step=1.0)
+        window = window_of(position + np.random.default_rng(5).normal(0, noise, position.shape))
         for leader in range(6):
             assert confirm.keep_path_followers(window, leader, [k for k in range(6) if k != leader]) == []
 
@@ -186,10 +189,8 @@ def test_a_head_of_a_small_group_does_not_follow_independent_ids():
 
 def make_window(velocity, start=0.0):
     """A window of velocities ``(N, T, 2)``, from places ``(N, 2)`` on."""
-    start = np.pad(np.zeros((len(velocity), 2)) + start, ((0, 0), (0, 1))).astype(np.float32)
-    velocity = np.concatenate([velocity, 0 * velocity[..., :1]], axis=2).transpose(1, 0, 2).astype(np.float32)
-    position = start + np.concatenate([0 * velocity[:1], np.cumsum(velocity, axis=0)])
-    return Window(position, velocity, np.ones(position.shape[:2], bool), np.ones(velocity.shape[1], bool), step=1.0)
+    moved = np.cumsum(np.pad(velocity.swapaxes(0, 1), ((1, 0), (0, 0), (0, 0))), axis=0)
+    return window_of(np.pad(start + moved, ((0, 0), (0, 0), (0, 1))))
 
 
 def test_a_uav_that_follows_one_outside_its_group_is_rejected_at_any_lead():

@@ -1,10 +1,10 @@
 """``find_leaders`` and ``usnet detect``: known leaders, groups that are followed, files, and refusals."""
 
-import csv
 import json
 import sys
 
 import numpy as np
+import pandas as pd
 import pytest
 from track_files import Answers, Sure, answer_of, example, tracks_of, write_csv
 
@@ -100,11 +100,10 @@ def test_out_and_record_write_all_files(run, folder, tmp_path):
     assert "replay.rrd" in err
     names = {"windows.csv", "leaders.csv", "leaders.json", "picture.png", "page.html", "episode.npz", "replay.rrd"}
     assert names <= {path.name for path in out.iterdir()}
-    with open(out / "windows.csv", newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    assert (rows[0]["start"], rows[0]["end"]) == ("0.0", "57.0")
-    assert {row["id"] for row in rows} == {"bird-0", "bird-1"}
-    assert "bird-2" in next(row for row in rows if row["id"] == "bird-0")["followers"].split(";")
+    rows = pd.read_csv(out / "windows.csv")
+    assert (rows.start[0], rows.end[0]) == (0.0, 57.0)
+    assert {*rows.id} == {"bird-0", "bird-1"}
+    assert "bird-2" in rows.set_index("id").followers["bird-0"].iloc[0].split(";")
     assert json.loads((out / "leaders.json").read_text())["leaders"][0]["id"] == "bird-0"
     page = (out / "page.html").read_text(encoding="utf-8")
     assert "<li>bird-0 leads " in page

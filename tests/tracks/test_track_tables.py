@@ -1,6 +1,5 @@
 """Times, delays and the files of ``usnet detect``: their fields, odd names, and folders that were used before."""
 
-import csv
 import json
 import sys
 from itertools import pairwise
@@ -113,14 +112,10 @@ def test_tables_and_json_have_the_same_fields(run, tmp_path, no_picture):
     status, out, _ = run("detect", path, *QUICK, "--step", "0.5", "--unconfirmed", "--out", tmp_path / "found")
     assert status == 0
     found = json.loads((tmp_path / "found" / "leaders.json").read_text(encoding="utf-8"))
-    tables = {}
-    for name in ("windows", "leaders"):
-        with open(tmp_path / "found" / f"{name}.csv", newline="", encoding="utf-8") as file:
-            tables[name] = list(csv.DictReader(file))
-    assert set(tables["leaders"][0]) == set(found["leaders"][0])
-    assert r"b\;c;d\\" in [row["followers"] for row in tables["windows"]]
-    fields = {*found["windows"][0], *found["windows"][0]["leaders"][0]} - {"leaders", "links"}
-    assert set(tables["windows"][0]) == fields
+    windows, leaders = (pd.read_csv(tmp_path / "found" / f"{name}.csv") for name in ("windows", "leaders"))
+    assert {*leaders} == {*found["leaders"][0]}
+    assert r"b\;c;d\\" in [*windows.followers]
+    assert {*windows} == {*found["windows"][0], *found["windows"][0]["leaders"][0]} - {"leaders", "links"}
     led = sum(each["id"] == found["leaders"][0]["id"] for window in found["windows"] for each in window["leaders"])
     assert found["leaders"][0]["share"] == pytest.approx(led / len(found["windows"]))
     assert f"{led / len(found['windows']):.0%}" in out.partition("Over the file")[2]
@@ -145,8 +140,7 @@ def test_odd_ids_are_drawn_and_written_as_plain_text(run, tmp_path):
     assert "Glyph" not in err
     for name in ("=1+\u9e1f", "$\\foo$", "[/red]", "[31mred"):
         assert name in out
-    with open(tmp_path / "out" / "leaders.csv", newline="", encoding="utf-8") as file:
-        assert [row["id"] for row in csv.DictReader(file)] == ["=1+\u9e1f"]
+    assert [*pd.read_csv(tmp_path / "out" / "leaders.csv").id] == ["=1+\u9e1f"]
     page = (tmp_path / "out" / "page.html").read_text(encoding="utf-8")
     assert "<title>Leaders in $x_{1$.csv</title>" in page
     assert "=1+\u9e1f leads" in page
