@@ -18,7 +18,7 @@ from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.detection import Detection
 from usnet_env.objectives import find_roots
 from usnet_env.tracks.confirm import confirm_leaders
-from usnet_env.tracks.found import DetectedWindow, Event, Name, name_kind
+from usnet_env.tracks.found import DetectedWindow, Event, Found, Name, name_kind
 from usnet_env.tracks.links import cut_positions
 from usnet_env.tracks.samples import keep_samples
 from usnet_env.tracks.tracks import Tracks, TrackWindow
@@ -59,11 +59,7 @@ class Period:
 
 
 def trace_periods(
-    resampled: Tracks,
-    windows: Sequence[DetectedWindow],
-    track_windows: Sequence[TrackWindow],
-    answer: Callable[[TrackWindow], Detection],
-    confirm: bool,
+    resampled: Tracks, found: Sequence[Found], answer: Callable[[TrackWindow], Detection], confirm: bool
 ) -> tuple[Period, ...]:
     """The periods of all groups in the order of time; empty if the tracks are too short, or too long.
 
@@ -71,9 +67,9 @@ def trace_periods(
     window of which the period has the most.
     """
     step, max_windows = float(resampled.step or 1.0), min(_MAX_WINDOWS, max(1, _MAX_IDS // len(resampled.ids)))
-    ends = track_windows[0].start, track_windows[-1].end
+    ends = found[0][0].start, found[-1][0].end
     is_long = ends[1] - ends[0] > min(max_windows, _WHOLE_FILE_IDS // len(resampled.ids)) * _STRIDE * step
-    span = _find_span(windows, track_windows) if is_long else ends
+    span = _find_span(found) if is_long else ends
     if span is None or span[1] - span[0] < _LENGTH * step:
         return ()
     stride = max(_STRIDE, -(-round((span[1] - span[0]) / step) // max_windows))
@@ -86,31 +82,31 @@ def trace_periods(
     centres = np.array([(each.start + each.end) / 2 for each in short_windows])
     periods = list[Period]()
     for rows in _find_groups(root):
-        group_root = root[:, rows]
-        candidates = np.unique(group_root[group_root >= 0])
-        present = np.flatnonzero((group_root >= 0).any(axis=1))
+        present = np.flatnonzero((root[:, rows] >= 0).any(axis=1))
         if not len(present):
             continue
+        group_root, group_centres = root[np.ix_(present, rows)], centres[present]
+        candidates = np.unique(group_root[group_root >= 0])
         if len(rows) == 1:
             candidates = candidates[candidates != rows]
-        evidence = _compute_evidence(group_root[present], rows, log_p_leads[present], log_p_none[present], candidates)
-        evidence[_find_led_times(rows, centres[present], resampled.ids, windows, track_windows), -1] = _IMPOSSIBLE
-        path = _find_path(evidence, _CHANGE_PRICE)
+        evidence = _compute_evidence(group_root, rows, log_p_leads[present], log_p_none[present], candidates)
+        evidence[_find_led_times({resampled.ids[row] for row in rows}, group_centres, found), -1] = _IMPOSSIBLE
         states = np.append(candidates, NO_LEADER)
-        group_periods = _list_periods(resampled, rows, states[path], evidence, states, centres[present], ends)
-        if not confirm or any(_is_supported(each, resampled, windows, track_windows) for each in group_periods):
+        path = states[_find_path(evidence, _CHANGE_PRICE)]
+        group_periods = _list_periods(resampled, rows, path, evidence, states, group_centres, ends)
+        if not confirm or any(_is_supported(each, resampled, found) for each in group_periods):
             periods += group_periods
     return tuple(sorted(periods, key=lambda each: (each.start, -len(each.rows))))
 
 
-def _find_span(windows: Sequence[DetectedWindow], track_windows: Sequence[TrackWindow]) -> tuple[float, float] | None:
+def _find_span(found: Sequence[Found]) -> tuple[float, float] | None:
     """From the window before the first one that differs from it to the last such one, in seconds."""
     heads = [
-        {name: t.ids[root] if root >= 0 else None for name, root in zip(t.ids, w.roots(t.ids), strict=True)}
-        for w, t in zip(windows, track_windows, strict=True)
+        {name: t.ids[root] if root >= 0 else None for name, root in zip(t.ids, window.roots(t.ids), strict=True)}
+        for t, _, window in found
     ]
     changes = [k for k, (a, b) in enumerate(pairwise(heads)) if any(a[name] != b[name] for name in a.keys() & b.keys())]
-    return (track_windows[changes[0]].start, track_windows[changes[-1] + 1].end) if changes else None
+    return (found[changes[0]][0].start, found[changes[-1] + 1][0].end) if changes else None
 
 
 def _read_roots(
@@ -159,19 +155,13 @@ def _compute_evidence(
     return np.column_stack([leader_evidence, _LOG_ZERO * (1.0 - free_share) + log_p_none])
 
 
-def _find_led_times(
-    rows: Indices,
-    centres: Floats,
-    ids: Sequence[Name],
-    windows: Sequence[DetectedWindow],
-    track_windows: Sequence[TrackWindow],
-) -> Mask:
+def _find_led_times(members: set[Name], centres: Floats, found: Sequence[Found]) -> Mask:
     """Which times are in a window in which most members of a group follow or lead: there, no leader is no answer.
 
     A single id that leads follows none.
     """
-    members, is_led = {ids[row] for row in rows}, np.zeros(len(centres), bool)
-    for window, track_window in zip(windows, track_windows, strict=True):
+    is_led = np.zeros(len(centres), bool)
+    for track_window, _, window in found:
         roles = {link.follower for link in window.links} | {leader.id for leader in window.leaders if len(members) > 1}
         if 2 * len(members & roles) > len(members):
             is_led |= (centres >= track_window.start) & (centres <= track_window.end)
@@ -278,20 +268,18 @@ def _compute_residuals(velocity: Floats, leader_velocity: Floats, seen: Mask, pa
     return np.asarray(((residual**2).sum(axis=2) * seen).sum(axis=1))
 
 
-def _is_supported(
-    period: Period, tracks: Tracks, windows: Sequence[DetectedWindow], track_windows: Sequence[TrackWindow]
-) -> bool:
+def _is_supported(period: Period, tracks: Tracks, found: Sequence[Found]) -> bool:
     """Whether the leader of a period leads in a window of which it has the most, or is confirmed in the period."""
     if period.leader == NO_LEADER:
         return False
     name = tracks.ids[period.leader]
-    for window, track_window in zip(windows, track_windows, strict=True):
+    for track_window, _, window in found:
         overlap = min(track_window.end, period.end) - max(track_window.start, period.start)
         leads = any(leader.id == name for leader in window.leaders)
         if leads and 2 * overlap >= min(track_window.end - track_window.start, period.end - period.start):
             return True
     all_rows = np.arange(len(tracks.ids))
-    period_window = tracks.cut_like(replace(track_windows[0], start=period.start, end=period.end, rows=all_rows))
+    period_window = tracks.cut_like(replace(found[0][0], start=period.start, end=period.end, rows=all_rows))
     if period_window is None or not np.isin((period.leader, *period.rows), period_window.rows).all():
         return False
     members = np.searchsorted(period_window.rows, period.rows)

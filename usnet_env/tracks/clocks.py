@@ -8,19 +8,17 @@ import numpy as np
 
 from usnet_env.config import format_seconds
 from usnet_env.series import centre_columns, correlate_at_lag, scale_to_unit
-from usnet_env.tracks.found import DetectedWindow, Name
+from usnet_env.tracks.found import Found, Name
 from usnet_env.tracks.links import cut_velocities
 from usnet_env.tracks.tracks import Tracks, TrackWindow
 
 _MIN_SHARE_AHEAD, _MIN_GROUP, _MAX_COMPARED = 0.75, 4, 20  # of a group: those ahead, and its size
 
 
-def describe_late_clocks(
-    windows: Sequence[DetectedWindow], track_windows: Sequence[TrackWindow], fine: Tracks
-) -> list[str]:
+def describe_late_clocks(found: Sequence[Found], fine: Tracks) -> list[str]:
     """A sentence about each leader of which a follower may lead, in more than half of its windows."""
     hubs_of: dict[Name, list[tuple[Name, float] | None]] = {}
-    for window, track_window in zip(windows, track_windows, strict=True):
+    for track_window, _, window in found:
         for leader in window.leaders:
             head, *followers = map(track_window.ids.index, (leader.id, *leader.followers))
             hub = _find_late_clock(fine, track_window, head, followers)

@@ -10,6 +10,8 @@ import numpy as np
 
 from usnet_env.arrays import Indices
 from usnet_env.config import format_count, list_names
+from usnet_env.detection import Detection
+from usnet_env.tracks.tracks import TrackWindow
 
 Name = str | int
 Time = float | int | str  # as in the file
@@ -117,6 +119,9 @@ class DetectedWindow:
         follows = {name: leader.id for leader in self.leaders for name in leader.followers}
         follows |= {leader.id: leader.id for leader in self.leaders}
         return np.array([ids.index(follows[name]) if name in follows else -1 for name in ids], np.int64)
+
+
+Found = tuple[TrackWindow, Detection, DetectedWindow]  # a window, the detector's answer, and what was found
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from usnet_env.tracks.changes import Period, blur_links, trace_periods
 from usnet_env.tracks.clocks import describe_late_clocks
 from usnet_env.tracks.confirm import LEAST_STEPS, LEVEL, confirm_leaders, find_confound
 from usnet_env.tracks.evidence import add_evidence, compare_with_head, describe_lead
-from usnet_env.tracks.found import DetectedWindow, Leader, Link
+from usnet_env.tracks.found import DetectedWindow, Found, Leader, Link
 from usnet_env.tracks.links import find_links, sample_finely
 from usnet_env.tracks.read import read_tracks
 from usnet_env.tracks.result import FoundLeaders
@@ -32,7 +32,6 @@ _MIN_SHARED_PART = 0.25  # two groups are one if they share this part of all the
 _LEADER_BONUS = 0.25
 
 Group = tuple[int, set[int]]  # the row of its leader in ``Tracks.ids``, and those of its members
-Found = tuple[TrackWindow, Detection, DetectedWindow]
 
 
 def find_leaders(
@@ -79,35 +78,32 @@ def find_leaders(
     tracks = tracks if isinstance(tracks, Tracks) else read_tracks(tracks)
     player = find_detector(detector)
     seed = whole_number("seed", seed, 0)
-    windows, track_windows, answers = list[DetectedWindow](), list[TrackWindow](), list[Detection]()
+    found = list[Found]()
     length = length if window is None else window
     resampled = tracks if step is None and tracks.step is not None else tracks.resample(step, length=length or 0)
     search = _Search(player, resampled, sample_finely(resampled), confirm)
     for number, track_window in enumerate(resampled.windows(length, stride)):
         window_seed = int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1)[0])
-        for result in search.read_window(track_window, window_seed):
-            track_windows.append(result[0])
-            answers.append(replace(result[1], attention=None))  # of N by N numbers, which nothing here reads
-            windows.append(result[2])
+        for part, answer, found_there in search.read_window(track_window, window_seed):
+            found.append((part, replace(answer, attention=None), found_there))  # N by N numbers that nothing here reads
             if on_window is not None:
-                on_window(*result)
-    if not windows:
+                on_window(part, answer, found_there)
+    if not found:
         hint = "no window does (--window makes them shorter)"
         raise ArgumentError(f"tracks must hold a window in which 2 ids are seen in half of the steps; {hint}.")
-    facts = [*resampled.facts, describe_windows(track_windows)]
-    facts += describe_late_clocks(windows, track_windows, search.fine)
+    track_windows, answers, windows = zip(*found, strict=True)
+    facts = [*resampled.facts, describe_windows(track_windows), *describe_late_clocks(found, search.fine)]
     if confirm and track_windows[0].window.observation_steps < LEAST_STEPS:
         facts.append(f"Windows of fewer than {LEAST_STEPS} steps are too short for the test that confirms leaders.")
     elif confirm:
         facts.append(_describe_chance(windows))
     periods: tuple[Period, ...] = ()
     if "probability" in answers[0].extras:
-        periods = trace_periods(resampled, windows, track_windows, partial(_ask_detector, player, seed), confirm)
-        pairs = zip(windows, track_windows, strict=True)
-        windows = [blur_links(window, track_window, periods, tracks.ids) for window, track_window in pairs]
+        periods = trace_periods(resampled, found, partial(_ask_detector, player, seed), confirm)
+        windows = tuple(blur_links(window, part, periods, tracks.ids) for part, _, window in found)
     leaders = _summarise_leaders(windows, tracks.ids)
-    details = tuple(facts), resampled, tuple(track_windows), tuple(answers), seed, periods
-    return FoundLeaders(tuple(windows), leaders, detector_label(player), tracks.ids, *details)
+    details = tuple(facts), resampled, track_windows, answers, seed, periods
+    return FoundLeaders(windows, leaders, detector_label(player), tracks.ids, *details)
 
 
 class Answer(NamedTuple):
@@ -228,7 +224,7 @@ def _number_groups(groups: list[Group], known_groups: list[Group]) -> list[int]:
     return [same[k] + 1 for k in range(len(groups))]
 
 
-def _describe_chance(windows: list[DetectedWindow]) -> str:
+def _describe_chance(windows: Sequence[DetectedWindow]) -> str:
     """How many of the confirmed leaders chance would give if no id led."""
     leaders = sum(len(window.leaders) for window in windows)
     candidates = leaders + sum(len(window.not_confirmed) for window in windows)
@@ -236,7 +232,7 @@ def _describe_chance(windows: list[DetectedWindow]) -> str:
     return f"Confirmed in all windows: {leaders} of {format_count(candidates, 'candidate')}; {expected}."
 
 
-def _summarise_leaders(windows: list[DetectedWindow], ids: Sequence[str | int]) -> tuple[Leader, ...]:
+def _summarise_leaders(windows: Sequence[DetectedWindow], ids: Sequence[str | int]) -> tuple[Leader, ...]:
     """The leaders over the file."""
     row = {name: k for k, name in enumerate(ids)}
     entries_of: dict[tuple[int, int], list[Leader]] = {}  # by the group and the row of its leader
