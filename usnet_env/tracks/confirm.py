@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations, permutations
 from statistics import NormalDist
 from typing import Any
 
@@ -142,16 +141,13 @@ def find_confound(window: Window) -> tuple[str, list[int]]:
     uavs = np.unique(np.linspace(0, window.uavs - 1, min(window.uavs, _MAX_COMPARED)).astype(int))
     if window.observation_steps < 2 * LEAST_STEPS:
         return "", []
-    shares_path = np.eye(len(uavs), dtype=bool)
-    for i, j in combinations(range(len(uavs)), 2):
-        pairs = permutations((uavs[i], uavs[j]))
-        shares_path[i, j] = shares_path[j, i] = all(_is_on_path(window, *pair) for pair in pairs)
+    on_path = np.array([[i == j or _is_on_path(window, i, j) for j in uavs.tolist()] for i in uavs.tolist()])
     velocity, seen = window.velocity[:, uavs], window.velocity_seen[:, uavs]
     unit, changes = _scale(velocity, seen), _scale(np.diff(velocity, axis=0), seen[1:] & seen[:-1])
     centre = int(_measure_likeness(unit, unit).mean(axis=1).argmax())
     shares_signal = _are_alike(unit, unit[:, [centre]]) & _are_alike(changes, changes[:, [centre]])
     shares_signal[centre] = True
-    for confound, members in (("one path", max(shares_path, key=np.sum)), ("one signal", shares_signal)):
+    for confound, members in (("one path", max(on_path & on_path.T, key=np.sum)), ("one signal", shares_signal)):
         if 2 * members.sum() > len(members) and members.sum() > 1:
             return confound, uavs[members].tolist()
     return "", []

@@ -15,7 +15,7 @@ import pandas as pd
 
 from usnet_env import drawing
 from usnet_env.config import choose_unit, format_seconds
-from usnet_env.tracks.found import DetectedWindow
+from usnet_env.tracks.found import DetectedWindow, Name
 from usnet_env.tracks.tracks import Tracks, TrackWindow
 
 if TYPE_CHECKING:
@@ -32,14 +32,12 @@ _MAX_NAMES = 12  # leaders that a map names
 _MAX_MAP_NAME_LENGTH = 24  # characters of a name
 _MARKS = (drawing.HEAD_MARK, drawing.FOLLOWER_MARK, drawing.LINK_MARK, drawing.UNLED_MARK)  # of the legend
 
-Id = str | int
-
 
 def draw_maps(
     tracks: Tracks,
     track_windows: Sequence[TrackWindow],
     windows: Sequence[DetectedWindow],
-    leading: Sequence[Id],
+    leading: Sequence[Name],
     title: str,
     detector: str,
 ) -> Figure:
@@ -76,7 +74,7 @@ def draw_maps(
 
 
 def _draw_map(
-    axes: Axes, track_window: TrackWindow, window: DetectedWindow, tracks: Tracks, leading: Sequence[Id]
+    axes: Axes, track_window: TrackWindow, window: DetectedWindow, tracks: Tracks, leading: Sequence[Name]
 ) -> tuple[Any, dict[str, str]]:
     """Draw one window; returns where each UAV was seen last, and the marks for the legend."""
     ids = track_window.ids
@@ -94,7 +92,7 @@ def _draw_map(
     return last_position, {mark: drawing.TRACK_WORDS.get(mark, mark) for mark, uavs in marks.items() if uavs.any()}
 
 
-def draw_network(rows: pd.DataFrame, windows: int, colors: Mapping[Id, str], ax: Any = None) -> Figure:
+def draw_network(rows: pd.DataFrame, windows: int, colors: Mapping[Name, str], ax: Any = None) -> Figure:
     """Draw an arrow from each id to the one that it follows directly, and a dashed one to its head if that isn't known.
 
     It is as wide as the share of all ``windows`` in which it does so; the label is the median delay in seconds. Heads
@@ -168,10 +166,10 @@ def draw_delays(rows: pd.DataFrame, ax: Any = None) -> Figure:
 
 
 def draw_timeline(
-    spans: Sequence[tuple[Id, Id, float, float]],
-    ids: Sequence[Id],
+    spans: Sequence[tuple[Name, Name, float, float]],
+    ids: Sequence[Name],
     starts: Sequence[float | int | str],
-    colors: Mapping[Id, str],
+    colors: Mapping[Name, str],
     ax: Any = None,
 ) -> Figure:
     """Draw a row for each id: the colour of its head, and stars where it is one itself.
@@ -196,7 +194,7 @@ def draw_timeline(
     return _end_picture(axes, title, fontsize=8, title="follows")
 
 
-def draw_evidence(curves: pd.DataFrame, chance: float, leader: Id, ax: Any = None) -> Figure:
+def draw_evidence(curves: pd.DataFrame, chance: float, leader: Name, ax: Any = None) -> Figure:
     """Draw the correlation of each follower's velocity with that of the leader against the time after it.
 
     The index of ``curves`` are seconds, and a column is a follower. ``chance`` is the largest value by chance.
@@ -219,7 +217,7 @@ def draw_evidence(curves: pd.DataFrame, chance: float, leader: Id, ax: Any = Non
     return _end_picture(axes, f"Why {name}: its followers{note} repeat its velocity later", fontsize=7, ncols=2)
 
 
-def draw_probabilities(table: pd.DataFrame, colors: Mapping[Id, str], ax: Any = None) -> Figure:
+def draw_probabilities(table: pd.DataFrame, colors: Mapping[Name, str], ax: Any = None) -> Figure:
     """Draw the probability to lead of each id in each window, in colour if it leads in any, and that none does.
 
     The columns of ``table`` are ids, ``None`` for none, and the index are the times of the windows.

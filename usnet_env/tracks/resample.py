@@ -23,7 +23,6 @@ _MIN_FIT_SAMPLES = 3  # samples within a grid step from which a straight line is
 _TIME_TOLERANCE = 1e-6  # grid steps; times that differ by less are the same
 _TYPICAL_SHARE, _BRIDGE_FACTOR = 0.9, 1.5  # intervals up to 1.5 times that of this quantile are interpolated
 _MAX_GRID_SAMPLES = 10**8  # samples of the result
-_OTHER_FACTORS = (0.25, 0.5)  # times the chosen step
 
 # The choice of the step looks at a part of the tracks: followers, ids in all, steps, and samples.
 _FOCAL_IDS, _POOL_IDS, _PART_STEPS, _MAX_SAMPLES = 48, 400, 2048, 2**21
@@ -155,13 +154,6 @@ def resample_positions(tracks: SamplesT, step: float, max_gap: float | None) -> 
         leader = np.concatenate([leader[parts[i]][grid[2]] for i, grid in zip(filled, grids, strict=True)])
     offsets = np.concatenate([[0], np.cumsum(counts)])
     return replace(tracks, offsets=offsets, time=times * step, position=positions, leader=leader, step=step)
-
-
-def resample_others(tracks: SamplesT, step: float, max_gap: float | None) -> tuple[SamplesT, ...]:
-    """The tracks at a quarter and a half of ``step``, as far as their samples are so near."""
-    interval = float(np.nanmedian(typical_intervals(tracks)))
-    steps = [factor * step for factor in _OTHER_FACTORS if factor * step >= interval * (1 - _TIME_TOLERANCE)]
-    return tuple(resample_positions(tracks, other, max_gap) for other in steps)
 
 
 def _resample_one(

@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 from typing import Any, Literal, TypeVar
 
@@ -229,26 +229,22 @@ def find_one_body(tracks: Samples) -> list[str | int]:
     parts = [slice(*ends) for ends in pairwise(tracks.offsets)]
     positions = np.array([np.interp(times, tracks.time[part], plane[part], np.nan, np.nan) for part in parts])
     present, after_interval, after_delay = np.split(positions, 3, axis=1)
-    rows_found: set[int] = set()
+    rows_found, time_mean = set[int](), partial(np.nanmean, axis=1)
     with np.errstate(all="ignore"), warnings.catch_warnings(action="ignore"):  # of ids that are never seen together
         extent = 2 * np.nanmax(np.abs(present - np.nanmean(present, axis=1, keepdims=True)), axis=1)
         for k in range(len(present) - 1):
             offset, travel = present[k + 1 :] - present[k], after_delay[k] - present[k]
-            neighbours = _time_mean(abs(offset)) < _MAX_DISTANCE * np.minimum(extent[k], extent[k + 1 :])
+            neighbours = time_mean(abs(offset)) < _MAX_DISTANCE * np.minimum(extent[k], extent[k + 1 :])
             neighbours = np.flatnonzero(neighbours & (np.isfinite(offset).sum(axis=1) > _COMPARED_INSTANTS // 4))
             next_offset, late_offset = (p[k + 1 + neighbours] - p[k] for p in (after_interval, after_delay))
             offset = offset[neighbours]
-            square, travel_square = _time_mean(abs(offset) ** 2), _time_mean(abs(travel[None]) ** 2)
-            is_noise = _time_mean((offset * next_offset.conj()).real) < _MAX_NOISE_PRODUCT * square
-            is_slow = _time_mean(abs(late_offset - offset) ** 2) < _MAX_DRIFT**2 * travel_square
-            is_behind = abs(_time_mean((offset * (travel / abs(travel)).conj()).real)) > _MIN_COSINE * np.sqrt(square)
+            square, travel_square = time_mean(abs(offset) ** 2), time_mean(abs(travel[None]) ** 2)
+            is_noise = time_mean((offset * next_offset.conj()).real) < _MAX_NOISE_PRODUCT * square
+            is_slow = time_mean(abs(late_offset - offset) ** 2) < _MAX_DRIFT**2 * travel_square
+            is_behind = abs(time_mean((offset * (travel / abs(travel)).conj()).real)) > _MIN_COSINE * np.sqrt(square)
             tied_rows = k + 1 + neighbours[is_noise | (is_slow & ~is_behind)]
             rows_found.update([k, *tied_rows.tolist()] if len(tied_rows) else [])
     return [tracks.ids[k] for k in sorted(rows_found)]
-
-
-def _time_mean(values: Any) -> Any:
-    return np.nanmean(values, axis=1)
 
 
 def number_labels(labels: pd.Series[Any]) -> tuple[Indices, tuple[str | int, ...]]:

@@ -15,12 +15,12 @@ from usnet_env.arrays import Floats, Indices
 from usnet_env.config import ArgumentError, MissingExtraError, quote, real_number, whole_number
 from usnet_env.tracks.clean import clean_samples
 from usnet_env.tracks.report import TrackReport, describe_samples, find_problems
-from usnet_env.tracks.resample import choose_step, resample_others, resample_positions, typical_stay
+from usnet_env.tracks.resample import choose_step, resample_positions, typical_intervals, typical_stay
 from usnet_env.tracks.samples import Samples, match_leaders, number_labels, sort_samples
 from usnet_env.window import Window, as_array, frozen_array
 
 _TYPICAL_STEPS, _MIN_STEPS = 100, 16  # steps of a window
-_MAX_STEPS = 400  # of a window at another step
+_OTHER_FACTORS, _MAX_STEPS = (0.25, 0.5), 400  # times a chosen step; steps of a window at another step
 _MIN_REMAINDER = 0.1  # of a window; so many steps at the end are no reason for one more window
 
 
@@ -179,7 +179,11 @@ class Tracks(Samples):
     @cached_property
     def other_steps(self) -> tuple[Tracks, ...]:
         """The tracks at a quarter and a half of a chosen step, if samples are so near; else none."""
-        return resample_others(self.source, self.step, self.max_gap) if self.source and self.step else ()
+        if not self.source or not self.step:
+            return ()
+        least = float(np.nanmedian(typical_intervals(self.source))) * (1 - 1e-6)
+        steps = [factor * self.step for factor in _OTHER_FACTORS if factor * self.step >= least]
+        return tuple(resample_positions(self.source, step, self.max_gap) for step in steps)
 
     def cut_like(self, track_window: TrackWindow) -> TrackWindow | None:
         """The window with the same ids and times in tracks with another step, or ``None`` if it is of no use."""
