@@ -92,11 +92,15 @@ def as_table(frame: pd.DataFrame) -> Table:
     return Table(list(frame), lambda names: frame[[*names.values()]].set_axis([*names], axis=1), frame.attrs)
 
 
-def as_long(table: Table) -> Table:
-    """A table with a row for each time, such as ``t, x1, y1, x2, y2``, as one with a row for each sample of an id."""
+def as_long(table: Table, mapping: Mapping[Any, str] | None) -> Table:
+    """A table with a row for each time, such as ``t, x1, y1, x2, y2``, as one with a row for each sample of an id.
+
+    Other tables, and those of whose columns the caller's ``mapping`` names an id or positions, stay as they are.
+    """
     header, read, details = table
     guessed, axes_of = guess_columns(header), find_wide(header)
-    if len(axes_of) < 2 or {"x", "y"} <= guessed.keys() or "id" in guessed:
+    is_mapped = {"id", "x", "lon"} & (mapping or {}).keys()
+    if is_mapped or len(axes_of) < 2 or {"x", "y"} <= guessed.keys() or "id" in guessed:
         return table
     other_names = [name for name in header if not any(name in axes.values() for axes in axes_of.values())]
     if not guessed.keys() & {*TIMES}:

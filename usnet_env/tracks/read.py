@@ -19,7 +19,7 @@ from usnet_env.files import as_path, describe_fault
 from usnet_env.tracks import columns as roles
 from usnet_env.tracks.readers import read_dataset
 from usnet_env.tracks.samples import Clock, match_leaders, number_labels, sort_samples, split_gaps
-from usnet_env.tracks.tables import Options, open_table, read_text, split_wide
+from usnet_env.tracks.tables import Options, open_table, read_text
 from usnet_env.tracks.tracks import Tracks
 from usnet_env.tracks.units import guess_time_unit, project_positions, scale_lengths
 
@@ -105,7 +105,7 @@ def read_tracks(
             path, source = read_dataset(path), "the dataset"
         if isinstance(path, pd.DataFrame):
             frame = path.reset_index() if any(path.index.names) else path
-            table = split_wide(roles.as_table(frame.rename(columns=str)), options)
+            table = roles.as_long(roles.as_table(frame.rename(columns=str)), options.columns)
             return _make_tracks([source], [_read_rows(table, options, source, None)], options, source)
         path_list = path if isinstance(path, list | tuple) else [path]
         if not path_list or not isinstance(path_list[0], str | os.PathLike):
@@ -143,7 +143,7 @@ def read_stream(stream: Any, **reading: Any) -> Iterator[tuple[float, Floats, li
             header_lines, lines = b"".join(lines[:header_count]), lines[header_count:]
         if not b"".join(lines).strip():
             continue
-        table = split_wide(read_text(header_lines + b"".join(lines), options), options)
+        table = roles.as_long(read_text(header_lines + b"".join(lines), options), options.columns)
         if clock is None:  # each id may come once at first, as if it numbered the rows
             guessed = roles.choose_columns(table.header, options.columns or {}, source)
             options = options.model_copy(update={"columns": {"id": guessed["id"], **(options.columns or {})}})
@@ -185,45 +185,15 @@ def _read_file(path: Path, options: Options, one_of_several: bool) -> _FileRows:
 
 def _read_rows(table_of_file: roles.Table, options: Options, source: str, stem: str | None) -> _FileRows:
     """Read the columns of a table; ``stem`` is its id if it has none."""
-    (header, read_columns, details), mapping = table_of_file, options.columns or {}
-    required = {"confidence": options.min_confidence is not None}
-    try:
-        names = roles.choose_columns(header, mapping, source, one_id=stem is not None, **required)
-    except ArgumentError as error:
-        if "suffix" not in details:
-            raise
-        reason = f"was read as CSV, as no format has the suffix {details['suffix']} (--format names one)"
-        raise ArgumentError(f"{str(error)[:-1]}; it {reason}.") from None
-    movebank = roles.MOVEBANK & {name.replace("_", "-") for name in header}
-    extra_columns = {"visible": "visible"} if movebank and "visible" in header else {}
-    if "t" in names and (dates := [name for name in header if name.strip().lower() == "date"]):
-        extra_columns["date"] = dates[0]
-    recording = roles.find_recording(header) if options.pool_by is None else options.pool_by
-    if recording is not None:
-        extra_columns["recording"], details = recording, {**details, "recording": recording}
-        if header.count(recording) != 1:
-            listed = ", ".join(header)
-            got = f"{quote(recording)}; it has {listed}"
-            raise ArgumentError(f"pool_by (--pool-by) must be a column of {source}, got {got}.")
-    table = read_columns(names | extra_columns)
-    if "id" in names and not mapping.get("id") and len(table) > 1 and table["id"].is_unique:
-        other_names = [name for name in header if name != names["id"]]  # it numbers the rows
-        other_columns = roles.choose_columns(other_names, mapping, source, one_id=True, **required)
-        if "id" in other_columns:
-            names, table = other_columns, read_columns(other_columns | extra_columns)
-    if "id" not in names:
-        names, table = {"id": "file", **names}, table.assign(id=stem)
-        details = {**details, "for_itself": True}
+    names, table, details = _read_columns(table_of_file, options, source, stem)
     count = len(table)
-    may_join = options.time_format is None or "date" in extra_columns
+    may_join = options.time_format is None or "date" in table
     if "t" in names and count and may_join and re.match(_TIME_OF_DAY, roles.to_text(table["t"].iloc[0])):
         table["t"] = _join_date(table["t"].astype(str), table.get("date"))
-        names["t"] += " + date" * ("date" in extra_columns)
-    if "visible" in extra_columns:
+        names["t"] += " + date" * ("date" in table)
+    if "visible" in table:
         table = table[~table["visible"].astype(str).str.strip().str.lower().isin({"false", "f", "no", "0"})]
-    rows = table[["recording"] if "recording" in extra_columns else []].copy()
-    skip = options.missing == "skip" or bool(movebank)
-    is_valid = np.ones(len(rows), bool)
+    rows, is_valid = table[["recording"] if "recording" in table else []].copy(), np.ones(len(table), bool)
     for role, name in names.items():
         column = table[role].rename(name)
         if role in roles.LABELS:
@@ -231,25 +201,58 @@ def _read_rows(table_of_file: roles.Table, options: Options, source: str, stem: 
         else:
             reading = options.decimal, options.time_format
             rows[role] = roles.read_numbers(column, role, source, *reading, skip_few=options.missing == "skip")
-        if role in ("leader", "confidence") or (role == "z" and not mapping.get("z")):
+        if role in ("leader", "confidence") or (role == "z" and not (options.columns or {}).get("z")):
             continue
         is_missing = (rows[role].isna() | (rows[role] == "")).to_numpy()
-        if is_missing.any() and not skip:
+        if is_missing.any() and options.missing == "refuse" and not details.get("movebank"):
             roles.refuse_cell(role, column, "", source)
         is_valid &= ~is_missing
     if options.missing_place is not None:
         plane = [role for role in names if role in ("lon", "lat", "x", "y")]
         is_valid &= (rows[plane].to_numpy() != options.missing_place).any(axis=1)
-    is_uncertain = np.zeros(len(rows), bool)
+    is_kept = is_valid
     if "confidence" in names:
-        is_uncertain = is_valid & ~(rows["confidence"] >= options.min_confidence).to_numpy()
+        is_kept = is_valid & (rows["confidence"] >= options.min_confidence).to_numpy()
+    skipped, unsure = int((~is_valid).sum()), int((is_valid & ~is_kept).sum())
+    counts = Counter(rows=count, marked=count - len(rows), skipped=skipped, unsure=unsure)
     time = table["frame" if "frame" in names else "t"]
     timestamps = roles.has_timestamps(time) or options.time_format is not None
-    skipped, unsure = int((~is_valid).sum()), int(is_uncertain.sum())
-    counts = Counter(rows=count, marked=count - len(rows), skipped=skipped, unsure=unsure)
-    is_kept = is_valid & ~is_uncertain
     zone = roles.find_zone(time) if timestamps else None
     return _FileRows(names, rows if is_kept.all() else rows[is_kept], counts, timestamps, zone, details)
+
+
+def _read_columns(
+    table: roles.Table, options: Options, source: str, stem: str | None
+) -> tuple[dict[str, str], pd.DataFrame, dict[str, Any]]:
+    """The names of the columns by role, their cells, those of marks, dates and recordings, and the table's details."""
+    header, mapping, details = table.header, options.columns or {}, dict(table.details)
+    required: Any = {"confidence": options.min_confidence is not None}
+    try:
+        names = roles.choose_columns(header, mapping, source, one_id=stem is not None, **required)
+    except ArgumentError as error:
+        if "suffix" not in details:
+            raise
+        reason = f"was read as CSV, as no format has the suffix {details['suffix']} (--format names one)"
+        raise ArgumentError(f"{str(error)[:-1]}; it {reason}.") from None
+    details["movebank"] = bool(roles.MOVEBANK & {name.replace("_", "-") for name in header})
+    others = {"visible": "visible"} if details["movebank"] and "visible" in header else {}
+    if "t" in names and (dates := [name for name in header if name.strip().lower() == "date"]):
+        others["date"] = dates[0]
+    recording = roles.find_recording(header) if options.pool_by is None else options.pool_by
+    if recording is not None:
+        others["recording"] = details["recording"] = recording
+        if header.count(recording) != 1:
+            got = f"{quote(recording)}; it has {', '.join(header)}"
+            raise ArgumentError(f"pool_by (--pool-by) must be a column of {source}, got {got}.")
+    cells = table.read(names | others)
+    if "id" in names and not mapping.get("id") and len(cells) > 1 and cells["id"].is_unique:
+        other_names = [name for name in header if name != names["id"]]  # it numbers the rows
+        chosen = roles.choose_columns(other_names, mapping, source, one_id=True, **required)
+        if "id" in chosen:
+            return chosen, table.read(chosen | others), details
+    if "id" not in names:
+        return {"id": "file", **names}, cells.assign(id=stem), details | {"for_itself": True}
+    return names, cells, details
 
 
 def _join_date(clock: pd.Series[Any], date: pd.Series[Any] | None) -> pd.Series[Any]:

@@ -77,20 +77,15 @@ def open_table(path: Path, options: Options) -> Table:
             frame = reader(path)
         if not isinstance(frame, pd.DataFrame):
             raise ArgumentError(f"reader {kind!r} must return a pandas.DataFrame, got {quote(frame)}.")
-        return split_wide(roles.as_table(frame), options)
+        return roles.as_long(roles.as_table(frame), options.columns)
     data = data if is_packed else unpack(path, options.max_size)[0]
     first_text = data[:200].decode("latin-1").removeprefix("\u00ef\u00bb\u00bf")
     for pattern, words in _OTHER_FORMATS.items():
         if options.format is None and any(re.match(pattern, text) for text in (suffix, first_text)):
             raise ArgumentError(f"path must be in a format that is read, got {quote(os.fspath(path))}: it is {words}.")
-    table = split_wide(read_text(data, options), options)
+    table = roles.as_long(read_text(data, options), options.columns)
     is_unknown = options.format is None and kind not in _TEXTS
     return table._replace(details={**table.details, "suffix": suffix}) if is_unknown else table
-
-
-def split_wide(table: Table, options: Options) -> Table:
-    """The table with a row for each sample, if it has columns for each id and no argument names others."""
-    return table if {"id", "x", "lon"} & (options.columns or {}).keys() else roles.as_long(table)
 
 
 def read_text(data: bytes, options: Options) -> Table:
