@@ -25,25 +25,27 @@ def pigeons(steps=300, ids=4):
     return rows
 
 
-def test_one_fix_at_zero_degrees_is_left_out_and_changes_nothing_else(run, tmp_path):
+@pytest.mark.parametrize(("count", "words"), [(1, "1 spike"), (4, "4 spikes")])
+def test_fixes_at_zero_degrees_are_left_out_and_change_nothing_else(run, tmp_path, count, words):
     rows = pigeons()
     whole = read_tracks(write_csv(tmp_path / "whole.csv", rows, HEADER))
-    rows[8][1:3] = [0.0, 0.0]
+    for row in rows[8 : 8 + count]:
+        row[1:3] = [0.0, 0.0]
     glitch = read_tracks(write_csv(tmp_path / "glitch.csv", rows, HEADER))
     (found,) = glitch.report().warnings
-    assert found.startswith("1 spike, ")
+    assert found.startswith(f"{words}, ")
     assert "at 2010-07-08T09:12:08Z (id bird-0)" in found
     even, without = whole.resample(), glitch.resample()
     assert without.step == even.step
-    assert glitch.resample(1.0).samples == whole.resample(1.0).samples - 1
+    assert glitch.resample(1.0).samples == whole.resample(1.0).samples - count
     there = {(int(owner), round(float(t), 6)): p for owner, t, p in samples_of(even)}
     for owner, t, place in samples_of(without):
         np.testing.assert_allclose(place, there[int(owner), round(float(t), 6)], atol=1.0)  # metres
-    for words in ((), ("--keep-spikes", "--step", "1")):
-        status, out, err = run("detect", tmp_path / "glitch.csv", *QUICK, *words)
+    for options in ((), ("--keep-spikes", "--step", "1")):
+        status, out, err = run("detect", tmp_path / "glitch.csv", *QUICK, *options)
         assert status == 0
-        assert "1 spike, " in err
-        assert ("1 spike left out, unless keep_spikes (--keep-spikes) is given." in out) == (not words)
+        assert f"{words}, " in err
+        assert (f"{words} left out, unless keep_spikes (--keep-spikes) is given." in out) == (not options)
         assert "bird-0" in out
     assert np.abs(glitch.resample(1.0, keep_spikes=True).position).max() > 1e6
 
@@ -52,17 +54,6 @@ def samples_of(tracks):
     owner = np.repeat(np.arange(len(tracks.ids)), np.diff(tracks.offsets))
     place = tracks.position - tracks.position[tracks.offsets[1]]  # the frames' middles differ
     return zip(owner, tracks.time, place, strict=True)
-
-
-def test_fixes_at_zero_degrees_in_a_row_are_left_out_and_do_not_choose_the_step(tmp_path):
-    rows = pigeons()
-    step = read_tracks(write_csv(tmp_path / "whole.csv", rows, HEADER)).resample().step
-    for row in rows[8:12]:
-        row[1:3] = [0.0, 0.0]
-    glitch = read_tracks(write_csv(tmp_path / "glitch.csv", rows, HEADER))
-    (found,) = glitch.report().warnings
-    assert found.startswith("4 spikes, ")
-    assert (glitch.resample().step, glitch.resample(1.0).samples) == (step, 1200 - 4)
 
 
 @pytest.mark.parametrize(("begin", "end", "moved"), [(0, 40, True), (100, 200, False), (250, 300, True)])

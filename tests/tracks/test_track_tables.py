@@ -72,8 +72,8 @@ def test_times_that_count_from_1970_are_read_in_their_unit(run, tmp_path, unit, 
 
 @pytest.mark.parametrize("begin", [0, 1e6, 1714720000])
 def test_times_that_may_be_seconds_are_not_doubted(tmp_path, begin):
-    rows = [[row[0], begin + row[1], *row[2:]] for row in rows_of(straight())]
-    assert read_tracks(write_csv(tmp_path / "tracks.csv", rows)).report().warnings == ()
+    path = write_csv(tmp_path / "tracks.csv", rows_of(straight(), first=begin))
+    assert read_tracks(path).report().warnings == ()
 
 
 @pytest.mark.parametrize("unit", [10**6, 10**9])

@@ -25,11 +25,6 @@ def path(tmp_path_factory):
     return write_merging(tmp_path_factory.mktemp("tracks"), 5)
 
 
-@pytest.fixture(scope="module")
-def plain(tmp_path_factory):
-    return write_merging(tmp_path_factory.mktemp("tracks"), 4)
-
-
 def make(file, **arguments):
     return gym.make("USNET/Tracks-v0", **{"path": file, "step": 0.5, **arguments})
 
@@ -76,16 +71,16 @@ def test_a_seed_draws_a_window(path):
     assert len(set(starts)) > 4
 
 
-def test_tracks_without_leaders_can_be_played_but_not_scored(plain):
-    env = make(plain)
+def test_tracks_without_leaders_can_be_played_but_not_scored(tmp_path):
+    env = make(plain := write_merging(tmp_path, 4))
     env.reset()
     assert env.step(np.zeros(14, np.int8))[2]
     with pytest.raises(ArgumentError, match="leader"):
         evaluate("USNET/Tracks-v0", "none", episodes=1, env_kwargs={"path": plain})
 
 
-def test_a_record_of_tracks_without_leaders_holds_what_was_found(path, plain):
-    detector = make_detector("directional-delays")
+def test_a_record_of_tracks_without_leaders_holds_what_was_found(path, tmp_path):
+    detector, plain = make_detector("directional-delays"), write_merging(tmp_path, 4)
     known = record_episode(make(path), detector, 0, 0)
     found = record_episode(make(plain), detector, 0, 0)
     answer = detector.detect(Window.from_observation(make(plain).reset(seed=0)[0]))
