@@ -100,8 +100,8 @@ def skip_pauses(tracks: SamplesT) -> tuple[SamplesT, list[str]]:
     pause = np.searchsorted(starts, number, side="right") - 1
     is_kept = (pause < 0) | (number >= ends[pause])
     delay = np.where(pause < 0, 0, skipped[pause]) * interval
-    delays = np.column_stack([(ends - skipped) * interval, skipped * interval]).tolist()
-    clock = replace(tracks.clock, skipped=tuple((begin, pause) for begin, pause in delays))
+    resumed, paused_for = ((ends - skipped) * interval).tolist(), (skipped * interval).tolist()
+    clock = replace(tracks.clock, skipped=tuple(zip(resumed, paused_for, strict=True)))
     shortened = keep_samples(replace(tracks, time=tracks.time - delay, clock=clock), is_kept)
     count = f"{format_count(len(starts), 'pause')} skipped, {skipped[-1] / total:.0%} of the time"
     reason = f"no id is seen there, or fewer than half of those seen move; they move in {share:.1%}."

@@ -289,9 +289,9 @@ def _make_tracks(paths: list[str], files: list[_FileRows], options: Options, sou
     for kind, meaning in _SKIP_REASONS.items():
         if counts[kind]:
             notes.append(f"{counts[kind]} of {counts['rows']} rows, {meaning}, skipped.")
-    details = [file.details for file in files]
-    notes += dict.fromkeys(note for file_details in details for note in file_details.get("notes", ()))
-    rate, unit = details[0].get("rate"), options.time_unit
+    notes += dict.fromkeys(note for file in files for note in file.details.get("notes", ()))
+    doubts = tuple(dict.fromkeys(doubt for file in files for doubt in file.details.get("doubts", ())))
+    rate, unit = files[0].details.get("rate"), options.time_unit
     if "frame" in names and unit is None:
         meaning = "one frame counts as 1 s (a time unit gives its seconds)"
         notes.append(f"Times are numbers of frames; {f'the file has {rate:g} in a second' if rate else meaning}.")
@@ -301,20 +301,20 @@ def _make_tracks(paths: list[str], files: list[_FileRows], options: Options, sou
         got = f"{source} with {counts['rows']} rows of {', '.join(map(quote, ids)) or 'no id'}"
         raise ArgumentError(f"path must hold the tracks of at least 2 ids, got {got}.")
     time = rows["frame" if "frame" in names else "t"].to_numpy()
-    guess = ""
-    if unit is None and not timestamps:
-        unit, guess = guess_time_unit(time, names)
-    is_whole = bool((time == np.floor(time)).all())
-    clock = Clock(unit=unit or 1.0, timestamps=timestamps, whole=is_whole, guessed=guess, zone=files[0].zone)
+    clock = Clock(unit=unit or 1.0, whole=bool((time == np.floor(time)).all()))
     if timestamps:
         if options.time_unit is not None:
             raise ArgumentError(f"time_unit must be left out for timestamps, got {options.time_unit:g} (--time-unit).")
         start = float(time.min())  # whole microseconds: their differences are exact
-        time, clock = (time - start) / 1e6, replace(clock, origin=start / 1e6)
+        clock = replace(clock, origin=start / 1e6, timestamps=True, zone=files[0].zone)
+        time = (time - start) / 1e6
+    elif unit is None:
+        unit, guess = guess_time_unit(time, names)
+        clock = replace(clock, unit=unit, guessed=guess)
     if pool:
         time, clock = _join_recordings(time, clock, [(Path(name).name, len(part)) for name, part in parts])
     elif "recording" in rows and options.duplicates == "error":
-        _refuse_recordings(rows[["id", "recording"]].assign(time=time), details[0]["recording"], source)
+        _refuse_recordings(rows[["id", "recording"]].assign(time=time), files[0].details["recording"], source)
     axes, origin, frame = project_positions(scale_lengths(rows, names, options.length_unit))
     leader = None
     if "leader" in rows:
@@ -322,7 +322,6 @@ def _make_tracks(paths: list[str], files: list[_FileRows], options: Options, sou
         notes += sentences
     fields: Any = {"clock": clock, "origin": origin, "leader": leader, "notes": notes, "duplicates": options.duplicates}
     frame = "pixels" if options.length_unit == "px" and frame == "metres" else frame
-    doubts = tuple(dict.fromkeys(doubt for file_details in details for doubt in file_details.get("doubts", ())))
     tracks = Tracks(**sort_samples(ids, codes, time, axes, **fields), frame=frame, doubts=doubts)
     return tracks if options.split_gap is None else split_gaps(tracks, options.split_gap)
 
