@@ -50,18 +50,16 @@ def add_evidence(links: Sequence[Link], curves: HeadCurves | None) -> list[Link]
     """The links of a head with the numbers of their curves ``(n, K)``."""
     if curves is None:
         return list(links)
-    step, last = curves.lags[1] - curves.lags[0], len(curves.lags) - 1
+    step, last, peaks = curves.lags[1] - curves.lags[0], len(curves.lags) - 1, find_peak(curves.correlation, 1)
     return [
         replace(
             link,
             behind_head=round(float(curves.lags[0] + peak * step), 9) if 0 < peak < last else None,
-            correlation=round(float(curve.max()), 6),
-            by_chance=round(float(chance), 6),
+            correlation=round(float(curves.correlation[k].max()), 6),
+            by_chance=round(float(curves.by_chance[k]), 6),
             path=round(float(path), 6) if np.isfinite(path) else None,  # the delay may be too long to compare places
         )
-        for link, peak, curve, chance, path in zip(
-            links, find_peak(curves.correlation, 1), curves.correlation, curves.by_chance, curves.path, strict=True
-        )
+        for k, (link, peak, path) in enumerate(zip(links, peaks, curves.path, strict=True))
     ]
 
 

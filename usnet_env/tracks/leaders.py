@@ -127,8 +127,7 @@ def answer_window(player: DetectorLike, resampled: Tracks, track_window: TrackWi
 
     track_windows, answers = [track_window], [answer(track_window)]
     if answers[0].extras.keys() & {"p_no_leader", "silent"}:  # the latter of version 0.1
-        other_windows = (other.cut_like(track_window) for other in resampled.other_steps)
-        track_windows += filter(None, other_windows)
+        track_windows += filter(None, (other.cut_like(track_window) for other in resampled.other_steps))
         answers += map(answer, track_windows[1:])
     answers.sort(key=read_p_no_leader)
     answers = [detection for detection in answers if read_p_no_leader(detection) < 0.5] or answers[:1]

@@ -56,18 +56,10 @@ def explain_silence(
         reasons.append(f"windows of {steps} steps are short (--window)")
     if reasons:
         sentences.append(f"A leader may be missed because {', or '.join(reasons)}.")
-    if nearest := _find_nearest(leaderless, track_windows, answers):
-        sentences.append(nearest)
-    return sentences
-
-
-def _find_nearest(leaderless: Sequence[int], track_windows: Sequence[TrackWindow], answers: Sequence[Detection]) -> str:
-    """The id with the largest mean probability in the windows without a leader, as a sentence."""
     sums: Counter[str | int] = Counter()
     for k in leaderless:
         if "probability" in answers[k].extras:
             sums.update(dict(zip(track_windows[k].ids, map(float, answers[k].extras["probability"]), strict=True)))
-    if not sums:
-        return ""
-    name, total = sums.most_common(1)[0]
-    return f"The nearest candidate is {name}, p {total / len(leaderless):.2f}, not confirmed."
+    for name, total in sums.most_common(1):
+        sentences.append(f"The nearest candidate is {name}, p {total / len(leaderless):.2f}, not confirmed.")
+    return sentences
