@@ -55,9 +55,14 @@ class TrackWindow:
     def __repr__(self) -> str:
         return f"<TrackWindow of {len(self.ids)} ids from {self.start:g} s to {self.end:g} s, {self.window!r}>"
 
-    def among(self, ids: int, steps: int) -> Window:
-        """The last so many steps of all ids of the tracks, in their coordinates; unseen where the window has none."""
-        seen, window = np.zeros((steps + 1, ids), bool), self.window
+    def among(self, ids: int, steps: int | None = None) -> Window:
+        """The window of all ids of the tracks, so many, in their coordinates; those that it lacks are not seen.
+
+        If so many ``steps`` are more than it has, the first ones are unseen.
+        """
+        window = self.window
+        steps = window.observation_steps if steps is None else steps
+        seen = np.zeros((steps + 1, ids), bool)
         position, velocity = np.zeros((steps + 1, ids, 3), np.float32), np.zeros((steps, ids, 3), np.float32)
         first = steps - window.observation_steps
         seen[first:, self.rows], velocity[first:, self.rows] = window.seen, window.velocity
