@@ -66,7 +66,10 @@ class SwarmVecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """The attribute of some games."""
-        return [self.envs.envs[b].get_wrapper_attr(attr_name) for b in self._get_indices(indices)]
+        if indices is None:  # any batch of Gymnasium can tell
+            return list(self.envs.get_attr(attr_name))
+        games = self.envs.games
+        return [getattr(games[b], attr_name) for b in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
         """Set an attribute of some games; the batch refuses one that all games share."""
@@ -77,7 +80,7 @@ class SwarmVecEnv(VecEnv):
         if method_name == "action_masks":  # in every step of MaskablePPO
             masks = self.envs.action_masks()
             return [masks[b] for b in self._get_indices(indices)]
-        return [method(*args, **kwargs) for method in self.get_attr(method_name, indices)]
+        return [method(*args, **kwargs) for method in self.get_attr(method_name, self._get_indices(indices))]
 
     def env_is_wrapped(self, wrapper_class: Any, indices: int | Iterable[int] | None = None) -> list[bool]:
         """No game is wrapped."""
