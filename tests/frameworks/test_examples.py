@@ -61,6 +61,7 @@ NEEDED = {
     "Networks for raw windows": ["stable_baselines3"],
     "TorchRL": ["torchrl", "pettingzoo"],
     "BenchMARL": ["benchmarl"],
+    "SuperSuit": ["supersuit", "stable_baselines3"],
     "Tianshou": ["tianshou"],
     "Minari": ["minari", "torch"],
 }

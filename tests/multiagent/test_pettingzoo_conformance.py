@@ -8,10 +8,12 @@ from types import SimpleNamespace
 import numpy as np
 import pettingzoo
 import pytest
+from gymnasium.spaces.utils import flatten
 from gymnasium.utils.env_checker import data_equivalence
-from small_games import GAMES, drawn, episode, small
+from small_games import GAMES, SMALL, drawn, episode, small
 
 from usnet_env.multiagent import register_games
+from usnet_env.multiagent.flat import FlatGame
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # of PettingZoo's own old modules
@@ -38,6 +40,32 @@ def test_parallel_api_seeds_and_state(game, arguments):
     suites.seed_test(lambda: small(game, "env"), num_cycles=10)
     suites.parallel_seed_test(lambda: small(game), num_cycles=10)
     state_test(small(game, "env"), small(game), num_cycles=4)
+
+
+@both_games
+def test_a_flat_game_passes_the_api_test_and_plays_the_same_game(game):
+    flat, env, rng = FlatGame(small(game)), small(game), np.random.default_rng(0)
+    suites.parallel_api_test(flat, num_cycles=20)
+    (seen, infos), (expected, _) = flat.reset(seed=3), env.reset(seed=3)
+    while env.agents:
+        masks = {agent: infos[agent]["action_mask"] for agent in env.agents}
+        numbers = {agent: rng.choice(mask.nonzero()[0]) for agent, mask in masks.items()}
+        for agent in numbers:
+            np.testing.assert_array_equal(seen[agent], flatten(env.observation_space(agent), expected[agent]))
+            assert flat.observation_space(agent).contains(seen[agent])
+            assert masks[agent].sum() > 1 or not expected[agent]["legal"].any()
+        actions = {agent: find_action(env.action_space(agent), number) for agent, number in numbers.items()}
+        seen, *answers, infos = flat.step(numbers)
+        expected, *same, _ = env.step(actions)
+        assert answers == same
+
+
+def find_action(space, number):
+    """The choices of a head, or the vote for one UAV or, by the last number, none."""
+    if hasattr(space, "nvec"):
+        return np.array(np.unravel_index(number, space.nvec))
+    uavs = SMALL["uavs"]
+    return (np.arange(space.n) == (number if number < uavs else -1)).astype(np.int8)
 
 
 @both_games

@@ -7,8 +7,9 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from numpy.typing import NDArray
 
-from usnet_env.arrays import Mask
+from usnet_env.arrays import Indices, Mask
 
 
 class BoxMasks(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstructorArgs):
@@ -48,3 +49,13 @@ class MultiDiscreteCandidates(gym.ActionWrapper[Any, Any, Any], gym.utils.Record
         """The masks of the wrapped environment: MultiBinary and MultiDiscrete masks have the same form."""
         masks: Mask = self.env.get_wrapper_attr("action_masks")()
         return masks
+
+
+def number_actions(space: Any, legal: int) -> tuple[NDArray[Any], Indices]:
+    """The action ``(A, ...)`` of each number, and the places ``(A, K)`` of ``legal`` and a last 1 that must be 1."""
+    if isinstance(space, spaces.MultiDiscrete):
+        choices = np.indices(tuple(space.nvec)).reshape(len(space.nvec), -1).T
+        return choices, choices + np.cumsum(space.nvec) - space.nvec
+    choices = np.eye(legal + 1, *space.shape)
+    choices[-1] = 0  # none; a message is 0
+    return choices, np.arange(legal + 1)[:, None]

@@ -17,6 +17,7 @@ from torchrl.envs import EnvBase
 
 from usnet_env.arrays import Indices, Mask
 from usnet_env.config import unknown_name
+from usnet_env.envs.wrappers import number_actions
 
 
 class _Batch(EnvBase):  # type: ignore[misc]  # TorchRL is an extra
@@ -114,7 +115,7 @@ class GamesEnv(_Batch):
         self._observed: dict[str, Indices] = {}  # the numbers of a flat observation that are observed
         for role, count in self.games.roles.items():
             space, seen = self.games.action_spaces[role], self.games.observation_spaces[role]
-            self._numbered[role] = _number_actions(space, flatdim(seen["legal"]))
+            self._numbered[role] = number_actions(space, flatdim(seen["legal"]))
             is_observed = [np.full(flatdim(part), observe is None or name in observe) for name, part in seen.items()]
             self._observed[role] = np.flatnonzero(np.concatenate(is_observed))
             number, shape = len(self._numbered[role][0]), (num_envs, count)
@@ -161,13 +162,3 @@ def _make_action_spec(space: Any, num_envs: int) -> Any:
     if isinstance(space, gym.spaces.MultiBinary):
         return Binary(shape[1], shape=shape, dtype=torch.int8)
     return Categorical(space.n, shape=shape) if isinstance(space, gym.spaces.Discrete) else Bounded(-1, 1, shape)
-
-
-def _number_actions(space: Any, legal: int) -> tuple[NDArray[Any], Indices]:
-    """The action ``(A, ...)`` of each number, and the places ``(A, K)`` of ``legal`` and a last 1 that must be 1."""
-    if isinstance(space, gym.spaces.MultiDiscrete):
-        choices = np.indices(tuple(space.nvec)).reshape(len(space.nvec), -1).T
-        return choices, choices + np.cumsum(space.nvec) - space.nvec
-    choices = np.eye(legal + 1, *space.shape)
-    choices[-1] = 0  # none; a message is 0
-    return choices, np.arange(legal + 1)[:, None]

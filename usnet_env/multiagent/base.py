@@ -24,6 +24,7 @@ from usnet_env.swarm.config import Count, SizeArguments, SwarmArguments
 try:
     from pettingzoo import AECEnv, ParallelEnv
     from pettingzoo.utils.conversions import parallel_to_aec_wrapper
+    from pettingzoo.utils.wrappers import BaseParallelWrapper as BaseParallelWrapper  # for flat.py
     from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 except ImportError:
     raise MissingExtraError(f"Games with several agents need PettingZoo; {how_to_install('multiagent')}.") from None
