@@ -1,21 +1,22 @@
 """Observers that fly: what the patrols do, and that policies learn, at a tiny size."""
 
+import learners
 import numpy as np
 import observers
+import patrols
 import pytest
-from paper.shared import read_rows
+import torch
+from paper.shared import isolate_torch, read_rows
 
-(CELL,) = observers.CELLS
 
-
-@pytest.mark.parametrize("name", observers.PATROLS)
+@pytest.mark.parametrize("name", patrols.PATROLS)
 def test_observers_say_where_they_are_going_to_be_and_know_what_they_saw(name):
-    search = observers.Search(4, CELL)
+    search = patrols.Search(4)
     search.reset(0)
     for _ in range(3):
-        flight = observers.PATROLS[name](search)
+        flight = patrols.PATROLS[name](search)
         goals, over = search.reach_from(search.places, flight), search.step(flight)[1]
-        said = (search.seen["messages"][:, 0] + 1) / 2 * observers.ARENA
+        said = (search.seen["messages"][:, 0] + 1) / 2 * patrols.ARENA
         np.testing.assert_allclose(said[~over], goals[~over], atol=0.01)
         np.testing.assert_allclose(search.seen["place"][~over], goals[~over], atol=0.01)
         assert not np.isnan(search.last[search.seen["legal"] > 0]).any()
@@ -23,9 +24,9 @@ def test_observers_say_where_they_are_going_to_be_and_know_what_they_saw(name):
 
 
 def test_the_rule_of_the_trainings_names_only_heads_that_are_seen():
-    search = observers.Search(20, CELL)
+    search = patrols.Search(20)
     search.reset(0)
-    search.step(observers.cover(search, heads=True))
+    search.step(patrols.cover(search, heads=True))
     named = search.name()
     assert named.any()
     assert (named <= search.seen["legal"] * search.games.game.swarm.head[:, None]).all()
@@ -39,10 +40,46 @@ def test_rows_of_all_flights(tmp_path, monkeypatch, capsys):
     shown = capsys.readouterr().out
     rows = read_rows(tmp_path / "rows.csv")
     assert (rows.groupby(["flight", "training"]).size() == 5).all()
-    assert set(rows.flight) == {"IPPO", "MAPPO", *observers.PATROLS}
+    assert set(rows.flight) == {"IPPO", "MAPPO", *patrols.PATROLS}
     assert rows.J.between(1, 21).all()
     means = rows.groupby("flight")[["J", "coverage"]].mean()
     assert means.J["oracle of heads"] < means.J["stay"]
     assert means.coverage["oracle of coverage"] > means.coverage["stay"]
     observers.main(how)  # trains and plays nothing
     assert capsys.readouterr().out == shown
+
+
+class OneGoodFlight:
+    """A game in which one flight is paid and can be seen; it takes the place of :class:`patrols.Search`."""
+
+    count, num_envs, good = 2, 16, 3
+
+    def __init__(self):
+        self.shown = np.zeros((self.num_envs, self.count, len(patrols.FLIGHTS), 1), np.float32)
+        self.shown[:, :, self.good] = 1
+
+    def look(self):
+        return self.shown
+
+    def state(self):
+        return self.shown[:, 0, 0]
+
+    def step(self, flight):
+        paid = (flight == patrols.FLIGHTS[self.good]).all(axis=2).sum(axis=1)
+        return paid.astype(float), np.zeros(self.num_envs, bool), {"hits": paid}
+
+    def redraw(self):
+        pass
+
+
+@pytest.mark.parametrize("learner", ["IPPO", "MAPPO", "QMIX"])
+def test_learners_find_the_flight_that_is_paid(learner):
+    with isolate_torch(0):
+        game = OneGoodFlight()
+        actor = torch.nn.Sequential(learners.make_network(1, 1, 8), torch.nn.Flatten(-2))
+        if learner == "QMIX":
+            learners.train_by_qmix(game, actor, decisions=4000)
+        else:
+            learners.train_by_ppo(game, actor, learner == "MAPPO", decisions=8000, rate=3e-3)
+        flown = learners.fly_greedily(actor)(game)
+    assert (flown == patrols.FLIGHTS[game.good]).all()
