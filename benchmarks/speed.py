@@ -1,7 +1,8 @@
 """Speed and memory of the simulator and of detectors, as ratios within one run.
 
-    OMP_NUM_THREADS=1 python benchmarks/speed.py                        # all parts
+    OMP_NUM_THREADS=1 python benchmarks/speed.py                        # all parts but peers
     OMP_NUM_THREADS=1 python benchmarks/speed.py --parts field scaling  # these parts; the others stay in the file
+    OMP_NUM_THREADS=1 python benchmarks/speed.py --parts peers          # needs vmas, mpe2 and jaxmarl
 
 The speed of a shared machine drifts, so contestants take turns, each turn gives one ratio, and the median counts. The
 result is benchmarks/results/speed.json.
@@ -220,25 +221,38 @@ def race_batch(name: str, turns: int) -> dict[str, object]:
     return race(f"a batch of {GAMES} games over a single one", turns, play_batch(name), play_one(name))
 
 
-def race_several_agents(name: str, turns: int) -> dict[str, object]:
-    """A batch of small games of several agents against a single one; observers do nothing, heads choose at random."""
-    module, count, rng = importlib.import_module(f"usnet_env.multiagent.{name}"), 4 * GAMES, np.random.default_rng(0)
-    games, env = module.batch_env(count, **SMALL_GAME), module.parallel_env(**SMALL_GAME)
-    games.reset(seed=0)
-    env.reset(seed=0)
+def make_plans(games: Any, count: int) -> list[dict[str, np.ndarray]]:
+    """Ten actions of all agents of a batch: observers do nothing, heads choose at random."""
+    rng = np.random.default_rng(0)
 
     def act(role: str) -> np.ndarray:
         space, shape = games.action_spaces[role], (count, games.roles[role])
         sizes = space.nvec if role == "head" else np.ones(space.shape, int)
         return rng.integers(0, sizes, (*shape, *space.shape))
 
-    plans = [{role: act(role) for role in games.roles} for _ in range(10)]
-    turn = cycle(plans)
+    return [{role: act(role) for role in games.roles} for _ in range(10)]
 
-    def play_all() -> None:
+
+def play_several_agents(name: str, count: int, **arguments: Any) -> Play:
+    """The agents of a batch of games, and a function that plays a round of them."""
+    games = importlib.import_module(f"usnet_env.multiagent.{name}").batch_env(count, **arguments)
+    games.reset(seed=0)
+    turn = cycle(make_plans(games, count))
+
+    def play() -> None:
         games.step(next(turn))
         if (over := ~games.active["observer"].any(axis=1)).any():
             games.reset(games=over)
+
+    return count * sum(games.roles.values()), play
+
+
+def race_several_agents(name: str, turns: int) -> dict[str, object]:
+    """A batch of small games of several agents against a single one; observers do nothing, heads choose at random."""
+    count = 4 * GAMES
+    env = importlib.import_module(f"usnet_env.multiagent.{name}").parallel_env(**SMALL_GAME)
+    env.reset(seed=0)
+    plans = make_plans(env.games, 1)
 
     def play_alone() -> None:
         for plan in plans:
@@ -248,9 +262,66 @@ def race_several_agents(name: str, turns: int) -> dict[str, object]:
                 env.reset()
 
     agents = len(env.possible_agents)
-    choices = ", heads choose at random" * ("head" in games.roles)
+    choices = ", heads choose at random" * ("head" in env.games.roles)
     title = f"a batch of {count} games over a single one, N = {SMALL_GAME['uavs']}{choices}"
-    return race(title, turns, (agents * count, play_all), (agents * len(plans), play_alone))
+    return race(title, turns, play_several_agents(name, count, **SMALL_GAME), (agents * len(plans), play_alone))
+
+
+def measure_peers(turns: int) -> dict[str, object]:
+    """Games of several agents, of this package and of others; the same number of games at once, but of MPE2's."""
+    import vmas  # type: ignore[import-not-found]
+    from mpe2 import simple_tag_v3  # type: ignore[import-not-found]
+
+    count, steps = 4 * GAMES, {}
+    contestants: dict[str, Play] = {}
+    for name in SEVERAL:
+        contestants[name] = play_several_agents(name, count, **SMALL_GAME)
+        steps[name] = count * SMALL_GAME["uavs"] * (SMALL_GAME["observation_steps"] + 4)
+    for name in ("simple_tag", "flocking"):
+        env = vmas.make_env(name, num_envs=count, device="cpu", seed=0)
+        actions = [env.get_random_action(agent) for agent in env.agents]
+        contestants[f"VMAS {name}"] = count * len(actions), partial(env.step, actions)
+    tag = simple_tag_v3.parallel_env()
+    tag.reset(seed=0)
+    chosen = dict.fromkeys(tag.agents, 1)
+
+    def play_tag() -> None:
+        for _ in range(10):
+            tag.step(chosen)
+            if not tag.agents:
+                tag.reset()
+
+    contestants["MPE2 simple_tag"] = 10 * len(chosen), play_tag
+    contestants["JaxMARL simple_tag"] = play_jaxmarl(count)
+    seconds = take_turns(turns, *(play for _, play in contestants.values()))
+    rates = np.array([decisions for decisions, _ in contestants.values()]) / seconds
+    result: dict[str, object] = {}
+    for (name, (decisions, _)), rate in zip(contestants.items(), rates.T, strict=True):
+        speed = float(np.median(rate))
+        flown = {"decisions_per_second": speed, "steps_per_second": speed * steps.get(name, decisions) / decisions}
+        result[name] = describe("decisions a second over those of usnet_evasion_v0", rate / rates[:, 1], **flown)
+    return result
+
+
+def play_jaxmarl(count: int) -> Play:
+    """A compiled loop of 100 steps of JaxMARL's games, with random actions."""
+    import jax  # type: ignore[import-not-found]
+    import jaxmarl  # type: ignore[import-not-found]
+
+    env = jaxmarl.make("MPE_simple_tag_v3")
+
+    def act(key: Any) -> dict[str, Any]:
+        keys = jax.random.split(key, len(env.agents))
+        return {agent: env.action_space(agent).sample(each) for agent, each in zip(env.agents, keys, strict=True)}
+
+    def step(state: Any, key: Any) -> tuple[Any, Any]:
+        keys = jax.random.split(key, count)
+        _, state, rewards, _, _ = jax.vmap(env.step)(keys, state, jax.vmap(act)(keys))
+        return state, rewards[env.agents[0]].sum()
+
+    run = jax.jit(lambda state, key: jax.lax.scan(step, state, jax.random.split(key, 100)))
+    _, state = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), count))
+    return 100 * count * len(env.agents), lambda: jax.block_until_ready(run(state, jax.random.key(1)))
 
 
 def race_sb3(turns: int) -> dict[str, object]:
@@ -297,6 +368,7 @@ PARTS: dict[str, Callable[[int], dict[str, object]]] = {
         | {name: race_several_agents(name, turns) for name in SEVERAL}
         | {"Stable-Baselines3": race_sb3(turns), "TorchRL": race_torchrl(turns)}
     ),
+    "peers": measure_peers,
     "memory": measure_memory,
     "detectors": time_detectors,
     "threads": lambda turns: {
@@ -310,7 +382,7 @@ def main(argv: list[str] | None = None) -> None:
     parser = make_parser(__doc__)
     parser.add_argument("--turns", type=int, default=15)
     parser.add_argument("--out", type=Path, default=RESULTS / "speed.json")
-    parser.add_argument("--parts", nargs="+", choices=list(PARTS), default=list(PARTS))
+    parser.add_argument("--parts", nargs="+", choices=list(PARTS), default=[part for part in PARTS if part != "peers"])
     options = parser.parse_args(argv)
     result = json.loads(options.out.read_text(encoding="utf-8")) if options.out.exists() else {}
     result |= {"machine": machine(), "versions": versions(("torch",)), "turns": options.turns}

@@ -250,11 +250,28 @@ def speed_block() -> str:
         + [format_range(row["ratios"]) for row in loads.values()]
         for name, loads in parts["threads"].items()
     ]
+    peers = [
+        [
+            name,
+            *(f"{row[f'{unit}_per_second'] / 1000:,.0f}" for unit in ("decisions", "steps")),
+            format_range(row["ratios"]),
+        ]
+        for name, row in parts["peers"].items()
+    ]
     uavs = next(iter(parts["scaling"].values()))["uavs"]
     return "\n\n".join(
         [
             markdown(("flight", "turns", "million UAV steps a second", "stepping over drawing normals"), flights),
             markdown(("games", "decisions a second", "ratio", ratio), games),
+            markdown(
+                (
+                    "256 games of several agents",
+                    "1,000 decisions a second",
+                    "1,000 steps of a UAV or agent a second",
+                    "decisions over those of usnet_evasion_v0",
+                ),
+                peers,
+            ),
             markdown(("ns of a UAV step", *(f"N = {count:,}" for count in uavs)), steps),
             markdown(("detector", "ratio", ratio), detectors),
             "Seconds with threads as they come over seconds with one thread:",
@@ -285,7 +302,17 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "peers": _report("peers", peers.report),
     **{
         module.__name__.replace("_", "-"): lambda module=module: module.report(read_rows(module.ROWS))
-        for module in (evasion, hacks, leaks, live, observers, probing, probing_learners, recordings, track_links)
+        for module in (
+            evasion,
+            hacks,
+            leaks,
+            live,
+            observers,
+            probing,
+            probing_learners,
+            recordings,
+            track_links,
+        )
     },
     "algorithms": paper_tables.paper_algorithms,
     "table2": paper_tables.table2_block,
