@@ -28,6 +28,7 @@ import paper_tables
 import peers
 import probing
 import probing_learners
+import protocol
 import reader
 import reader_links
 import recordings
@@ -310,6 +311,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
             observers,
             probing,
             probing_learners,
+            protocol,
             recordings,
             track_links,
         )
