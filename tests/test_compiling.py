@@ -125,8 +125,10 @@ def test_an_interruption_waits_until_the_code_is_made(tmp_path, monkeypatch):
     monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
     loop, interrupt = compiled()(twice), event.RecordingListener()
     monkeypatch.setattr(interrupt, "on_start", lambda _: signal.raise_signal(signal.SIGINT))
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it
     with event.install_listener("numba:compile", interrupt), pytest.raises(KeyboardInterrupt):
         loop(1.5)
+    signal.signal(signal.SIGINT, before)
     assert len(loop.signatures) == 1
 
 
