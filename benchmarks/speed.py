@@ -269,8 +269,8 @@ def race_several_agents(name: str, turns: int) -> dict[str, object]:
 
 def measure_peers(turns: int) -> dict[str, object]:
     """Games of several agents, of this package and of others; the same number of games at once, but of MPE2's."""
-    import vmas  # type: ignore[import-not-found]
-    from mpe2 import simple_tag_v3  # type: ignore[import-not-found]
+    import vmas  # type: ignore[import-not-found]  # no extra installs it
+    from mpe2 import simple_tag_v3  # type: ignore[import-not-found]  # no extra installs it
 
     count, steps = 4 * GAMES, {}
     contestants: dict[str, Play] = {}
@@ -305,8 +305,8 @@ def measure_peers(turns: int) -> dict[str, object]:
 
 def play_jaxmarl(count: int) -> Play:
     """A compiled loop of 100 steps of JaxMARL's games, with random actions."""
-    import jax  # type: ignore[import-not-found]
-    import jaxmarl  # type: ignore[import-not-found]
+    import jax  # type: ignore[import-not-found]  # no extra installs it
+    import jaxmarl  # type: ignore[import-not-found]  # no extra installs it
 
     env = jaxmarl.make("MPE_simple_tag_v3")
 
