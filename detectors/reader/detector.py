@@ -14,6 +14,7 @@ from detectors.policy import choose_candidates
 from detectors.reader.features import LEAST_STRIDED, make_features
 from detectors.reader.forward import Answer, Weights, load_reader, predict
 from detectors.reader.neighbourhoods import cut_swarm, gather_doubtful
+from detectors.series.exchanges import undo_exchanges
 from usnet_env.arrays import Indices, Mask, Singles
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
@@ -66,6 +67,7 @@ class Reader(Detector):
             heads. A UAV that follows none in its own neighbourhood may be a head in another one; doubtful heads are
             read again beside the probable ones. No UAV leads if none does in any neighbourhood.
         """
+        window = undo_exchanges(window)
         flying = np.flatnonzero(window.velocity.any(axis=(0, 2)))
         probability, guest_probability, unled_probability, delay = np.zeros((4, window.uavs))
         leader, root, clusters = np.full((3, window.uavs), -1, np.int64)
