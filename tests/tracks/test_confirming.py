@@ -274,3 +274,27 @@ def test_a_window_is_read_in_halves_where_its_leader_changes():
     record, steps = found.to_episode(), [each.window.observation_steps for each in found.track_windows]
     assert record.seen.any(axis=2).sum(axis=1).tolist() == [1 + count for count in steps]
     assert len({*steps}) > 1
+
+
+def walk_weakly(seed, gain):
+    """Positions ``(T, 5, 2)`` of ids that repeat the first one's velocity, with a motion of their own of 1 m a step."""
+    rng = np.random.default_rng(seed)
+    head = wander(rng)
+    late = (gain * np.roll(head, 1 + k % 3, axis=0) + rng.normal(0, 1, head.shape) for k in range(4))
+    return np.cumsum([head, *late], axis=1).swapaxes(0, 1)
+
+
+def count_led(positions):
+    """Windows of 64 steps in which the first id is confirmed."""
+    found = [find_leaders(tracks_of(part).resample(1.0), names_the_first(), length=64) for part in positions]
+    return sum(bool(window.leaders) for each in found for window in each.windows)
+
+
+def test_weak_leaders_are_confirmed_together_with_the_windows_before_and_after():
+    files = [walk_weakly(seed, 0.5)[:129] for seed in range(10)]
+    apart, joined = count_led([part[k : k + 65] for part in files for k in (0, 64)]), count_led(files)
+    assert apart <= 12 < 15 <= joined  # of 20
+
+
+def test_ids_that_none_follows_are_not_confirmed_in_longer_windows_either():
+    assert count_led([walk_weakly(seed, 0.0)[:193] for seed in range(8)]) <= 2  # of 24

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import chain, product
+from itertools import chain, count, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,6 +30,7 @@ from usnet_env.tracks.tracks import Tracks, TrackWindow
 DEFAULT_DETECTOR = "reader(policy='map')"
 _MIN_SHARED_PART = 0.25  # two groups are one if they share this part of all their members
 _LEADER_BONUS = 0.25
+_MAX_JOINED = 1000  # steps of a window with its neighbours
 
 Group = tuple[int, set[int]]  # the row of its leader in ``Tracks.ids``, and those of its members
 
@@ -82,9 +83,9 @@ def find_leaders(
     length = length if window is None else window
     resampled = tracks if step is None and tracks.step is not None else tracks.resample(step, length=length or 0)
     search = _Search(player, resampled, sample_finely(resampled), confirm)
-    for number, track_window in enumerate(resampled.windows(length, stride)):
-        window_seed = int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1)[0])
-        for part, answer, found_there in search.read_window(track_window, window_seed):
+    seeds = (int(np.random.SeedSequence(seed, spawn_key=(k,)).generate_state(1)[0]) for k in count())
+    for before, asked, after in _with_neighbours(map(search.ask, resampled.windows(length, stride), seeds)):
+        for part, answer, found_there in search.read_window(asked, [other for other in (before, after) if other]):
             found.append((part, replace(answer, attention=None), found_there))  # N by N numbers that nothing here reads
             if on_window is not None:
                 on_window(part, answer, found_there)
@@ -136,6 +137,23 @@ def answer_window(player: DetectorLike, resampled: Tracks, track_window: TrackWi
     return Answer(chosen, min(track_windows, key=lambda window: window.step))
 
 
+class _Asked(NamedTuple):
+    """A window, the seed of the detector, and its answer."""
+
+    track_window: TrackWindow
+    seed: int
+    answer: Answer
+
+
+def _with_neighbours(items: Iterator[_Asked]) -> Iterator[tuple[_Asked | None, _Asked, _Asked | None]]:
+    """Each item with the one before and the one after it."""
+    before, here = None, next(items, None)
+    while here is not None:
+        after = next(items, None)
+        yield before, here, after
+        before, here = here, after
+
+
 def _ask_detector(player: DetectorLike, seed: int, track_window: TrackWindow) -> Detection:
     player.reset(seed)
     return ask(player, track_window.window)[0]
@@ -151,28 +169,32 @@ class _Search:
     confirm: bool
     groups: list[Group] = field(default_factory=list)
 
-    def read_window(self, track_window: TrackWindow, seed: int) -> list[Found]:
-        """Read one window, and its halves if its ids move alike without a leader: it may change there.
-
-        Halves have 32 steps or more, and count if both have a leader, and not the same.
-        """
+    def ask(self, track_window: TrackWindow, seed: int) -> _Asked:
+        """Ask the detector for a window."""
         try:
-            answer = answer_window(self.player, self.resampled, track_window, seed)
+            return _Asked(track_window, seed, answer_window(self.player, self.resampled, track_window, seed))
         except Exception as error:  # a detector may raise anything
             start, end = map(self.resampled.file_time, (track_window.start, track_window.end))
             fault = f"{describe_error(error)} from {quote(detector_label(self.player))} in the window from {start}"
             raise ArgumentError(f"detector must answer every window, got {fault} to {end}.") from error
-        detected = self._name_leaders(track_window, answer)
+
+    def read_window(self, asked: _Asked, neighbours: Sequence[_Asked] = ()) -> list[Found]:
+        """Read one window, and its halves if its ids move alike without a leader: it may change there.
+
+        Halves have 32 steps or more, and count if both have a leader, and not the same.
+        """
+        track_window, seed, answer = asked
+        detected = self._name_leaders(track_window, answer, neighbours)
         found, steps = [(track_window, answer.detection, detected)], track_window.window.observation_steps
         if detected.confound != "one signal" or steps < 4 * LEAST_STEPS:
             return found
         middle = track_window.start + steps // 2 * track_window.step
         halves = replace(track_window, end=middle), replace(track_window, start=middle)
-        found_in = [self.read_window(part, seed) for part in map(self.resampled.cut_like, halves) if part]
+        found_in = [self.read_window(self.ask(part, seed)) for part in map(self.resampled.cut_like, halves) if part]
         names = [{leader.id for _, _, window in half for leader in window.leaders} for half in found_in]
         return [*chain(*found_in)] if all(names) and names[0] != names[-1] else found
 
-    def _name_leaders(self, track_window: TrackWindow, answer: Answer) -> DetectedWindow:
+    def _name_leaders(self, track_window: TrackWindow, answer: Answer, neighbours: Sequence[_Asked]) -> DetectedWindow:
         """The leaders that an answer names in a window; their groups update those of earlier windows."""
         (detection, shortest_step_window), window = answer, track_window.window
         ids, rows, scores, extras = track_window.ids, track_window.rows, detection.scores, detection.extras
@@ -181,7 +203,11 @@ class _Search:
         followers = [list_followers(detection, int(head)) for head in heads]
         confirmed = np.ones(len(heads), bool)
         if self.confirm:
-            confirmed, followers = confirm_leaders(window, heads, followers, shortest_step_window.window)
+            named = followers
+            confirmed, followers = confirm_leaders(window, heads, named, shortest_step_window.window)
+            for c in np.flatnonzero(~confirmed).tolist():
+                if longer := self._lengthen(track_window, int(heads[c]), neighbours):
+                    confirmed[[c]], followers[c : c + 1] = confirm_leaders(longer.window, heads[[c]], [named[c]])
         followers_of = {int(heads[k]): followers[k] for k in np.flatnonzero(confirmed)}
         members_of = [(int(rows[head]), set(rows[[head, *members]].tolist())) for head, members in followers_of.items()]
         labels = _number_groups(members_of, self.groups)
@@ -206,6 +232,17 @@ class _Search:
             confound,
             tuple(ids[i] for i in alike),
         )
+
+    def _lengthen(self, track_window: TrackWindow, head: int, neighbours: Sequence[_Asked]) -> TrackWindow | None:
+        """The window together with those before and after it that name the head, too; ``None`` if none does."""
+        row, start, end = track_window.rows[head], track_window.start, track_window.end
+        for other, _, answer in neighbours:
+            touches = other.start <= track_window.end + other.step and track_window.start <= other.end + other.step
+            if touches and row in other.rows[answer.detection.candidates]:
+                start, end = min(start, other.start), max(end, other.end)
+        if (start, end) == (track_window.start, track_window.end):
+            return None
+        return self.resampled.cut_like(replace(track_window, start=start, end=end), most=_MAX_JOINED)
 
 
 def _number_groups(groups: list[Group], known_groups: list[Group]) -> list[int]:

@@ -190,12 +190,12 @@ class Tracks(Samples):
         steps = [factor * self.step for factor in _OTHER_FACTORS if factor * self.step >= least]
         return tuple(resample_positions(self.source, step, self.max_gap) for step in steps)
 
-    def cut_like(self, track_window: TrackWindow) -> TrackWindow | None:
-        """The window with the same ids and times in tracks with another step, or ``None`` if it is of no use."""
+    def cut_like(self, track_window: TrackWindow, most: int = _MAX_STEPS) -> TrackWindow | None:
+        """The window with the same ids and times in these tracks; ``None`` if it is of no use or has too many steps."""
         step = float(self.step or 1.0)
         first = int(np.ceil(track_window.start / step - 1e-6))
         length = int(np.floor(track_window.end / step + 1e-6)) - first
-        return None if length > _MAX_STEPS else _cut_window(self, first, length, 0, track_window.rows)
+        return None if length > most else _cut_window(self, first, length, 0, track_window.rows)
 
     def to_dataset(self) -> Any:
         """A dataset of xarray with ``position`` in metres ``(time, space, individuals)``, as that of movement."""
