@@ -7,12 +7,14 @@
     python benchmarks/probing_learners.py --draw          # learns nothing: the tables of the rows
 
 The network is the same. From labels it learns the head in the games of all cells, in which UAVs are tested at random or
-by the present belief. From rewards it learns in one cell, by PPO, to wait, to fly at a UAV, or to name one. In the
-first part of this training it must wait until the window is full.
+by the present belief. From rewards it learns in one cell, by PPO, to wait, to fly at a UAV, or to name one. It starts
+from random weights, and in the first part of the training must wait until the window is full; or from the belief that
+was learned from labels, and at first does what the prober ``nearest`` does with it.
 """
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -46,8 +48,8 @@ OTHERS: dict[str, dict[str, Any]] = {
 }
 CONFIDENCE = 0.9  # from which the belief is named
 Act = Callable[[Observation], tuple[dict[str, Any], Floats]]  # the action of B games, and the belief in each name
-#: PPO: games, looks of a rollout, updates, the rate at first, the weight of the entropy, and the part that must wait.
-PLAYED, LOOKS, UPDATES, RATE, ENTROPY, PATIENT = 256, 13, 15, 2e-3, 0.01, 0.6
+PLAYED, LOOKS, UPDATES = 256, 13, 15  # PPO: games, looks of a rollout, updates
+STARTS = {"random": (2e-3, 0.01, 0.6), "labels": (5e-4, 0.0, 0.0)}  # rate, weight of the entropy, part that must wait
 GAMES, BATCH = 64, 256  # games that are drawn at once for labels; looks of a step of the optimizer
 PASSES = {"labels": 3, "rewards": 6}  # how often each look is learned
 
@@ -108,10 +110,15 @@ def learn_belief(batches: int, seed: int = 0, cells: Any = tuple(probing.CELLS))
 def weigh_actions(network: ProbeNetwork, read: tuple[Tensor, Tensor], patient: bool = False) -> tuple[Tensor, Tensor]:
     """Log-probabilities ``(B, 2 N + 1)`` to name a UAV, to test one, and to stay, and values ``(B,)``.
 
-    A full window must be answered. At first one look in thirty or so is.
+    A full window must be answered. At first one look in thirty or so is, or as the network that knows the head does.
     """
     head, test, game = network(*read)
     kinds = torch.stack([game[:, 0] - 3, game[:, 1], torch.zeros(len(game))], dim=1)
+    if network.knows_head:  # at first as `nearest`
+        belief = head.detach()
+        test = (test - belief - 100 * (belief < -math.log(belief.shape[1]))).log_softmax(dim=1)
+        odds = belief.amax(dim=1).exp().logit(1e-6) - math.log(CONFIDENCE / (1 - CONFIDENCE))
+        kinds = torch.stack([game[:, 0] + 2 * odds.clamp(-4, 4), game[:, 1], torch.full_like(odds, -3)], dim=1)
     full = read[1][:, 1] >= 1
     kinds[:, 0] -= 1e3 * patient
     kinds[full] = torch.tensor([0.0, -1e3, -1e3])
@@ -152,27 +159,28 @@ def play_looks(
     return played | {"advantage": advantage}, seen
 
 
-def learn_rewards(cell: str, seed: int, updates: int) -> Iterator[tuple[int, ProbeNetwork]]:
+def learn_rewards(cell: str, start: str, seed: int, updates: int) -> Iterator[tuple[int, ProbeNetwork]]:
     """PPO: yield the decisions so far and the network, at first and after every third update."""
-    network = ProbeNetwork()
+    network = read_belief() if start == "labels" else ProbeNetwork()
+    network.knows_head, (rate, entropy, waiting) = start == "labels", STARTS[start]
     envs = make_games(cell, PLAYED, "SameStep")
     seen, _ = envs.reset(seed=seed)
-    optimizer = torch.optim.Adam(network.parameters(), lr=RATE, eps=1e-5)
+    optimizer = torch.optim.Adam(network.parameters(), lr=rate, eps=1e-5)
     yield 0, network
     for update in range(updates):
-        patient = update < PATIENT * updates
+        patient = update < waiting * updates
         played, seen = play_looks(network, envs, seen, patient)
         flat = {name: part.flatten(0, 1) for name, part in played.items()}
         target = flat["advantage"] + flat["value"]
         flat["advantage"] = (flat["advantage"] - flat["advantage"].mean()) / (flat["advantage"].std() + 1e-8)
-        optimizer.param_groups[0]["lr"] = RATE * max(1 - update / updates, 0.05)
+        optimizer.param_groups[0]["lr"] = rate * max(1 - update / updates, 0.05)
         for rows in torch.cat([torch.randperm(len(target)) for _ in range(PASSES["rewards"])]).split(BATCH):
             chances, value = weigh_actions(network, (flat["known"][rows], flat["passed"][rows]), patient)
             ratio = (chances.gather(1, flat["action"][rows, None])[:, 0] - flat["log"][rows]).exp()
             advantage = flat["advantage"][rows]
             gain = torch.minimum(ratio * advantage, ratio.clamp(0.8, 1.2) * advantage).mean()
             spread = -(chances.exp() * chances).sum(dim=1).mean()
-            loss = 0.5 * (value - target[rows]).square().mean() - gain - ENTROPY * spread
+            loss = 0.5 * (value - target[rows]).square().mean() - gain - entropy * spread
             optimizer.zero_grad()
             loss.backward()
             nn.utils.clip_grad_norm_(network.parameters(), 0.5)
@@ -238,7 +246,7 @@ def train(game: shared.Game, updates: int) -> list[dict[str, Any]]:
         rows.append(game | {"decisions": decisions, "game": name, **found[["right", "elapsed", "reward"]]})
 
     with shared.isolate_torch(game["seed"]):
-        for point in learn_rewards(CELL, game["seed"], updates):
+        for point in learn_rewards(CELL, game["start"], game["seed"], updates):
             score(CELL, *point)
             print(rows[-1], flush=True)
     for name in list(envs)[1:]:
@@ -264,9 +272,11 @@ def report(rows: pd.DataFrame) -> str:
     """The curves, and the last policies in games that they did not learn."""
     columns = {"seeds": size, "names the head": middle("right"), "steps until it names": middle("elapsed", 1)}
     columns["reward"] = middle("reward")
+    rows = rows.sort_values(["start", "decisions"], ascending=[False, True], kind="stable")
+    rows = rows.assign(start=rows.start.map({"random": "random weights", "labels": "the belief"}))
+    curve, others = ({"from": "start", name: name} for name in ("decisions", "game"))
     ours = rows.game == CELL
-    curve = pivot(rows[ours].sort_values("decisions", kind="stable"), {"decisions": "decisions"}, columns)
-    return f"{curve}\n\n{pivot(rows[~ours], {'game': 'game'}, columns)}"
+    return f"{pivot(rows[ours], curve, columns)}\n\n{pivot(rows[~ours], others, columns)}"
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -286,7 +296,7 @@ def main(argv: list[str] | None = None) -> None:
         games = [{"detector": "learned", "cell": cell, "target": target} for cell, target in pairs]
         shared.run_missing(options, games, play)
     else:
-        games = [{"seed": seed} for seed in range(options.trainings)]
+        games = [{"start": start, "seed": seed} for start in STARTS for seed in range(options.trainings)]
         print(report(shared.run_missing(options, games, partial(train, updates=UPDATES))))
 
 

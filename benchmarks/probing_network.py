@@ -31,6 +31,8 @@ class ProbeNetwork(nn.Module):
         width: hidden units.
     """
 
+    knows_head = False  #: whether it begins with a belief that was learned from labels
+
     def __init__(self, width: int = 48) -> None:
         super().__init__()
         own, rest = _make_filters()

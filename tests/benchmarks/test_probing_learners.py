@@ -63,10 +63,13 @@ def test_rewards_teach_a_policy_that_is_scored_in_fresh_games(monkeypatch, tmp_p
     monkeypatch.setattr(learners, "OTHERS", {learners.CELL: {}, "5 followers": {"followers": 5}})
     learners.main(["--rows", str(tmp_path / "rows.csv"), "--trainings", "1"])
     rows = read_rows(tmp_path / "rows.csv")
-    assert list(rows.decisions) == [0, 3 * 2 * 13, 3 * 2 * 13]
+    assert list(rows.decisions) == 2 * [0, 3 * 2 * 13, 3 * 2 * 13]
     assert rows.reward.between(-1.3, 0).all()
-    assert rows.elapsed[0] == 60  # a new policy waits
-    assert "| 5 followers | 1 |" in capsys.readouterr().out
+    assert rows[rows.start == "random"].elapsed.iloc[0] == 60  # a new policy waits
+    envs = learners.make_games(learners.CELL, 2, "SameStep")
+    nearest = learners.play_games(envs, learners.FRESH, learners.probe(learners.read_belief(), envs, True)).mean()
+    assert rows[rows.start == "labels"].reward.iloc[0] == pytest.approx(nearest.reward, abs=1e-3)
+    assert "| the belief | 5 followers | 1 |" in capsys.readouterr().out
 
 
 def test_the_learned_belief_is_played_in_the_swarms_of_all_probers(network, monkeypatch):
