@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -13,12 +12,12 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pydantic import Field
 
-from usnet_env.arrays import Floats, Mask, Observation, Singles
+from usnet_env.arrays import Floats, Observation, Singles
 from usnet_env.config import ArgumentError, MissingExtraError, how_to_install, optional_seed, quote
 from usnet_env.envs import game
 from usnet_env.envs.game import Rules
 from usnet_env.multiagent.batch import GameBatch
-from usnet_env.swarm import ObservationBatch, SwarmState
+from usnet_env.swarm import SwarmState
 from usnet_env.swarm.config import Count, SizeArguments, SwarmArguments
 
 try:
@@ -32,17 +31,6 @@ except ImportError:
 Infos = dict[str, dict[str, int | float]]
 #: Observations, rewards, terminations, truncations and infos by agent.
 Step = tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], Infos]
-
-
-@dataclass(frozen=True, eq=False)
-class RoundRecord:
-    """One finished round, without leading axes."""
-
-    sighting: ObservationBatch  # in the observers' game, the merged sightings of all observers
-    truth: SwarmState  # before the candidates were destroyed
-    candidates: Mask
-    scores: Floats  # the candidates are chosen by them
-    metrics: dict[str, int | float]  # those of ``info``
 
 
 class GameArguments(game.RoundArguments, SizeArguments, SwarmArguments):
@@ -148,14 +136,18 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         return {agent: pick(by_role[role], j) for agent in agents for role, j in [self._rows[agent]]}
 
     @property
-    def last_round(self) -> RoundRecord | None:
-        """The round of the last step; ``None`` before the first round."""
+    def last_round(self) -> dict[str, Any] | None:
+        """The round of the last step by name; ``None`` before the first round.
+
+        The window of all observers together, the ``root`` of each UAV before the candidates were destroyed, the
+        ``candidates``, the ``scores`` by which they were chosen, and the metrics of ``info``.
+        """
         games = self.games
         if not games.answered[0]:  # neither is the opening of evasion a round
             return None
-        metrics = {name: values[0].item() for name, values in games.metrics.items()}
-        sighting, truth = games.before.merge_windows(), games.before.reveal().episode()
-        return RoundRecord(sighting, truth, games.candidates[0], games.scores[0], metrics)
+        played = {"root": games.before.reveal().root, "candidates": games.candidates, "scores": games.scores}
+        played |= games.metrics
+        return vars(games.before.merge_windows()) | {name: array[0] for name, array in played.items()}
 
     def state(self) -> Singles:
         """The true state for a centralised critic, ``(S,)`` float32; see :meth:`GameBatch.state`."""

@@ -15,7 +15,7 @@ from usnet_env.config import ArgumentError, quote
 from usnet_env.envs import game
 from usnet_env.envs.batch import SwarmGames
 from usnet_env.envs.game import Rules
-from usnet_env.multiagent.sensors import merge_sightings
+from usnet_env.multiagent.sensors import merge_windows
 from usnet_env.swarm import ObservationBatch, SwarmConfig
 
 ByRole = dict[str, NDArray[Any]]  # an array (B, n) of each role with n agents
@@ -155,10 +155,8 @@ class GameBatch(SwarmGames, ABC):
 
     def merge_windows(self, b: int = 0) -> ObservationBatch:
         """What all observers of a game saw together in the present window, for pictures and records."""
-        alive, observers = self.game.swarm.alive[b], range(self.roles[OBSERVER])
-        windows = [{name: array[b, k] for name, array in self.window.items()} for k in observers]
-        sightings = [ObservationBatch(**window, alive=alive) for window in windows]
-        return merge_sightings(sightings, self.config.sample_every)
+        window = {name: array[b] for name, array in self.window.items()}
+        return merge_windows(window, self.game.swarm.alive[b], self.config.sample_every)
 
     def state(self) -> Singles:
         """The true states for a centralised critic, ``(B, S)`` float32.

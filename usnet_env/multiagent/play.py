@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from usnet_env.config import ArgumentError, describe_arguments, quote
-from usnet_env.multiagent.base import RoundRecord, UsnetParallelEnv
+from usnet_env.multiagent.base import UsnetParallelEnv
 from usnet_env.multiagent.policies import DetectorObserver, Policy
 from usnet_env.plugins import detector_label
 from usnet_env.provenance import versions
@@ -76,8 +76,7 @@ def play_game(env: UsnetParallelEnv, policies: Mapping[str, Policy], seed: int, 
     for (name, policy), number in zip(agents.items(), source.generate_state(len(agents), np.uint32), strict=True):
         policy.reset(int(number), env.action_space(name))
     returns, prices = dict.fromkeys(agents, 0.0), dict.fromkeys(agents, 0.0)
-    rounds: list[RoundRecord] = []
-    choices, seconds = [], []
+    rounds, choices, seconds = [], [], []
     chosen_before: dict[str, str] = {}  # the choices of the heads for the window that is seen now, in words
     while env.agents:
         began = time.perf_counter()
@@ -102,14 +101,13 @@ def play_game(env: UsnetParallelEnv, policies: Mapping[str, Policy], seed: int, 
         for agent, policy in agents.items()
         if agent.startswith("observer")
     ]
-    metrics = {name: np.array([played.metrics[name] for played in rounds]) for name in rounds[0].metrics}
-    arrays = dict.fromkeys(("position", "velocity", "seen"), "sighting") | {"alive": "truth", "root": "truth"}
+    arrays = {name: np.array([played[name] for played in rounds]) for name in rounds[0]}
+    kept = ("position", "velocity", "seen", "alive", "root", "candidates", "scores")
     record = {
-        **{name: np.stack([getattr(getattr(each, of), name) for each in rounds]) for name, of in arrays.items()},
-        **{name: np.stack([getattr(each, name) for each in rounds]) for name in ("candidates", "scores")},
-        "objective": metrics["J"],
-        "over_budget": metrics["over_budget"].astype(bool),
-        "head": rounds[0].truth.head,
+        **{name: arrays[name] for name in kept},
+        "objective": arrays["J"],
+        "over_budget": arrays["over_budget"].astype(bool),
+        "head": env.swarm.head,
         "decoy": env.swarm.decoy,  # of the whole episode; a decoy of one window has itself as root in it
         "observers": env.list_observers(),
         "problem": "P2",
@@ -124,9 +122,9 @@ def play_game(env: UsnetParallelEnv, policies: Mapping[str, Policy], seed: int, 
     return GameResult(
         returns,
         prices,
-        J=float(metrics["J"][-1]),
+        J=float(arrays["J"][-1]),
         rounds=len(rounds),
-        success=bool(metrics["success"][-1]),
-        redundant=int(metrics["redundant"].sum()),
+        success=bool(arrays["success"][-1]),
+        redundant=int(arrays["redundant"].sum()),
         record=record,
     )

@@ -9,7 +9,7 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from usnet_env.arrays import Floats, Indices, Mask
+from usnet_env.arrays import Floats, Indices, Mask, Observation
 from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.swarm import ObservationBatch, SwarmConfig
 from usnet_env.swarm.config import Few, Metres, Price, Rate
@@ -69,22 +69,20 @@ def fly_observers(place: Floats, velocity: Floats, steps: Indices) -> Floats:
     return np.clip(place[..., None, :] + steps[:, None] * velocity[..., None, :], 0.0, ARENA)
 
 
-def merge_sightings(sightings: Sequence[ObservationBatch], sample_every: int) -> ObservationBatch:
-    """Merge the sightings of all observers, for pictures and records: those of the first observer that saw the UAV.
+def merge_windows(window: Observation, alive: Mask, sample_every: int) -> ObservationBatch:
+    """Merge the windows ``(K, ...)`` of all observers: of each UAV, what the first observer that saw it has seen.
 
     A velocity whose ends different observers saw is the difference of the merged positions.
     """
-    first = sightings[0]
-    position, velocity, seen = first.position, first.velocity, first.seen
-    moved = seen[1:] & seen[:-1]
-    for other in sightings[1:]:
-        position = np.where(seen[..., None], position, other.position)
-        both = other.seen[1:] & other.seen[:-1]
-        velocity = np.where(moved[..., None], velocity, other.velocity)
-        seen, moved = seen | other.seen, moved | both
-    apart = seen[1:] & seen[:-1] & ~moved  # two observers saw the two ends
+    seen, moved = window["seen"], window["seen"][:, 1:] & window["seen"][:, :-1]
+    position, velocity = (
+        np.take_along_axis(window[name], is_seen.argmax(axis=0)[None, ..., None], axis=0)[0]
+        for name, is_seen in (("position", seen), ("velocity", moved))
+    )
+    merged = np.asarray(seen.any(axis=0))
+    apart = merged[1:] & merged[:-1] & ~moved.any(axis=0)  # two observers saw the two ends
     velocity = np.where(apart[..., None], np.diff(position, axis=0) / np.float32(sample_every), velocity)
-    return ObservationBatch(position, velocity, seen, first.alive.copy())
+    return ObservationBatch(position, velocity, merged, alive)
 
 
 @cache
