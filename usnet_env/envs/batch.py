@@ -27,8 +27,8 @@ Generator = np.random.Generator
 class SwarmGames:
     """``num_envs`` games as arrays with a leading axis B, each with its own configuration and generator.
 
-    A step is :meth:`act`, which may end games, :meth:`start` of those that begin anew, and :meth:`fly`, which shows the
-    next windows.
+    A step is :meth:`play_round`, which may end games, :meth:`start` of those that begin anew, and :meth:`fly`, which
+    shows the next windows.
 
     Args:
         num_envs: B, number of games.
@@ -36,6 +36,7 @@ class SwarmGames:
         rules: the rules of the games.
         draw: draws the swarm of an episode from the generator of its game; ``None``: all have ``config``.
         observers: the axes ``(n,)`` of several observers in a window.
+        pictures: whether :meth:`draw` is going to be called, for which each window must be looked at.
 
     Attributes:
         configs: the swarm of the present episode of each game.
@@ -46,7 +47,6 @@ class SwarmGames:
         metrics: those of ``info``, each ``(B,)``.
         answered: ``(B,)`` bool, the games whose last step was a round.
         before: the games before their last step; its arrays for games that were not ``answered`` mean nothing.
-        pictures: whether :meth:`draw` is going to be called, for which each window must be looked at.
     """
 
     def __init__(
@@ -56,9 +56,10 @@ class SwarmGames:
         rules: Rules,
         draw: Callable[[Generator], SwarmConfig] | None = None,
         observers: tuple[int, ...] = (),
+        pictures: bool = False,
     ) -> None:
         self.num_envs = whole_number("num_envs", num_envs, 1, 1_000_000)
-        self.config, self.rules, self._draw_config = config, rules, draw
+        self.config, self.rules, self._draw_config, self.pictures = config, rules, draw, pictures
         self.configs = [config] * self.num_envs
         self.rngs: list[Any] = [None] * self.num_envs
         self.seeds: list[Any] = [None] * self.num_envs
@@ -72,7 +73,6 @@ class SwarmGames:
         self.metrics: dict[str, NDArray[Any]] = {}
         self.answered = np.zeros(self.num_envs, bool)
         self.before: Any = None
-        self.pictures = False
         self._frames = [EpisodeFrames()] * self.num_envs
         self._game: GameState | None = None
 
@@ -84,10 +84,6 @@ class SwarmGames:
             ArgumentError: they have not begun.
         """
         return game.require_game(self._game)
-
-    @game.setter
-    def game(self, state: GameState) -> None:
-        self._game = state
 
     def require_running(self, games: Any = slice(None)) -> None:
         """Refuse a step if some games, or one, have not begun or are over."""
@@ -137,8 +133,7 @@ class SwarmGames:
         started = GameState(swarm, rounds, redundant, terminated, truncated)
         self._game = started if len(chosen) == self.num_envs else self.game.with_rows(games, started)
         self.metrics = self.metrics or game.play_round(self.rules, started, np.zeros_like(swarm.alive))[2]
-        is_other = np.ones(self.num_envs, bool)
-        is_other[games] = False
+        is_other = ~np.isin(self.all_games, games)
         self.metrics = {name: np.where(is_other, array, np.zeros_like(array)) for name, array in self.metrics.items()}
         self.candidates, self.answered = self.candidates & is_other[:, None], self.answered & is_other
         for b in chosen if self.pictures else ():
@@ -148,15 +143,11 @@ class SwarmGames:
         """Check the action of one game, or with ``lead`` ``(B,)`` of all games: the candidates ``(*lead, N)``."""
         return game.parse_candidates(action, (*lead, self.config.uavs))
 
-    def act(self, action: Any, playing: Mask) -> Floats:
+    def play_round(self, action: Any, playing: Mask) -> Floats:
         """Do what :meth:`parse_action` returned in the games that are ``playing``, ``(B,)``; the rewards, ``(B,)``."""
-        return self.play_round(action, playing)
-
-    def play_round(self, candidates: Mask, playing: Mask) -> Floats:
-        """Destroy the candidates ``(B, N)`` in the games that are ``playing``, ``(B,)``; the rewards, ``(B,)``."""
         self.before = None
         self.before, old_state = copy.copy(self), self.game
-        self.candidates, self.answered = candidates & playing[:, None], playing
+        self.candidates, self.answered = action & playing[:, None], playing
         state, rewards, metrics = game.play_round(self.rules, old_state, self.candidates)
         if not playing.all():
             counters = {key: np.where(playing, getattr(state, key), getattr(old_state, key)) for key in game.COUNTERS}

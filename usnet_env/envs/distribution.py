@@ -224,7 +224,7 @@ class EpisodeSampler:
         self.distribution = arguments.distribution or Distribution()
         extremes = {name: list_extremes(rule) for name, rule in self.distribution.rules.items()}
         self.names = tuple(name for name in extremes if name not in arguments.model_fields_set)
-        widest = {name: max(extremes[name], key=_make_width_key(name)) for name in self.names}
+        widest = {name: max(extremes[name], key=partial(_measure_width, name)) for name in self.names}
         self.widest = make(widest, None)
         for name in self.names:
             for value in extremes[name]:
@@ -249,8 +249,8 @@ class EpisodeSampler:
         return drawn | ({"uavs": config.uavs - config.absent} if "uavs" in drawn else {})
 
 
-def _make_width_key(name: str) -> Callable[[Any], Any]:
+def _measure_width(name: str, value: Any) -> Any:
     """How wide the bounds of a value are."""
     if name == "kinematics":
-        return lambda value: KINEMATICS.find(value).top_speed
-    return lambda value: 0 if isinstance(value, str) else value
+        return KINEMATICS.find(value).top_speed
+    return 0 if isinstance(value, str) else value

@@ -59,7 +59,7 @@ class ProbingGames(SwarmGames):
     """
 
     def __init__(self, num_envs: int, config: SwarmConfig, rules: game.Rules, arguments: ProbingArguments) -> None:
-        super().__init__(num_envs, config, rules)
+        super().__init__(num_envs, config, rules, pictures=arguments.render_mode is not None)
         self.arguments, samples = arguments, config.observation_steps * config.sample_every
         self.flight: dict[str, NDArray[Any]] = {
             "position": np.zeros((num_envs, samples + 1, config.uavs, 3), np.float32),
@@ -111,7 +111,7 @@ class ProbingGames(SwarmGames):
             best = name
         return steer / np.maximum(np.linalg.norm(steer, axis=-1, keepdims=True), 1), name, best
 
-    def act(self, action: Any, playing: Mask) -> Floats:
+    def play_round(self, action: Any, playing: Mask) -> Floats:
         """Score the names of the games that have one or a full window, and charge the others for the next look."""
         steer, name, best = action
         elapsed, steps, arguments = self.flight["elapsed"], self.config.observation_steps, self.arguments
@@ -119,7 +119,7 @@ class ProbingGames(SwarmGames):
         named = playing & (full | (name < self.config.uavs))
         reward = np.zeros(self.num_envs)
         if named.any():
-            reward = self.play_round(np.where(full, best, name)[:, None] == np.arange(self.config.uavs), named)
+            reward = super().play_round(np.where(full, best, name)[:, None] == np.arange(self.config.uavs), named)
         self._flies = playing & ~named
         self._steer = np.broadcast_to(np.float32(arguments.top_speed) * steer, self._steer.shape)
         share = np.where(self._flies, np.minimum(arguments.look_every, steps - elapsed) / steps, 0.0)
@@ -160,7 +160,7 @@ class ProbingGames(SwarmGames):
         chosen, all_games, state = games.tolist(), len(games) == self.num_envs, self.game
         swarm = state.swarm if all_games else state.swarm.rows(games)
         after, *tracks = fly_steps([config] * len(chosen), swarm, [self.rngs[b] for b in chosen], steps)
-        self.game = replace(state, swarm=after if all_games else state.swarm.with_rows(games, after))
+        self._game = replace(state, swarm=after if all_games else state.swarm.with_rows(games, after))
         position, velocity = (track[:, config.memory :, : config.uavs] for track in tracks)
         return position, velocity
 
@@ -274,9 +274,7 @@ class ProbingEnv(UsnetEnv):
         self.action_space = flat if arguments.actions == "flat" else both  # type: ignore[assignment]
 
     def _make_games(self, num_envs: int) -> ProbingGames:
-        games = ProbingGames(num_envs, self.widest_config, self.rules, self.arguments)
-        games.pictures = self.render_mode is not None
-        return games
+        return ProbingGames(num_envs, self.widest_config, self.rules, self.arguments)
 
     def _settings(self) -> dict[str, Any]:
         return {"arguments": self.arguments.model_dump()}
@@ -287,15 +285,11 @@ class ProbingEnv(UsnetEnv):
         return super().get_state() | {"flight": flight}
 
     def set_state(self, state: dict[str, Any]) -> Observation:
-        """Restore a state from :meth:`get_state` of an environment with the same arguments, and show its observation.
-
-        Raises:
-            ArgumentError: the state is of an environment with other arguments.
-        """
+        """Restore a state; see :meth:`UsnetEnv.set_state`."""
         super().set_state(state)
         for name, part in self._games.flight.items():
             part[self._number] = state["flight"][name]
-        return self._observe(self.observe)
+        return self._games.observe(self.observe, self._number)
 
 
 class ProbingVectorEnv(UsnetVectorEnv):

@@ -129,9 +129,8 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
 
     def _make_games(self, num_envs: int) -> SwarmGames:
         """A batch of games with the arguments of this environment."""
-        games = SwarmGames(num_envs, self.widest_config, self.rules, self._sampler.draw)
-        games.pictures = self.render_mode is not None
-        return games
+        pictures = self.render_mode is not None
+        return SwarmGames(num_envs, self.widest_config, self.rules, self._sampler.draw, pictures=pictures)
 
     def _view_game(self, games: SwarmGames, number: int) -> Self:
         """An environment that stands for one game of a batch."""
@@ -165,8 +164,8 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         super().reset(seed=optional_seed("seed", seed))
         _ = self.np_random  # made here, if there is none
         self._games.start(np.array([self._number]))
-        self._fly()
-        return self._observe(self.observe), self._info()
+        self._games.fly(np.array([self._number]))
+        return self._games.observe(self.observe, self._number), self._info()
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Destroy the candidates, ``(N,)`` of 0 and 1, score the round, and observe the next window.
@@ -178,18 +177,10 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         """
         games, number = self._games, self._number
         games.require_running(number)
-        reward = float(games.act(games.parse_action(action), games.all_games == number)[number])
-        self._fly()
+        reward = float(games.play_round(games.parse_action(action), games.all_games == number)[number])
+        games.fly(np.array([number]))
         ends = bool(games.game.terminated[number]), bool(games.game.truncated[number])
-        return self._observe(self.observe), reward, *ends, self._info()
-
-    def _fly(self) -> None:
-        """Fly and observe the next window."""
-        self._games.fly(np.array([self._number]))
-
-    def _observe(self, names: Sequence[str]) -> Observation:
-        """Parts of the present observation."""
-        return self._games.observe(names, self._number)
+        return games.observe(self.observe, number), reward, *ends, self._info()
 
     def _info(self) -> dict[str, Any]:
         info: dict[str, Any] = {name: values[self._number].item() for name, values in self._games.metrics.items()}
@@ -214,7 +205,7 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
             "config": self.config.model_dump(),
             "swarm": state.swarm.arrays(),
             "game": {name: getattr(state, name) for name in game.COUNTERS},
-            "observation": self._observe(game.PARTS),
+            "observation": self._games.observe(game.PARTS, self._number),
             "generator": copy.deepcopy(self.np_random.bit_generator.state),
             **self._settings(),
         }
@@ -232,7 +223,7 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         restored = game.GameState(swarm=SwarmState(**saved["swarm"]), **saved["game"])
         self._games.load_game(self._number, SwarmConfig(**saved["config"]), restored, saved["observation"])
         self.np_random.bit_generator.state = saved["generator"]
-        return self._observe(self.observe)
+        return self._games.observe(self.observe, self._number)
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the last round, or before the first one the present window, as seen from above, ``(H, W, 3)`` uint8.

@@ -81,7 +81,7 @@ class UsnetVectorEnv(SyncVectorEnv):
         if mode is AutoresetMode.DISABLED:
             games.require_running()
         is_over = old_state.terminated | old_state.truncated
-        reward = np.zeros(self.num_envs) if is_over.all() else games.act(parsed, ~is_over)
+        reward = np.zeros(self.num_envs) if is_over.all() else games.play_round(parsed, ~is_over)
         final: dict[str, Any] = {}
         terminated, truncated = games.game.terminated & ~is_over, games.game.truncated & ~is_over
         if mode is AutoresetMode.SAME_STEP:
@@ -96,8 +96,7 @@ class UsnetVectorEnv(SyncVectorEnv):
     def _finish(self, ended: Indices) -> dict[str, Any]:
         """``final_obs`` and ``final_info`` of the games that ended in this step."""
         self._games.fly(ended)
-        mask, observations = np.zeros(self.num_envs, bool), np.full(self.num_envs, None)
-        mask[ended] = True
+        mask, observations = np.isin(self._games.all_games, ended), np.full(self.num_envs, None)
         for b, *parts in zip(ended, *self._games.observe(self.observe, ended).values(), strict=True):
             observations[b] = dict(zip(self.observe, parts, strict=True))
         infos = self._infos(ended)
@@ -112,8 +111,7 @@ class UsnetVectorEnv(SyncVectorEnv):
             for name in self._sampler.names:
                 dtype = object if isinstance(drawn[0][name], str) else None
                 values[name] = np.array([game_values[name] for game_values in drawn], dtype)
-        is_other = np.ones(self.num_envs, bool)
-        is_other[games] = False
+        is_other = ~np.isin(self._games.all_games, games)
         infos = {name: array.copy() for name, array in values.items()}
         for array in infos.values() if is_other.any() else ():
             array[is_other] = None if array.dtype == object else 0
