@@ -39,6 +39,7 @@ class SwarmGames:
         pictures: whether :meth:`draw` is going to be called, for which each window must be looked at.
 
     Attributes:
+        all_games: the indices of all games.
         configs: the swarm of the present episode of each game.
         rngs: the generator of each game; ``None`` before it is needed.
         seeds: their seeds.
@@ -59,6 +60,7 @@ class SwarmGames:
         pictures: bool = False,
     ) -> None:
         self.num_envs = whole_number("num_envs", num_envs, 1, 1_000_000)
+        self.all_games = np.arange(self.num_envs)
         self.config, self.rules, self._draw_config, self.pictures = config, rules, draw, pictures
         self.configs = [config] * self.num_envs
         self.rngs: list[Any] = [None] * self.num_envs
@@ -89,11 +91,6 @@ class SwarmGames:
         """Refuse a step if some games, or one, have not begun or are over."""
         over = self.game.terminated | self.game.truncated
         game.require_game(None if over[games].any() else self._game)
-
-    @property
-    def all_games(self) -> Indices:
-        """The indices of all games."""
-        return np.arange(self.num_envs)
 
     def begin(self, seed: Any, mask: Any, name: str) -> Indices:
         """Seed and start the games of a mask ``(B,)``, or of ``None`` all, and return their indices.

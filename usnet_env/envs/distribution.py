@@ -147,14 +147,6 @@ def _draw_spread(rule: Spread, rng: np.random.Generator) -> float:
     return value if rng.random() >= rule.zero else 0.0
 
 
-_FAULTS = {
-    "position_noise": {"low": 0.01, "high": 0.1, "log": True, "zero": 0.5},
-    "miss_rate": {"low": 0.01, "high": 0.1, "zero": 0.5},
-    "noise_memory": {"low": 0.3, "high": 0.9, "zero": 0.5},
-    "miss_burst": {"low": 2.0, "high": 6.0, "zero": 0.5},
-    "partial_tracks": {"low": 0.05, "high": 0.2, "zero": 0.5},
-    "swap_rate": {"low": 0.0002, "high": 0.001, "zero": 0.5},
-}
 _LEADERLESS = dict.fromkeys(("shepherd", "reference"), 0.5)  # swarms that no UAV leads
 _LED_STRATEGIES = ["unequal_delays", "mixed", "switching", "chain", "pigeons", "cucker_smale", "vicsek"]
 _LED_STRATEGIES += ["couzin", "frontness", "part_time", "partial_turns", "predator", "informed"]
@@ -167,7 +159,12 @@ _FIELD: dict[str, Any] = {
     "bystanders": [0, 6],
     "traffic": [0, 6],
     "head_jitter": [True, False],
-    **_FAULTS,
+    "position_noise": {"low": 0.01, "high": 0.1, "log": True, "zero": 0.5},
+    "miss_rate": {"low": 0.01, "high": 0.1, "zero": 0.5},
+    "noise_memory": {"low": 0.3, "high": 0.9, "zero": 0.5},
+    "miss_burst": {"low": 2.0, "high": 6.0, "zero": 0.5},
+    "partial_tracks": {"low": 0.05, "high": 0.2, "zero": 0.5},
+    "swap_rate": {"low": 0.0002, "high": 0.001, "zero": 0.5},
     "formation": {"gathered": 3.0, "uniform": 1.0},
 }
 _UNSEEN = {name: f"{name}-led" for name in ("chain", "vicsek", "couzin", "predator", "informed")}

@@ -37,6 +37,7 @@ class GameBatch(SwarmGames, ABC):
         action_spaces: for each role, the space of one agent.
         active: for each role, the agents that play, ``(B, n)`` bool.
         scores: ``(B, N)``, the candidates are chosen by them.
+        has_window: ``(B,)`` bool, the games whose observers have seen a window.
     """
 
     def __init__(
@@ -52,6 +53,7 @@ class GameBatch(SwarmGames, ABC):
         self.action_spaces = {role: acts for role, (_, _, acts) in roles.items()}
         self.active = {role: np.zeros((num_envs, count), bool) for role, count in self.roles.items()}
         self.scores = np.zeros((num_envs, config.uavs))
+        self.has_window = np.ones(num_envs, bool)
         self._prices: ByRole = {}  # that agents pay, of roles that do
 
     def reset(self, seed: Any = None, games: Any = None) -> tuple[Observations, Observations]:
@@ -97,7 +99,7 @@ class GameBatch(SwarmGames, ABC):
         self.require_running()
         active = self.active
         candidates, self.scores = self._combine(actions)
-        reward = self.play_round(candidates, self._has_window())[:, None]
+        reward = self.play_round(candidates, self.has_window.copy())[:, None]
         self._prices = self._respond(actions)
         state = self.game
         self.fly(self.all_games)
@@ -125,10 +127,6 @@ class GameBatch(SwarmGames, ABC):
     @abstractmethod
     def _observe(self) -> Observations:
         """What all agents observe."""
-
-    def _has_window(self) -> Mask:
-        """The games whose observers have seen a window, ``(B,)``."""
-        return np.ones(self.num_envs, bool)
 
     def _respond(self, actions: ByRole) -> ByRole:
         """Do what the actions say about the next window; the prices that agents pay, of roles that do."""

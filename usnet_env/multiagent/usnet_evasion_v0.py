@@ -66,18 +66,14 @@ class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
             HEAD: (config.clusters, spaces.Dict(head_spaces), spaces.MultiDiscrete(choices)),
         }
         super().__init__(num_envs, config, rules, roles)
-        self._opening = np.ones(num_envs, bool)  # whether no window has been flown yet
         self._flown = np.zeros((num_envs, config.clusters), np.int64)  # the mobility of each head in the window
         self._decoys = np.zeros((num_envs, uavs), bool)  # the followers that are decoys in the window
         self._prices = {role: np.zeros((num_envs, count)) for role, count in self.roles.items()}
 
     def _begin(self, games: Indices) -> None:
-        self._opening[games], self._flown[games], self._decoys[games] = True, 0, False
+        self.has_window[games], self._flown[games], self._decoys[games] = False, 0, False
         for array in self.window.values():
             array[games] = 0
-
-    def _has_window(self) -> Mask:
-        return ~self._opening
 
     def _combine(self, actions: ByRole) -> tuple[Mask, Floats]:
         named = actions[OBSERVER][:, 0]
@@ -99,7 +95,7 @@ class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
         after, window, self._flown[rows] = fly_windows(
             self.config, self.manoeuvres, swarm, self._flown[rows], plan, decoys, rngs
         )
-        self._opening[rows] = False
+        self.has_window[rows] = True
         return after, {name: getattr(window, name)[:, None] for name in WINDOW}
 
     def _find_leaving(self) -> ByRole:
@@ -123,11 +119,11 @@ class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
         }
         seen = {name: np.repeat(array[:, None], clusters, axis=1) for name, array in alike.items()}
         seen |= {"self": (np.arange(uavs) == heads[..., None]).astype(np.int8), "followers": followers.astype(np.int8)}
-        flown = ~self._opening & ~state.terminated
+        flown = self.has_window & ~state.terminated
         return {OBSERVER: self._show((swarm.alive & flown[:, None])[:, None]), HEAD: {**seen, "legal": legal}}
 
     def _more_state(self) -> list[NDArray[Any]]:
-        return [self._flown, self._opening]
+        return [self._flown, ~self.has_window]
 
     def reveal(self) -> SwarmState:
         """A copy of the true swarms; followers that are decoys in the present windows are decoys without a head."""
