@@ -79,13 +79,17 @@ def test_a_batch_plays_the_games_of_the_parallel_form(game, more):
     assert ends > 2
 
 
+def test_a_batch_draws_each_of_its_games():
+    games, env = batch_of("evasion", 2, render_mode="rgb_array"), small("evasion", render_mode="rgb_array")
+    games.reset(seed=[5, 3])
+    env.reset(seed=3)
+    np.testing.assert_array_equal(games.draw(1), env.render())
+
+
 def test_bad_arguments_of_a_batch_are_named():
     games = batch_of("evasion", 2)
     with pytest.raises(ArgumentError, match="num_envs must"):
         batch_of("evasion", 0)
-    for game in GAMES:
-        with pytest.raises(ArgumentError, match="parallel_env draws pictures"):
-            batch_of(game, 2, render_mode="rgb_array")
     with pytest.raises(ArgumentError, match="games must"):
         games.reset(games=[True, False])
     games.reset(seed=[1, 2])

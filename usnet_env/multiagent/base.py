@@ -33,10 +33,8 @@ Infos = dict[str, dict[str, int | float]]
 Step = tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], Infos]
 
 
-class GameArguments(game.RoundArguments, SizeArguments, SwarmArguments):
-    """The arguments that the batches of both games take."""
-
-    instead: ClassVar = {"render_mode": "parallel_env draws pictures"}
+class GameArguments(game.RenderArguments, game.RoundArguments, SizeArguments, SwarmArguments):
+    """The arguments that both games take."""
 
     max_cycles: Count | None = Field(None, description="most steps; `usnet_evasion_v0` has one more than rounds")
 
@@ -56,10 +54,8 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 1, "is_parallelizable": True}
 
-    def __init__(self, games: GameBatch, render_mode: str | None) -> None:
-        self.games, self.config, self.rules = games, games.config, games.rules
-        self.render_mode = render_mode
-        games.pictures = render_mode is not None
+    def __init__(self, games: GameBatch) -> None:
+        self.games, self.config, self.rules, self.render_mode = games, games.config, games.rules, games.render_mode
         #: The role of each agent, and its number in the role.
         self._rows = {f"{role}_{j}": (role, j) for role, count in games.roles.items() for j in range(count)}
         self.possible_agents = list(self._rows)

@@ -46,8 +46,10 @@ class GameBatch(SwarmGames, ABC):
         config: SwarmConfig,
         rules: Rules,
         roles: Mapping[str, tuple[int, spaces.Dict, spaces.Space[Any]]],
+        render_mode: str | None,
     ) -> None:
-        super().__init__(num_envs, config, rules, observers=(roles[OBSERVER][0],))
+        super().__init__(num_envs, config, rules, observers=(roles[OBSERVER][0],), pictures=render_mode is not None)
+        self.render_mode = render_mode
         self.roles = {role: count for role, (count, _, _) in roles.items()}
         self.observation_spaces = {role: seen for role, (_, seen, _) in roles.items()}
         self.action_spaces = {role: acts for role, (_, _, acts) in roles.items()}

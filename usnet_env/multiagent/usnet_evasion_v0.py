@@ -24,21 +24,17 @@ from usnet_env.swarm.state import find_each
 HEAD = "head"
 
 
-class BatchArguments(base.GameArguments, SensorArguments, Manoeuvres):
-    """The arguments of :class:`batch_env`."""
+class EvasionArguments(base.GameArguments, SensorArguments, Manoeuvres):
+    """The arguments of :class:`parallel_env`."""
 
     memory: Steps = Field(8, description="T_0; at least the lags of the follow strategy + ``most_delay``")
-
-
-class EvasionArguments(game.RenderArguments, BatchArguments):
-    """The arguments of :class:`parallel_env`."""
 
 
 class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
     """``num_envs`` games of :class:`parallel_env` in one batch; the roles are ``observer`` and ``head``."""
 
     def __init__(self, num_envs: int, **arguments: Any) -> None:
-        checked = BatchArguments(**arguments)
+        checked = EvasionArguments(**arguments)
         self.manoeuvres, rules = checked.part(Manoeuvres), checked.make_rules(opening=1)
         config = checked.part(SwarmConfig, mobility=checked.mobilities[0])
         uavs, most_delay, strategy = config.uavs, checked.most_delay, config.follow_strategy
@@ -65,7 +61,7 @@ class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
             OBSERVER: (1, spaces.Dict({**window_spaces, "legal": mask}), spaces.MultiBinary(uavs)),
             HEAD: (config.clusters, spaces.Dict(head_spaces), spaces.MultiDiscrete(choices)),
         }
-        super().__init__(num_envs, config, rules, roles)
+        super().__init__(num_envs, config, rules, roles, checked.render_mode)
         self._flown = np.zeros((num_envs, config.clusters), np.int64)  # the mobility of each head in the window
         self._decoys = np.zeros((num_envs, uavs), bool)  # the followers that are decoys in the window
         self._prices = {role: np.zeros((num_envs, count)) for role, count in self.roles.items()}
@@ -222,7 +218,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
 
     @takes_arguments(EvasionArguments)
     def __init__(self, arguments: EvasionArguments) -> None:
-        super().__init__(batch_env(1, **dict(arguments.part(BatchArguments))), arguments.render_mode)
+        super().__init__(batch_env(1, **dict(arguments)))
 
     def describe_action(self, agent: str, action: Any) -> str:
         """Describe the choice of a head in words; empty for the observer."""

@@ -23,21 +23,17 @@ from usnet_env.swarm.sensing import sense
 from usnet_env.swarm.simulator import fly_round
 
 
-class BatchArguments(base.GameArguments, MobilityArguments, SensorConfig):
-    """The arguments of :class:`batch_env`."""
+class ObserversArguments(base.GameArguments, MobilityArguments, SensorConfig):
+    """The arguments of :class:`parallel_env`."""
 
     fusion: Literal["union", "majority", "scores"] = Field("union", description="``union``, ``majority``, ``scores``")
-
-
-class ObserversArguments(game.RenderArguments, BatchArguments):
-    """The arguments of :class:`parallel_env`."""
 
 
 class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
     """``num_envs`` games of :class:`parallel_env` in one batch, with its arguments; the role is ``observer``."""
 
     def __init__(self, num_envs: int, **arguments: Any) -> None:
-        checked = BatchArguments(**arguments)
+        checked = ObserversArguments(**arguments)
         self.fusion, self.sensor_config = checked.fusion, checked.part(SensorConfig)
         rules = checked.make_rules()
         config = checked.part(SwarmConfig, position_noise=0.0, miss_rate=0.0)  # the observers have their own
@@ -60,7 +56,8 @@ class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
             acts = spaces.Box(self._low, np.ones_like(self._low))
         if self._size:
             shape["messages"] = spaces.Box(least, 1, (count, self._size), np.float32)
-        super().__init__(num_envs, config, rules, {OBSERVER: (count, spaces.Dict(shape), acts)})
+        roles = {OBSERVER: (count, spaces.Dict(shape), acts)}
+        super().__init__(num_envs, config, rules, roles, checked.render_mode)
         self._noise: list[list[np.random.Generator]] = [[] for _ in range(num_envs)]  # of each observer of each game
         self.places = np.zeros((num_envs, count, 3))  #: of the observers at the end of the window, in metres
         self._velocities = np.zeros((num_envs, count, 3))  # of the observers in the next window, metres per step
@@ -189,7 +186,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
 
     @takes_arguments(ObserversArguments)
     def __init__(self, arguments: ObserversArguments) -> None:
-        super().__init__(batch_env(1, **dict(arguments.part(BatchArguments))), arguments.render_mode)
+        super().__init__(batch_env(1, **dict(arguments)))
 
     def list_observers(self) -> Floats | None:
         """``(K, 4)``, position and sensing range of each observer in metres; ``None`` if they fly."""
