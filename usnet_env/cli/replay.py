@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -82,18 +82,14 @@ def replay(path: Path, episode: int | None, rrd: Path | None, open_viewer: bool,
         return
     record = EpisodeRecord.load(episodes[0])
     rounds = [f"  {number}: {describe_round(record, number)}" for number in range(1, record.rounds + 1)]
-    _print_lines([name_game(record), *rounds, describe_outcome(record)])
+    lines = [name_game(record), *rounds, describe_outcome(record)]
+    click.echo("\n".join(map(printable, lines)))  # a terminal would obey control characters of a file
     if _write_files(record, **files) and rrd is None and not open_viewer:
         return
     replay_path = write_recording(record, rrd or episodes[0].with_suffix(".rrd"))
     click.echo(f"replay     {replay_path}" + ("" if open_viewer else f"  (open: {find_viewer()} {replay_path})"))
     if open_viewer:
         open_replay(replay_path)
-
-
-def _print_lines(lines: Iterable[str]) -> None:
-    """Print lines of a file without the control characters that they may hold, which a terminal would obey."""
-    click.echo("\n".join(map(printable, lines)))
 
 
 def _choose_episodes(path: Path, episode: int | None) -> list[Path]:

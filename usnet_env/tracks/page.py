@@ -80,7 +80,8 @@ def collect_data(
     rows = _choose_rows(tracks, leaders)
     names = [tracks.ids[row] for row in rows]
     row_of = {name: k for k, name in enumerate(names)}
-    numbers = _choose_instants(tracks)
+    numbers = np.unique(tracks.step_numbers)
+    numbers = numbers[np.unique(np.linspace(0, len(numbers) - 1, min(len(numbers), _MAX_INSTANTS)).astype(int))]
     instants = np.asarray(numbers * float(tracks.step or 1.0), np.float64)
     window_of = _number_windows(track_windows, instants)
     curves_of = {leader.id: curves(leader.id) for leader in leaders[:_MAX_CURVES] if leader.id in row_of}
@@ -115,12 +116,6 @@ def _choose_rows(tracks: Tracks, leaders: Sequence[Leader]) -> list[int]:
     order = dict.fromkeys([*(leader.id for leader in leaders), *followers, *tracks.ids])
     row_of = {name: row for row, name in enumerate(tracks.ids)}
     return [row_of[name] for name in order][:_MAX_IDS]
-
-
-def _choose_instants(tracks: Tracks) -> Indices:
-    """Numbers of steps of the resampled tracks, some of them if they are many."""
-    numbers = np.unique(tracks.step_numbers)
-    return numbers[np.unique(np.linspace(0, len(numbers) - 1, min(len(numbers), _MAX_INSTANTS)).astype(int))]
 
 
 def _locate(tracks: Tracks, rows: list[int], numbers: Indices) -> Floats:

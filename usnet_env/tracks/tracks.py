@@ -205,17 +205,12 @@ class Tracks(Samples):
             raise MissingExtraError("to_dataset needs xarray; `pip install xarray` installs it.") from None
         times, instant = np.unique(self.time, return_inverse=True)
         position = np.full((len(times), 3, len(self.ids)), np.nan)
-        position[instant, :, self.owner] = self.position + self._file_offset
+        position[instant, :, self.owner] = self.position + self.origin * ("degrees" not in self.frame)
         coordinates: Any = {"time": times, "space": [*"xyz"][: self.dimensions], "individuals": [*self.ids]}
         attributes = {"time_unit": "seconds", "source_software": "usnet"} | (
             {"fps": 1 / self.step} if self.step else {}
         )
         return xarray.Dataset({"position": ([*coordinates], position[:, : self.dimensions])}, coordinates, attributes)
-
-    @property
-    def _file_offset(self) -> Floats:
-        """``(3,)`` metres to add to positions for those of the file; degrees have none."""
-        return self.origin * ("degrees" not in self.frame)
 
     def windows(
         self, length: int | None = None, stride: int | None = None, *, least_steps: int | None = None
