@@ -146,12 +146,11 @@ def cut_positions(tracks: Tracks, rows: Indices, start: float, end: float) -> tu
     """Positions ``(T, n, d)`` of some ids from second ``start`` to ``end``, interpolated in gaps, and where seen."""
     step = float(tracks.step or 1.0)
     times = np.arange(np.ceil(start / step - 1e-6), np.floor(end / step + 1e-6) + 1)
+    limits = (times[0] - 0.5) * step, (times[-1] + 0.5) * step
     position, seen = np.zeros((len(times), len(rows), 3)), np.zeros((len(times), len(rows)), bool)
     for k, row in enumerate(rows):
         first, last = tracks.offsets[row], tracks.offsets[row + 1]
-        low, high = first + np.searchsorted(
-            tracks.time[first:last], ((times[0] - 0.5) * step, (times[-1] + 0.5) * step)
-        )
+        low, high = first + np.searchsorted(tracks.time[first:last], limits)
         number, place = np.round(tracks.time[low:high] / step), tracks.position[low:high]
         if len(number):
             seen[(number - times[0]).astype(int), k] = True

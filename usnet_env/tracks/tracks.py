@@ -207,9 +207,8 @@ class Tracks(Samples):
         position = np.full((len(times), 3, len(self.ids)), np.nan)
         position[instant, :, self.owner] = self.position + self.origin * ("degrees" not in self.frame)
         coordinates: Any = {"time": times, "space": [*"xyz"][: self.dimensions], "individuals": [*self.ids]}
-        attributes = {"time_unit": "seconds", "source_software": "usnet"} | (
-            {"fps": 1 / self.step} if self.step else {}
-        )
+        attributes: dict[str, Any] = {"time_unit": "seconds", "source_software": "usnet"}
+        attributes |= {"fps": 1 / self.step} if self.step else {}
         return xarray.Dataset({"position": ([*coordinates], position[:, : self.dimensions])}, coordinates, attributes)
 
     def windows(
