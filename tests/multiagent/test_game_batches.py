@@ -80,9 +80,13 @@ def test_a_batch_plays_the_games_of_the_parallel_form(game, more):
 
 
 def test_a_batch_draws_each_of_its_games():
-    games, env = batch_of("evasion", 2, render_mode="rgb_array"), small("evasion", render_mode="rgb_array")
+    """With the axes of the first window, and crosses where UAVs were destroyed in it."""
+    games, env = batch_of("observers", 2, render_mode="rgb_array"), small("observers", render_mode="rgb_array")
     games.reset(seed=[5, 3])
     env.reset(seed=3)
+    for candidates in np.eye(22, dtype=np.int8)[:2]:
+        games.step({"observer": np.tile(candidates, (2, 3, 1))})
+        env.step(dict.fromkeys(env.agents, candidates))
     np.testing.assert_array_equal(games.draw(1), env.render())
 
 
