@@ -95,6 +95,8 @@ class LaggedCorrelation(EvidenceDetector):
         max_lag: the largest lag in samples, at least 1; smaller in short windows.
     """
 
+    tags = Tags(most_uavs=10_000, uses_positions=False, takes_clusters=True, false_leaders=True)
+
     max_lag: Lags = 4
 
     def evidence(self, velocity: NDArray[np.floating], seen: Mask) -> Evidence | None:

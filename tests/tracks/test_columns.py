@@ -12,7 +12,7 @@ pyarrow = pytest.importorskip("pyarrow")
 ROWS = rows_of(straight())
 HIGH = rows_of(straight(height=True))  # with z
 NUMBER = ["abc".index(row[0]) for row in ROWS]
-QUICK = ("--detector", "lagged-correlation")
+QUICK = ("--detector", "directional-delays")
 
 
 def test_places_of_parts_of_one_animal_and_headings_are_no_ids(tmp_path):

@@ -7,7 +7,7 @@ from track_files import tracks_of, write_csv
 from usnet_env.tracks import read_tracks
 
 HEADER = ["timestamp", "location-long", "location-lat", "individual-local-identifier", "visible"]
-QUICK = ("--detector", "lagged-correlation")
+QUICK = ("--detector", "directional-delays")
 
 
 def pigeons(steps=300, ids=4):

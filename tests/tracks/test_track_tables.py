@@ -11,7 +11,7 @@ from track_files import Answers, Sure, answer_of, example, rows_of, straight, tr
 
 from usnet_env.tracks import find_leaders, read_tracks
 
-QUICK = ("--detector", "lagged-correlation")
+QUICK = ("--detector", "directional-delays")
 
 
 @pytest.fixture
