@@ -99,7 +99,9 @@ def map_tasks(
 
 def _run_in_processes(calls: Iterator[Any], workers: int) -> Iterator[Any]:
     """Run calls in child processes, which have ended when this returns: a process waits for those that are left."""
-    results = joblib.Parallel(n_jobs=workers, backend="loky", return_as="generator")(calls)
+    # Begun by `become_worker`, a worker that has no task yet ends with its parent too.
+    parallel = joblib.Parallel(n_jobs=workers, backend="loky", return_as="generator", initializer=become_worker)
+    results = parallel(calls)
     try:
         for result in results:  # noqa: UP028  # `yield from` would close it before warnings are ignored
             yield result
