@@ -172,7 +172,7 @@ def test_a_terminated_game_shows_an_empty_window_and_a_truncated_one_the_next():
 
 @pytest.mark.parametrize(
     "action",
-    [np.zeros(19, np.int8), 0, None, "all", [[0] * 10] * 2, [2] * 20, [np.nan] * 20, [0.5] * 20, [-1] * 20, ["a"] * 20],
+    [np.zeros(19, np.int8), 0, None, "all", [[0] * 10] * 2, [2] * 20, [np.nan] * 20, [0.5] * 20, [-1] * 20, [[0], 1]],
     ids=repr,
 )
 def test_a_wrong_action_is_named_and_changes_nothing(action):

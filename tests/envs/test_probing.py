@@ -154,7 +154,7 @@ def test_an_agent_that_knows_nothing_mostly_waits():
     [
         ([0] * 7, "action must have the keys"),
         ({"steer": np.full((1, 3), 2.0), "name": 7}, "steer must have shape"),
-        ({"steer": np.zeros(3), "name": 7}, "steer must have shape"),
+        ({"steer": [[0], [0, 0]], "name": 7}, "steer must be an array"),
         ({"steer": np.zeros((1, 3)), "name": 8}, "name must hold whole numbers from 0 to 7"),
         (np.zeros(10), "action must have shape"),
     ],

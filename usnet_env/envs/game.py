@@ -18,6 +18,7 @@ from usnet_env.objectives import hits_and_redundant, single_cluster_objective
 from usnet_env.swarm import SwarmConfig, SwarmState, destroy
 from usnet_env.swarm.config import Count, Price
 from usnet_env.swarm.state import Rows
+from usnet_env.window import as_array
 
 Part = Literal["position", "velocity", "seen", "alive", "round"]
 PARTS: tuple[Part, ...] = ("position", "velocity", "seen", "alive", "round")  # of an observation
@@ -117,7 +118,7 @@ def has_mode(render_mode: str | None) -> bool:
 
 def parse_candidates(action: Any, shape: tuple[int, ...], name: str = "action") -> Mask:
     """Convert an action (integers, booleans or floats) to booleans of the given shape; errors call it ``name``."""
-    values = np.asarray(action)
+    values = as_array(name, action)
     if values.shape != shape or values.dtype.kind not in "biuf" or not ((values == 0) | (values == 1)).all():
         raise ArgumentError(f"{name} must have shape {shape} and hold only 0 and 1, got {quote(action)}.")
     return values.astype(bool)

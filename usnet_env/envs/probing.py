@@ -23,6 +23,7 @@ from usnet_env.swarm.config import Count, Price
 from usnet_env.swarm.flight import fly_steps
 from usnet_env.swarm.kinematics import Avoidance
 from usnet_env.swarm.sensing import sense
+from usnet_env.window import as_array
 
 COSTS = "reward_time", "reward_moves"
 MARGIN = 1.0  # by which the score of a name exceeds all others in a flat action
@@ -105,7 +106,7 @@ class ProbingGames(SwarmGames):
         else:
             if not isinstance(action, Mapping) or set(action) != {"steer", "name"}:
                 raise ArgumentError(f"action must have the keys steer and name, got {quote(action)}.")
-            steer, name = _parse_numbers("steer", action["steer"], shape), np.asarray(action["name"])
+            steer, name = _parse_numbers("steer", action["steer"], shape), as_array("name", action["name"])
             if name.shape != lead or name.dtype.kind not in "iu" or not ((name >= 0) & (name < names)).all():
                 raise ArgumentError(f"name must hold whole numbers from 0 to {names - 1}, got {quote(action['name'])}.")
             best = name
@@ -191,7 +192,7 @@ class ProbingGames(SwarmGames):
 
 def _parse_numbers(name: str, value: Any, shape: tuple[int, ...]) -> Singles:
     """Check numbers from -1 to 1 of a shape; errors call them ``name``."""
-    numbers = np.asarray(value)
+    numbers = as_array(name, value)
     if numbers.shape != shape or numbers.dtype.kind not in "iuf" or not (np.abs(numbers) <= 1).all():
         raise ArgumentError(f"{name} must have shape {shape} and numbers from -1 to 1, got {quote(value)}.")
     return numbers.astype(np.float32)

@@ -20,6 +20,7 @@ from usnet_env.swarm import SwarmConfig, SwarmState
 from usnet_env.swarm.config import SensorArguments, Steps
 from usnet_env.swarm.flock_follow import Flock
 from usnet_env.swarm.state import find_each
+from usnet_env.window import as_array
 
 HEAD = "head"
 
@@ -132,7 +133,7 @@ class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
         """Convert candidates to booleans, and choices to whole numbers."""
         if role == OBSERVER:
             return game.parse_candidates(action, (*lead, self.config.uavs), name)
-        values, sizes = np.asarray(action), self.manoeuvres.choices
+        values, sizes = as_array(name, action), self.manoeuvres.choices
         numbers = values.dtype.kind in "biuf" and values.shape == (*lead, 4) and (values % 1 == 0).all()
         if not numbers or not ((values >= 0) & (values < sizes)).all():
             raise ArgumentError(

@@ -21,6 +21,7 @@ from usnet_env.swarm import SwarmConfig, SwarmState
 from usnet_env.swarm.config import MobilityArguments
 from usnet_env.swarm.sensing import sense
 from usnet_env.swarm.simulator import fly_round
+from usnet_env.window import as_array
 
 
 class ObserversArguments(base.GameArguments, MobilityArguments, SensorConfig):
@@ -117,7 +118,7 @@ class batch_env(GameBatch):  # named as PettingZoo names the forms of a game
         shape, low = (*lead, len(self._low)), self._low
         if isinstance(self.action_spaces[role], spaces.MultiBinary):
             return game.parse_candidates(action, shape, name).astype(np.float64)
-        values = np.asarray(action)
+        values = as_array(name, action)
         if values.shape != shape or values.dtype.kind not in "biuf" or not ((values >= low) & (values <= 1)).all():
             bounds = f"numbers from {low[0]:g} to 1" + (", the last three from -1" if self._speed else "")
             raise ArgumentError(f"{name} must have shape {shape} and hold {bounds}, got {quote(action)}.")
