@@ -9,6 +9,7 @@ from dataclasses import MISSING, dataclass, fields
 from functools import cache
 from typing import Annotated, Any, ClassVar, Self, dataclass_transform
 
+import numpy as np
 from pydantic import Field, create_model
 
 from usnet_env.config import Config
@@ -46,7 +47,10 @@ class Parameters:
         """
         kind: Any = type(self)
         config = _make_config(kind)
-        return config(**{name: getattr(self, name) for name in config.model_fields})
+        checked = config(**{name: getattr(self, name) for name in config.model_fields})
+        plain = {name: value for name, value in checked if isinstance(getattr(self, name), np.generic)}
+        vars(self).update(plain)  # NumPy computes otherwise with its own numbers: -np.uint8(3) is 253
+        return checked
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
         """Return the arguments by name; ``deep`` has no effect, since no argument has parameters."""

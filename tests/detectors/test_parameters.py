@@ -45,6 +45,8 @@ def test_arguments_are_those_of_the_base_class_and_of_the_class():
             refused()
     with pytest.raises(ArgumentError, match="count must be"):
         Second(count=0).reset()
+    made.set_params(count=np.uint8(3)).reset()
+    assert -made.count == -3
 
 
 def test_a_constructor_of_its_own_is_kept_and_inherited_and_detect_is_defined():
