@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from track_files import tracks_of
 
-from usnet_env import ArgumentError
+from usnet_env import ArgumentError, Detection
 from usnet_env.tracks import LeaderTracker, find_leaders
 
 CHANGE = 34  # seconds at which another one leads
@@ -48,6 +48,34 @@ def test_a_leader_and_the_one_that_takes_over_are_announced_once():
     assert known[-1].sure
     assert known[-1].leaders["e"] > 0.9
     assert known[-1].follows == dict.fromkeys("abcdf", "e")
+
+
+class Doubts:
+    """In ten whole windows the first id leads, later it may; in shorter ones the fifth does."""
+
+    def __init__(self):
+        self.whole_windows = 0
+
+    def reset(self, seed=None):
+        pass
+
+    def detect(self, window):
+        is_whole = window.observation_steps == 16
+        self.whole_windows += is_whole
+        head, p = (4, 0.95) if not is_whole else (0, 1.0 if self.whole_windows <= 10 else 0.5)
+        chance = np.where(np.arange(window.uavs) == head, p, 0.0)
+        return Detection(chance > 0.5, chance, leader=np.full(window.uavs, head), extras={"probability": chance})
+
+
+def test_the_latest_part_of_a_window_is_asked_only_if_the_whole_doubts_an_announced_leader():
+    tracker, place = LeaderTracker(step=1.0, detector=Doubts()), fly(3)
+    known = watch(tracker, place, [*range(6)])
+    assert sentences(known) == ["0 leads 1, 2, 3, 4, 5.", "4 leads 1, 2, 3, 5 instead of 0."]
+    first, then = (k for k, each in enumerate(known) if each.changes)
+    assert then - first == 8  # five more sure answers, then three of the latest part
+    doubting = Doubts()
+    doubting.whole_windows = 10
+    assert sentences(watch(LeaderTracker(step=1.0, detector=doubting), fly(3, heads=(4, 4)), [*range(6)])) == []
 
 
 def test_a_window_has_the_heads_of_find_leaders():

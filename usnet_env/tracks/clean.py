@@ -45,6 +45,8 @@ def leave_out_repeats(tracks: SamplesT) -> tuple[SamplesT, list[str]]:
     is held twice as long again: there, the id may rest.
     """
     is_same = (np.diff(tracks.position, axis=0) == 0).all(axis=1) & tracks.inner_steps
+    if not is_same.any():
+        return tracks, []
     starts = np.flatnonzero(np.append(True, ~is_same))
     length = np.diff(np.append(starts, tracks.samples))  # of each run of one place
     owner, runs = tracks.owner[starts], np.split(length, np.searchsorted(starts, tracks.offsets)[1:-1])

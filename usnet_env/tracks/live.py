@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import takewhile
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -50,14 +52,16 @@ class LeaderTracker:
 
     As soon as there are 16 steps, a detector answers a window of the latest ones as in
     :func:`usnet_env.tracks.find_leaders`. An answer counts where the probability of a leader is at least 0.8, or at
-    most 0.2. The head of an id is announced, changed or withdrawn when ``patience`` answers in a row say so. A new
-    leader must also be confirmed in the last window, or half of its group had another head before.
+    most 0.2. The head of an id is announced or withdrawn when ``patience`` answers in a row say so, and changed when as
+    many of the last ``2 patience - 1`` do. A new leader must also be confirmed in the last window, or half of its group
+    had another head before. If an answer doubts the leaders that are announced, the last three quarters of the window
+    are answered, too, and the surer answer counts.
 
     Args:
         step: seconds between the instants of a window.
         window: steps of a window, at least 16. A longer one stands more noise, and names a new leader later.
         detector: a name as :func:`usnet_env.make_detector` takes it, or a detector.
-        patience: how many answers in a row must agree.
+        patience: how many answers must agree.
         stride: steps from an answer to the next.
         seed: seeds the detector.
 
@@ -98,7 +102,9 @@ class LeaderTracker:
         self._fixes = [np.empty((0, 5))]  # the number of an id, a time, and a position
         self._due = -np.inf  # the time from which on the next answer is asked for
         self._heads = dict[Name, Name | None]()  # what is announced
-        self._votes = dict[Name, tuple[Name | None, int]]()  # of the last answers, and how many agree
+        self._whole = max(self._patience, -(-self._length // self._stride))  # answers of a whole window
+        self._kept = _WINDOWS * self._whole
+        self._votes = dict[Name, list[Any]]()  # of the last answers, the latest one last
         self._known = LiveLeaders(-np.inf)
         self.track_window: TrackWindow | None = None
         self.detection: Detection | None = None
@@ -153,38 +159,54 @@ class LeaderTracker:
         if tracks is None or self.track_window is None:
             self._votes = {}
             return _settle(heads), LiveLeaders(latest)
-        ids = self.track_window.ids
         self.detection = answer_window(self._player, tracks, self.track_window, self._seed).detection
+        votes = _read_votes(self.detection, self.track_window.ids)
+        if _drop_none(heads) and not _agree(votes, heads, self.track_window.ids):  # perhaps another one leads now
+            votes = self._ask_again(tracks) or votes
+        ids = self.track_window.ids
         chance = dict(zip(ids, _read_probability(self.detection).tolist(), strict=True))
-        votes = _read_votes(self.detection, ids)
-        before = {name: count for name, (vote, count) in self._votes.items() if votes.get(name, _UNSURE) == vote}
-        self._votes = {name: (vote, 1 + before.get(name, 0)) for name, vote in votes.items()}
-        ready = {name: vote for name, (vote, count) in self._votes.items() if count >= self._count_needed(name, vote)}
+        self._votes = {name: [*self._votes.get(name, []), votes.get(name, _UNSURE)][-self._kept :] for name in ids}
+        ready = {name: vote for name, vote in votes.items() if self._is_settled(name, vote)}
         trusted = {name for name, vote in ready.items() if name == vote and self._is_trusted(name, tracks)}
         heads = _settle(heads | {name: vote for name, vote in ready.items() if vote is None or vote in trusted})
         leaders = {name: chance.get(name, self._known.leaders.get(name, 0.0)) for name in heads if heads[name] == name}
         follows = {name: head for name, head in _drop_none(heads).items() if name != head}
-        sure = all(votes.get(name, _UNSURE) == heads.get(name, _NOT_YET) for name in ids)
-        return heads, LiveLeaders(latest, leaders, follows, (), sure)
+        return heads, LiveLeaders(latest, leaders, follows, (), _agree(votes, heads, ids))
 
-    def _count_needed(self, name: Name, vote: Name | None) -> int:
-        """How many answers in a row must give an id a head, or none.
+    def _ask_again(self, tracks: Tracks) -> dict[Name, Name | None]:
+        """Ask for the last three quarters of the window; the votes of this answer if it is the surer one."""
+        part = _cut_last(tracks, 3 * self._length // 4)
+        if part is None or self.detection is None:
+            return {}
+        answer = answer_window(self._player, tracks, part, self._seed).detection
+        if _measure_certainty(answer) <= _measure_certainty(self.detection):
+            return {}
+        self.track_window, self.detection = part, answer
+        return _read_votes(answer, part.ids)
 
-        Those of a whole window, if none, as a window that spans a change looks as if no id led; or if two leaders are
-        announced, as the tracks of two may be alike for some steps.
+    def _is_settled(self, name: Name, vote: Name | None) -> bool:
+        """Whether enough of the last answers agree on the head of an id, or that it has none.
+
+        It gets a first head by ``patience`` answers in a row, and another one by as many of the last ``2 patience - 1``
+        if none of these names a third. All answers of a whole window must agree on none, as a window that spans a
+        change looks as if no id led; or if two leaders are announced, as the tracks of two may be alike for some steps.
         """
-        old = self._heads.get(name)
+        votes, old = self._votes[name], self._heads.get(name)
         if vote is None or (old not in (None, vote) and self._heads.get(vote) == vote):
-            return max(self._patience, -(-self._length // self._stride))
-        return self._patience
+            return votes[-self._whole :].count(vote) == self._whole
+        if old is None:
+            return votes[-self._patience :].count(vote) == self._patience
+        recent = votes[1 - 2 * self._patience :]
+        return recent.count(vote) >= self._patience and all(each in (vote, None, _UNSURE) for each in recent)
 
     def _is_trusted(self, leader: Name, tracks: Tracks) -> bool:
         """Whether a leader is announced, or half of its group had another one, or it is confirmed since it is named."""
-        group = [name for name, (vote, _) in self._votes.items() if vote == leader]
+        group = [name for name, votes in self._votes.items() if votes[-1] == leader]
         led = sum(self._heads.get(name) is not None for name in group)
         if self._heads.get(leader) == leader or 2 * led > len(group):
             return True
-        cut = _cut_last(tracks, self._length + self._stride * (self._votes[leader][1] - 1))
+        named = [*takewhile(lambda vote: vote == leader, reversed(self._votes[leader]))]
+        cut = _cut_last(tracks, self._length + self._stride * (len(named) - 1))
         if cut is None or leader not in cut.ids:
             return False
         followers = [k for k, name in enumerate(cut.ids) if name in group and name != leader]
@@ -221,6 +243,17 @@ def _read_votes(answer: Detection, ids: Sequence[Name]) -> dict[Name, Name | Non
         for member in (head, *list_followers(answer, head)):
             votes[ids[member]] = ids[head]
     return {name: head for name, head in votes.items() if head not in doubtful}
+
+
+def _agree(votes: Mapping[Name, Any], heads: Mapping[Name, Name | None], ids: Sequence[Name]) -> bool:
+    """Whether an answer is sure of the head of every id, and it is what is announced."""
+    return all(votes.get(name, _UNSURE) == heads.get(name, _NOT_YET) for name in ids)
+
+
+def _measure_certainty(answer: Detection) -> float:
+    """The logarithm of the probability that exactly those lead that an answer holds for leaders."""
+    chance = _read_probability(answer)
+    return float(np.log(np.maximum(chance, 1 - chance)).sum())
 
 
 def _settle(heads: Mapping[Name, Name | None]) -> dict[Name, Name | None]:
