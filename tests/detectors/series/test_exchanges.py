@@ -47,7 +47,7 @@ def test_a_swarm_without_jumps_stays_as_it_is(seed, spread):
     assert undo_exchanges(window) is window
 
 
-def test_one_that_jumps_alone_exchanges_with_nobody():
+def test_a_uav_that_jumps_alone_keeps_its_identity():
     position = fly(0)
     position[30:, 2] += 50.0
     window = watch(position)
