@@ -27,7 +27,8 @@ def undo_exchanges(window: Window) -> Window:
     >>> undo_exchanges(window).position[-1, :, 1].tolist()
     [0.0, 9.0]
     """
-    length = np.where(window.velocity_seen, np.linalg.norm(np.diff(window.position, axis=0), axis=2), 0.0)  # (T, N)
+    moved = np.diff(window.position, axis=0)
+    length = np.where(window.velocity_seen, np.linalg.norm(moved, axis=2), 0.0)  # (T, N)
     moves = length[length > 0]
     usual = float(np.quantile(moves, _USUAL)) if len(moves) else 0.0
     jumps = length > _JUMP * usual
@@ -41,7 +42,9 @@ def undo_exchanges(window: Window) -> Window:
     instants = np.arange(len(track))[:, None]
     position, seen = window.position[instants, track], window.seen[instants, track]
     joined = (track[1:] != track[:-1])[..., None]
-    velocity = np.where(joined, np.diff(position, axis=0), window.velocity[instants[:-1], track[:-1]])
+    flown = float(np.linalg.norm(window.velocity[window.velocity_seen], axis=1).sum())
+    steps = max(round(float(length.sum()) / max(flown, 1e-9)), 1)  # from a sample to the next
+    velocity = np.where(joined, np.diff(position, axis=0) / steps, window.velocity[instants[:-1], track[:-1]])
     return Window(position, velocity, seen, window.alive, window.round, window.step)
 
 

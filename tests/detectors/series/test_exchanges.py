@@ -17,17 +17,17 @@ def fly(seed, uavs=8, steps=60, spread=40.0):
     return rng.uniform(0, spread, (1, uavs, 3)) + np.concatenate([0 * steps[:1], steps.cumsum(axis=0)])
 
 
-def watch(position, seen=None):
+def watch(position, seen=None, sample_every=1):
     seen = np.ones(position.shape[:2], bool) if seen is None else seen
-    velocity = np.diff(position, axis=0) * (seen[1:] & seen[:-1])[..., None]
+    velocity = np.diff(position, axis=0) * (seen[1:] & seen[:-1])[..., None] / sample_every
     return Window(position * seen[..., None], velocity, seen, np.ones(position.shape[1]))
 
 
-@given(seed=st.integers(0, 2**32 - 1), exchanges=st.integers(1, 6))
-def test_far_exchanges_are_undone(seed, exchanges):
+@given(seed=st.integers(0, 2**32 - 1), exchanges=st.integers(1, 6), sample_every=st.integers(1, 3))
+def test_far_exchanges_are_undone(seed, exchanges, sample_every):
     rng, position = np.random.default_rng(seed), fly(seed)
     seen = rng.random(position.shape[:2]) < 0.95
-    window = watch(position, seen)
+    window = watch(position, seen, sample_every)
     spoiled, hidden = window.position.copy(), window.seen.copy()
     for t in np.sort(rng.choice(np.arange(1, 60), exchanges, replace=False)):
         here = np.flatnonzero(hidden[t - 1] & hidden[t])
@@ -35,7 +35,7 @@ def test_far_exchanges_are_undone(seed, exchanges):
         first, second = np.unravel_index(apart.argmax(), apart.shape)  # far enough to jump
         pair = here[[first, second]]
         spoiled[t:, pair], hidden[t:, pair] = spoiled[t:, pair[::-1]], hidden[t:, pair[::-1]]
-    restored = undo_exchanges(watch(spoiled, hidden))
+    restored = undo_exchanges(watch(spoiled, hidden, sample_every))
     assert (restored.seen == window.seen).all()
     assert np.allclose(restored.position, window.position)
     assert np.allclose(restored.velocity, window.velocity, atol=1e-5)
@@ -57,6 +57,10 @@ def test_a_uav_that_jumps_alone_keeps_its_identity():
 def test_still_and_unseen_uavs_are_left_alone():
     still = watch(np.zeros((30, 3, 3)))
     assert undo_exchanges(still) is still
+    exchanged = fly(0)
+    exchanged[30:, [0, 1]] = exchanged[30:, [1, 0]]
+    motionless = Window(exchanged, np.zeros((60, 8, 3)), np.ones((61, 8)), np.ones(8))
+    assert not undo_exchanges(motionless).velocity[:29].any()
     unseen = watch(fly(0), np.zeros((61, 8), bool))
     assert undo_exchanges(unseen) is unseen
 
