@@ -62,7 +62,8 @@ def find_leaders(
         stride: steps from the start of a window to the start of the next; ``None``: ``window``.
         seed: seeds the detector.
         confirm: whether to leave out candidates that have no followers, whose followers don't move like them later, or
-            that follow another id in half of the window, by the tests of :mod:`usnet_env.tracks.confirm`.
+            that follow another id in half of the window, by the tests of :mod:`usnet_env.tracks.confirm`. A candidate
+            that fails is tested once more in the window joined with those before and after it that name it, too.
         on_window: called with each window, the detector's answer and the leaders.
 
     Raises:
