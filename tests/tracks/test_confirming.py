@@ -139,9 +139,6 @@ def test_what_is_followed_instead_of_a_leader_is_named():
     assert found["one path"] >= 7
     assert found["one signal"] >= 7
     assert found["walks"] + found["arena"] <= 1
-
-
-def test_a_sentence_tells_what_is_followed_instead_of_a_leader():
     tracks = tracks_of(go_along(0).position, names=range(6)).resample(1.0)
     found = find_leaders(tracks, "none", length=99)
     assert (found.windows[0].confound, found.windows[0].alike) == ("one path", tuple(range(6)))

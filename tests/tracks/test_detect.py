@@ -217,13 +217,9 @@ def test_the_leaders_that_chance_would_give_are_told_once_for_the_file(folder):
         (["flock.csv", "--record"], "--out"),
     ],
 )
-def test_a_refusal_is_one_sentence_and_nothing_is_written(run, folder, tmp_path, monkeypatch, words, expected):
+def test_a_refusal_is_one_sentence_and_nothing_is_written(refused, folder, tmp_path, monkeypatch, words, expected):
     monkeypatch.chdir(folder)
     (folder / "bad.csv").write_text("id,t,x,y\na,0,1,2\nb,0,north,2\n")
     out = [] if "--record" in words else ["--out", str(tmp_path / "out")]
-    status, printed, err = run("detect", *words, *QUICK * ("--detector" not in words), *out)
-    assert (status, printed) == (2, "")
-    assert err.startswith("usnet: ")
-    assert err.count("\n") == 1
-    assert expected in err
+    assert expected in refused("detect", *words, *QUICK * ("--detector" not in words), *out)
     assert not list(tmp_path.glob("out/*"))

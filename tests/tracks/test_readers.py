@@ -5,13 +5,12 @@ import json
 import sqlite3
 import struct
 from contextlib import closing
-from importlib.metadata import EntryPoint
 
 import numpy as np
 import pytest
 from track_files import HEADER, refusal, rows_of, straight, write_csv
 
-from usnet_env import ArgumentError, parts
+from usnet_env import ArgumentError
 from usnet_env.tracks import read_tracks
 
 PLACES = straight()[..., :2]  # (20, 3, 2)
@@ -231,20 +230,11 @@ def test_a_bag_without_places_is_refused(tmp_path):
     assert "it has no places in nav_msgs/msg/Odometry" in refusal(write_bag(tmp_path, ".mcap", topics=""))
 
 
-@pytest.fixture
-def stranger(monkeypatch, tmp_path):
-    """Installs a distribution with a reader of ``.two``, and one that gives no frame."""
+def test_a_strangers_reader_is_found_by_the_suffix_or_by_its_name(tmp_path, declare):
+    """One of ``.two``, beside one that gives no frame."""
     program = "import pandas as pd\ndef two(path): return pd.read_csv(path, sep='/', names=['id', 't', 'x', 'y'])\n"
-    (tmp_path / "stranger_reader.py").write_text(f"{program}def none(path): ...\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    points = [EntryPoint(name, f"stranger_reader:{name}", "usnet.readers") for name in ("two", "none")]
-    monkeypatch.setattr(parts, "entry_points", lambda group: [point for point in points if point.group == group])
-    parts.find_entry_points.cache_clear()
-    yield
-    parts.find_entry_points.cache_clear()
-
-
-def test_a_strangers_reader_is_found_by_the_suffix_or_by_its_name(tmp_path, stranger):
+    module = "stranger_reader", f"{program}def none(path): ...\n"
+    declare("usnet.readers", module, two="stranger_reader:two", none="stranger_reader:none")
     text = "\n".join("/".join(map(str, row)) for row in rows_of(straight()))
     for name, options in (("tracks.two", {}), ("tracks.txt", {"format": "two"})):
         (tmp_path / name).write_text(text)

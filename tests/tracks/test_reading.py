@@ -10,11 +10,9 @@ import zipfile
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from track_files import HEADER, refusal, rows_of, straight, tracks_of, write_csv, write_gpx, write_parquet
 
-from usnet_env.tracks import Tracks, read_tracks
+from usnet_env.tracks import read_tracks
 
 pyarrow = pytest.importorskip("pyarrow")
 parquet = pytest.importorskip("pyarrow.parquet")
@@ -32,21 +30,7 @@ def test_a_csv_in_any_order_gives_the_same_tracks(tmp_path, delimiter, order):
     order = np.argsort(read.ids)
     np.testing.assert_allclose(read.time.reshape(3, 20), np.tile(np.arange(20) * 0.5, (3, 1)))
     places = (read.position + read.origin).reshape(3, 20, 3)[order]
-    np.testing.assert_allclose(places, straight().swapaxes(0, 1), atol=1e-9)
-
-
-coordinates = st.floats(-1e6, 1e6).map(lambda value: round(value, 4))
-
-
-@settings(max_examples=25)
-@given(st.lists(st.tuples(st.sampled_from("abc"), coordinates, coordinates), min_size=2, max_size=30))
-def test_what_is_written_is_read(tmp_path_factory, samples):
-    rows = [[name, k / 8, x, y] for k, (name, x, y) in enumerate(samples)] + [["d", 0, 0, 0], ["e", 1, 1, 1]]
-    read = read_tracks(write_csv(tmp_path_factory.mktemp("files") / "tracks.csv", rows))
-    made = Tracks.from_samples([row[0] for row in rows], [row[1] for row in rows], [row[2:] for row in rows])
-    assert read.ids == made.ids
-    for name in ("offsets", "time", "position", "origin"):
-        np.testing.assert_array_equal(getattr(read, name), getattr(made, name))
+    np.testing.assert_allclose(places, straight().swapaxes(0, 1), rtol=0, atol=1e-9)
 
 
 def test_times_are_written_as_in_the_file(tmp_path):
@@ -61,15 +45,21 @@ def test_times_are_written_as_in_the_file(tmp_path):
     assert "time_unit" in refusal(tmp_path / "d.csv", time_unit=2)
 
 
-def test_archives_pipes_and_several_files(tmp_path):
+def test_archives_pipes_parquet_npz_and_several_files_hold_the_same_tracks(tmp_path):
     path = write_csv(tmp_path / "tracks.csv", ROWS)
     (tmp_path / "tracks.csv.gz").write_bytes(gzip.compress(path.read_bytes()))
     with zipfile.ZipFile(tmp_path / "mac.zip", "w") as archive:
         archive.write(path, "tracks.csv")
         archive.writestr("__MACOSX/._tracks.csv", b"\0\5\x16\7")
+    columns = {name: np.array([row[k] for row in ROWS]) for k, name in enumerate(HEADER)}
+    write_parquet(tmp_path / "tracks.parquet", ROWS)
+    np.savez_compressed(tmp_path / "tracks.npz", **columns)
+    np.savez(tmp_path / "dense.npz", position=straight()[..., :2], t=np.arange(20) * 0.5, id=np.array(["a", "b", "c"]))
     expected = read_tracks(path).position
-    for name in ("tracks.csv.gz", "mac.zip"):
-        np.testing.assert_array_equal(read_tracks(tmp_path / name).position, expected)
+    for name in ("tracks.csv.gz", "mac.zip", "tracks.parquet", "tracks.npz", "dense.npz"):
+        read = read_tracks(tmp_path / name)
+        assert read.ids == ("a", "b", "c")
+        np.testing.assert_array_equal(read.position, expected)
     parts = [write_csv(tmp_path / f"{k}.csv", ROWS[30 * k : 30 * k + 30]) for k in range(2)]
     np.testing.assert_array_equal(read_tracks(parts).position, expected)
     gpx = write_gpx(tmp_path / "tracks.gpx", 0, "a", "b")
@@ -78,8 +68,6 @@ def test_archives_pipes_and_several_files(tmp_path):
         archive.write(gpx, "tracks.gpx")
     for name in ("tracks.gpx.gz", "gpx.zip"):
         assert read_tracks(tmp_path / name).ids == ("a", "b")
-    columns = dict(zip(HEADER, map(np.array, zip(*ROWS, strict=True)), strict=True))
-    np.savez_compressed(tmp_path / "tracks.npz", **columns)
     for name in ("tracks.csv.gz", "mac.zip", "tracks.npz"):
         assert read_tracks(tmp_path / name, max_size=0.01).samples == len(ROWS)
         assert "unpacks to more than 0.0005 MiB" in refusal(tmp_path / name, max_size=0.0005)
@@ -102,18 +90,6 @@ def test_encodings(tmp_path):
         path.write_text(text, encoding=encoding)
         assert read_tracks(path).ids == ("möwe", "b")
     assert "encoding" in refusal(path, encoding="klingon")
-
-
-def test_parquet_and_npz_hold_the_same_tracks(tmp_path):
-    columns = {name: np.array([row[k] for row in ROWS]) for k, name in enumerate(HEADER)}
-    write_parquet(tmp_path / "tracks.parquet", ROWS)
-    np.savez(tmp_path / "long.npz", **columns)
-    np.savez(tmp_path / "dense.npz", position=straight()[..., :2], t=np.arange(20) * 0.5, id=np.array(["a", "b", "c"]))
-    expected = read_tracks(write_csv(tmp_path / "tracks.csv", ROWS))
-    for name in ("tracks.parquet", "long.npz", "dense.npz"):
-        read = read_tracks(tmp_path / name)
-        assert read.ids == expected.ids
-        np.testing.assert_array_equal(read.position, expected.position)
 
 
 def test_arrays_beside_positions(tmp_path):
@@ -337,15 +313,8 @@ def test_files_that_cannot_be_read(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "options",
-    [
-        {"columns": {"who": "id"}},
-        {"columns": [1]},
-        {"time_unit": 0},
-        {"missing": "guess"},
-        {"decimal": ";"},
-    ],
+    ("name", "value"),
+    [("columns", {"who": "id"}), ("columns", [1]), ("time_unit", 0), ("missing", "guess"), ("decimal", ";")],
 )
-def test_a_bad_argument_is_named(tmp_path, options):
-    path = write_csv(tmp_path / "tracks.csv", ROWS)
-    assert refusal(path, **options).startswith(next(iter(options)))
+def test_a_bad_argument_is_named(tmp_path, name, value):
+    assert refusal(write_csv(tmp_path / "tracks.csv", ROWS), **{name: value}).startswith(name)

@@ -65,6 +65,11 @@ CASES = {  # rows of the file, delimiter, options
     "microseconds": ([HEADER, *rows([int(1.7e15 + 1e6 * t) for t in TIMES])], ",", {}),
     "spreadsheet": ([HEADER, *rows([45382.3125 + t / 86400 for t in TIMES])], ",", {}),
     "two places": ([HEADER, *rows(), ["a", 60, 1e3, 1e3]], ",", {"duplicates": "first"}),
+    "means": (
+        [HEADER, *([*row[:2], row[2] + by, row[3] - by] for row in ROWS for by in (-1, 1))],
+        ",",
+        {"duplicates": "mean"},
+    ),
     "no place": ([HEADER, *rows(), ["a", 5e3, 0, 0], ["a", 5e3, 0, 0.0]], ",", {"missing_place": (0, 0)}),
     "unsure": (
         [[*HEADER, "likelihood"], *([*row, 0.9] for row in ROWS), ["a", 99, 0, 1, 0.5], ["b", 99, 0, 1, ""]],
@@ -168,6 +173,7 @@ def test_what_cannot_be_known_is_refused_with_the_option_that_helps(tmp_path):
         assert f"got {no_format!r} for '0'" in refusal(write_csv(tmp_path / "t.csv", ROWS), time_format=no_format)
     assert "--columns" in refusal(write_csv(tmp_path / "t.txt", ROWS[1:], list(map(str, ROWS[0])), delimiter=" "))
     assert "--duplicates" in refusal(write_csv(tmp_path / "two.csv", [*ROWS, ["a", 60, 1e3, 1e3]]))
+    assert "(same id and time): 1 sample." in read_tracks(tmp_path / "two.csv", duplicates="first").notes[-1]
     (tmp_path / "tracks.xls").write_bytes(b"\xd0\xcf\x11\xe0" + bytes(99))
     assert "--format" in refusal(tmp_path / "tracks.xls")
     assert "names in header" in refusal(tmp_path / "two.csv", header=["id", "t"])
@@ -205,11 +211,3 @@ def test_no_window_has_parts_of_two_pooled_recordings(tmp_path):
         ("1.csv: 100", "1.csv: 700"),
         ("1.csv: 640", "1.csv: 1240"),
     ]
-
-
-def test_the_mean_of_two_places_is_taken(tmp_path):
-    rows = [["a", 0, 0, 0], ["a", 1, 1, 1], ["a", 1, 3, 5], ["b", 0, 0, 0], ["b", 1, 1, 1]]
-    path = write_csv(tmp_path / "two.csv", rows)
-    read = read_tracks(path, duplicates="mean")
-    np.testing.assert_array_equal((read.position + read.origin)[:, :2], [[0, 0], [2, 3], [0, 0], [1, 1]])
-    assert "Left out as repetitions (same id and time): 1 sample." in read.notes

@@ -70,12 +70,6 @@ def test_times_that_count_from_1970_are_read_in_their_unit(run, tmp_path, unit, 
     assert "since 1970" in run("detect", path, "--window", "10", *QUICK)[2]
 
 
-@pytest.mark.parametrize("begin", [0, 1e6, 1714720000])
-def test_times_that_may_be_seconds_are_not_doubted(tmp_path, begin):
-    path = write_csv(tmp_path / "tracks.csv", rows_of(straight(), first=begin))
-    assert read_tracks(path).report().warnings == ()
-
-
 @pytest.mark.parametrize("unit", [10**6, 10**9])
 def test_whole_numbers_since_1970_are_kept(unit):
     begin = 1717000000 * unit + unit // 10

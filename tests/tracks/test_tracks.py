@@ -3,15 +3,13 @@
 import re
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from track_files import answer_of, example, straight, tracks_of
+from track_files import Answers, answer_of, example, straight, tracks_of
 
-from detectors import Detector
 from usnet_env import ArgumentError
 from usnet_env.tracks import Tracks, find_leaders
 
@@ -144,10 +142,8 @@ def test_a_window_is_cut_alike_at_other_steps():
     assert even.other_steps[0].cut_like(next(even.windows(120))) is None  # of 480 steps
 
 
-class AnswersByStep(Detector):
+class AnswersByStep(Answers):
     """A detector whose answer is a function of the number of UAVs and the step of the window."""
-
-    answer: Any
 
     def detect(self, window):
         return self.answer(window.uavs, window.step)
