@@ -87,10 +87,12 @@ def test_flight_goes_on_smoothly_between_rounds(name):
 
 
 @pytest.mark.parametrize("noise", [0.05, 0.2])
-def test_jitter_gives_heads_the_followers_noise(noise):
+@pytest.mark.parametrize("jitter", [False, True])
+def test_followers_noise_has_its_size_and_jitter_gives_it_to_heads(jitter, noise):
+    assert FOLLOW_STRATEGIES["f1"].noise == 0.05
     follow = replace(FOLLOW_STRATEGIES["f1"], noise=noise)
-    state, window = fly(follow, mobility="straight", head_jitter=True, uavs=9, observation_steps=2000)
-    velocity = flown(window)[0][:, state.head]
+    state, window = fly(follow, mobility="straight", head_jitter=jitter, uavs=9, observation_steps=2000)
+    velocity = flown(window)[0][:, state.head == jitter]
     mean = unit(velocity.mean(axis=0))
     across = velocity - (velocity * mean).sum(axis=-1, keepdims=True) * mean
     assert np.sqrt((across**2).sum(axis=-1).mean() / 2) == pytest.approx(noise, rel=0.05)

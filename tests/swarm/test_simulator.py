@@ -103,39 +103,28 @@ def test_episode_b_of_a_batch_is_the_single_swarm(case):
 
 
 @pytest.mark.parametrize(
-    ("name", "value"),
+    "arguments",
     [
-        *((name, 0) for name in ("clusters", "uavs", "observation_steps", "memory")),
-        *((name, value) for name in ("position_noise", "miss_rate") for value in (np.nan, -1.0, 1e9)),
-        *((name, value) for name in ("follow", "mobility", "formation", "kinematics") for value in ("", "f8", 3, None)),
-        ("sample_every", 10**9),
-        ("decoys", -1),
-        ("head_jitter", "yes"),
-        ("follow_seed", 2**63),
-        ("cluster_sizes", "55555"),
-        ("cluster_sizes", [2, 2]),
-        ("cluster_sizes", [1, 19, 19, 19, 19]),
-        ("cluster_sizes", [2, 2, 2, 2, 2]),
-        ("uavs", 14),
-        ("miss_rate", 1.0),
-        ("miss_burst", 0.5),
-        *(("led_by", value) for value in (-1, 9, 1.5, (0, 2), (3, 2), (1, 2, 3), "two")),
+        *({name: 0} for name in ("clusters", "uavs", "observation_steps", "memory")),
+        *({name: value} for name in ("position_noise", "miss_rate") for value in (np.nan, -1.0, 1e9)),
+        *({name: value} for name in ("follow", "mobility", "formation", "kinematics") for value in ("", "f8", 3, None)),
+        *({"cluster_sizes": value} for value in ("55555", [2, 2], [1, 19, 19, 19, 19], [2, 2, 2, 2, 2])),
+        *({"led_by": value} for value in (-1, 9, 1.5, (0, 2), (3, 2), (1, 2, 3), "two")),
+        {"sample_every": 10**9},
+        {"decoys": -1},
+        {"head_jitter": "yes"},
+        {"follow_seed": 2**63},
+        {"miss_rate": 1.0},
+        {"miss_burst": 0.5},
+        {"miss_burst": 2.0, "miss_rate": 0.9},
+        {"memory": 3, "follow": "f7"},
+        {"uavs": 14},
+        {"uavs": 16, "decoys": 2},
     ],
 )
-def test_a_bad_value_is_named(name, value):
-    with pytest.raises(ArgumentError, match=rf"^{name} must [^\n]*got [^\n]*\.$"):
-        SwarmConfig(**{name: value})
-
-
-def test_what_contradicts_is_named():
-    with pytest.raises(ArgumentError, match=r"memory must be at least 4 for follow='f7', got 3"):
-        SwarmConfig(follow="f7", memory=3)
-    with pytest.raises(ArgumentError, match=r"uavs must be at least .* = 17 .*got 16"):
-        SwarmConfig(clusters=5, uavs=16, decoys=2)
-    with pytest.raises(ArgumentError, match="miss_burst must"):
-        SwarmConfig(miss_rate=0.9, miss_burst=2.0)
-    with pytest.raises(ArgumentError, match="follw"):
-        SwarmConfig(follw="f1")
+def test_a_bad_value_and_one_that_contradicts_another_are_named(arguments):
+    with pytest.raises(ArgumentError, match=rf"^{next(iter(arguments))} must [^\n]*got [^\n]*\.$"):
+        SwarmConfig(**arguments)
 
 
 def observed(**arguments):
@@ -154,9 +143,12 @@ def test_noise_has_its_size_and_memory_and_velocities_are_differences_of_what_is
     assert error.std() == pytest.approx(2.0 * np.sqrt(2 * (1 - memory)), rel=0.05)
 
 
-def test_misses_have_their_rate_and_are_masked():
-    truth, window = observed(), observed(miss_rate=0.3)
-    assert window.seen.mean() == pytest.approx(0.7, abs=0.02)
+@pytest.mark.parametrize(("burst", "length"), [(0.0, 1 / 0.8), (6.0, 6.0)])
+def test_misses_have_their_rate_come_in_bursts_and_are_masked(burst, length):
+    truth, window = observed(observation_steps=600), observed(observation_steps=600, miss_rate=0.2, miss_burst=burst)
+    assert window.seen.mean() == pytest.approx(0.8, abs=0.02)
+    ends = (~window.seen[:, :-1] & window.seen[:, 1:]).sum()
+    assert (~window.seen).sum() / ends == pytest.approx(length, rel=0.1)
     assert not window.position[~window.seen].any()
     np.testing.assert_array_equal(window.position[window.seen], truth.position[window.seen])
     both = window.seen[:, 1:] & window.seen[:, :-1]
@@ -209,13 +201,6 @@ def test_false_tracks_begin_and_end_and_are_no_uavs():
         assert not window.position[~window.seen].any()
         assert not window.velocity[~(window.seen[:, 1:] & window.seen[:, :-1])].any()
     assert (seen[0] != seen[1]).any(axis=0).all()
-
-
-def test_missed_detections_come_in_bursts():
-    seen = observed(miss_rate=0.2, miss_burst=6.0, observation_steps=2000).seen[0]
-    assert seen.mean() == pytest.approx(0.8, abs=0.02)
-    ends = (~seen[:-1] & seen[1:]).sum()
-    assert (~seen).sum() / ends == pytest.approx(6.0, rel=0.1)
 
 
 def test_partial_tracks_begin_late_or_end_early():
