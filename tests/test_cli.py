@@ -8,7 +8,7 @@ from functools import partial
 
 import pytest
 
-from usnet_env import cli, evaluate
+from usnet_env import cli
 from usnet_env.cli import GROUP, main
 from usnet_env.cli.options import parse_pairs
 from usnet_env.replay import EpisodeRecord, demo
@@ -27,18 +27,6 @@ def module(tmp_path, monkeypatch):
 
     monkeypatch.syspath_prepend(tmp_path)
     return write
-
-
-@pytest.mark.parametrize("workers", ["1", pytest.param("2", marks=pytest.mark.slow)])
-def test_the_rows_are_those_of_the_function(run, workers):
-    name = "lagged-correlation(clusters=3)"
-    status, out, err = run("evaluate", "--detector", name, "--episodes", "3", *SMALL, "--json", "--workers", workers)
-    assert (status, err) == (0, "")
-    (theirs,) = json.loads(out)
-    (ours,) = evaluate("USNET/MultiCluster-v0", name, episodes=3, env_kwargs=parse_pairs(SMALL[1::2])).summary
-    for entry in (ours, theirs):
-        del entry["metrics"]["seconds_per_round"]
-    assert ours == theirs
 
 
 def test_values_of_set_are_json_or_yaml():

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 from sample_detectors import SUITE
 
-from usnet_env.evaluation import METRICS, EvaluationResult
+from usnet_env.cli.options import parse_pairs
+from usnet_env.evaluation import METRICS, EvaluationResult, evaluate
 from usnet_env.replay import EpisodeRecord
 
 HERE = Path(__file__).parent
@@ -36,6 +37,11 @@ def test_one_ranked_table_and_json_and_all_metrics(run, played):
     assert [entry["detector"] for entry in summary] == labels
     assert summary[2]["metrics"]["J"] == {"mean": 1.85, "low": 1.85, "high": 1.85}
     assert set(summary[1]["metrics"]) <= set(METRICS)
+    settings = parse_pairs(SMALL[1:])
+    (ours,) = evaluate("USNET/MultiCluster-v0", "random(count=3)", episodes=2, env_kwargs=settings).summary
+    for entry in (ours, summary[1]):
+        del entry["metrics"]["seconds_per_round"]
+    assert ours == summary[1]
     out = run(*words, "--all")[1]
     for word in ("destroy-all", "J_m↓", "redundancy↓", "precision↑", "AP↑", "1.850"):
         assert word in out
