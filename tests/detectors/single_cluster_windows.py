@@ -36,14 +36,9 @@ def rate(found, heads):
     return float((named(found) == heads).mean())
 
 
-def without(window, gone):
-    """The window after the UAVs ``gone`` were destroyed: zeros and masks, as the environments have it."""
-    alive = window.alive.copy()
-    alive[gone] = False
-    return replace(
-        window,
-        position=np.where(alive[:, None], window.position, 0),
-        velocity=np.where(alive[:, None], window.velocity, 0),
-        seen=window.seen & alive,
-        alive=alive,
-    )
+def without(window, gone, unseen=()):
+    """The window after UAVs were destroyed, and others were missed: zeros and masks, as the environments have it."""
+    alive, seen = window.alive.copy(), window.seen.copy()
+    alive[list(gone)], seen[:, [*gone, *unseen]] = False, False
+    velocity = window.velocity * (seen[1:] & seen[:-1])[..., None]
+    return replace(window, position=window.position * seen[..., None], velocity=velocity, seen=seen, alive=alive)

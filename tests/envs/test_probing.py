@@ -190,12 +190,9 @@ def test_reactions_tell_the_head_from_alike_decoys(target, detector):
         assert total <= episode.info["J"] - 0.2 * waited + 1e-9
 
 
-def test_a_target_must_be_known():
+def test_a_probe_is_recorded_and_drawn_and_its_target_must_be_known(tmp_path):
     with pytest.raises(ArgumentError, match="target must be one of"):
         Prober(target="nearer")
-
-
-def test_a_probe_is_recorded_and_drawn(tmp_path):
     env = gym.make(PROBING, **SMALL, intruders=2)
     record = record_probe(env, Prober(), 0)
     again = EpisodeRecord.load(record.save(tmp_path / "probe.npz"))

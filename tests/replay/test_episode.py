@@ -102,21 +102,15 @@ def test_refuses_what_is_no_episode_or_was_cut_off(tmp_path, episode):
         refusal(tmp_path / name)
 
 
-def rewritten(path, change):
-    with np.load(path) as file:
-        arrays = dict(file)
-    words = json.loads(str(arrays["metadata"]))
-    change(arrays, words)
-    arrays["metadata"] = np.array(json.dumps(words))
-    np.savez(path, **arrays)
-    return path
-
-
 def test_refuses_other_versions_and_incomplete_files(tmp_path, episode):
     path = episode.save(tmp_path / "e.npz")
-    assert "version 99" in refusal(rewritten(path, lambda arrays, words: words.update(version=99)))
-    for change in (lambda arrays, words: arrays.pop("position"), lambda arrays, words: words.update(surprise=1)):
-        refusal(rewritten(episode.save(path), change))
+    with np.load(path) as file:
+        arrays = dict(file)
+    about = json.loads(str(arrays["metadata"]))
+    for more, lost, sentence in (({"version": 99}, "", "version 99"), ({"surprise": 1}, "", ""), ({}, "position", "")):
+        kept = {name: array for name, array in arrays.items() if name != lost}
+        np.savez(path, **kept | {"metadata": np.array(json.dumps(about | more))})
+        assert sentence in refusal(path)
 
 
 @pytest.mark.parametrize(
@@ -169,7 +163,8 @@ def roles(seed, **arguments):
 def test_records_what_was_seen_true_and_answered():
     heads, others = roles(0)
     script = (heads[0], others[0]), heads[1:]
-    detector = Scripted(*script, clusters=np.arange(16), attention=np.eye(16))
+    mind = {"probability": np.linspace(0, 1, 16), "heads": heads[:1], "reasons": ["Because."]}
+    detector = Scripted(*script, clusters=np.arange(16), attention=np.eye(16), extras=mind)
     record = record_episode(multi(), detector, 0, 7, label="scripted")
 
     twin = multi()
@@ -189,6 +184,8 @@ def test_records_what_was_seen_true_and_answered():
     assert (record.scores[1].max(), record.clusters.tolist()) == (3, [list(range(16))] * 2)
     assert record.leader_estimate is None
     np.testing.assert_array_equal(record.attention, [np.eye(16)] * 2)
+    np.testing.assert_array_equal(record.probability, [mind["probability"]] * 2)
+    assert record.reasons == [{str(heads[0]): "Because."}] * 2
     assert (record.seconds > 0).all()
     assert all(type(window) is Window for window in detector.windows)
 
@@ -211,21 +208,12 @@ def test_over_budget_and_truncated_and_a_single_cluster_with_decoys():
     _, others = roles(2)
     record = record_episode(multi(shot_budget=2, max_rounds=3), Scripted(others[:4], others[:1]), 2, None)
     assert record.over_budget.tolist() == [True, False, False]
+    assert record.probability is record.attention is record.reasons is None
     assert record.redundant.tolist() == [0, 1, 1]  # the second shot at a destroyed UAV is redundant again
     assert (record.heads_left.tolist(), record.objective[-1]) == ([3, 3, 3], 3 + 2 / 16)
     record = record_episode(gym.make("USNET/SingleCluster-Decoy-v0"), Scripted([0, 1]), 3, None)
     assert (record.problem, record.rounds, record.decoy.sum(), record.head.sum()) == ("P1", 1, 1, 1)
     assert record.objective[0] == record.hits[0] - 2
-
-
-def test_the_mind_of_the_detector_is_recorded():
-    heads, others = roles(0)
-    extras = {"probability": np.linspace(0, 1, 16), "heads": heads[:1], "reasons": ["Because."]}
-    record = record_episode(multi(), Scripted((others[0],), heads, extras=extras), 0, 7)
-    np.testing.assert_array_equal(record.probability[0], extras["probability"])
-    assert record.reasons == [{str(heads[0]): "Because."}] * 2
-    bare = record_episode(multi(), Scripted(heads), 0, 7)
-    assert bare.probability is bare.attention is bare.reasons is None
 
 
 @pytest.mark.parametrize("show", [animate, draw_episode, write_page, write_picture, write_recording])

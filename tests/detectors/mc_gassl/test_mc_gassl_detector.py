@@ -2,23 +2,16 @@
 
 from dataclasses import replace
 
-import gymnasium as gym
 import numpy as np
 import pytest
+from single_cluster_windows import without
 from synthetic_windows import swarm_window
 
-import usnet_env
 from detectors.clustering import Clustering
 from detectors.mc_gassl import McGassl
 
 SMALL = {"gassl": {"steps": 2}}
-
-
-def game(seed=0, **arguments):
-    arguments = {"follow": "f1", "clusters": 2, "uavs": 14, "observation_steps": 40} | arguments
-    env = gym.make("USNET/MultiCluster-v0", **arguments).unwrapped
-    observation, _ = env.reset(seed=seed)
-    return env, usnet_env.Window.from_observation(observation)
+GAME = {"clusters": 2, "uavs": 14, "observation_steps": 40}
 
 
 class InOrder:
@@ -47,19 +40,19 @@ class Known:
 
 def test_training_finds_the_heads_if_the_clusters_are_right():
     """Each follower of f6 is pulled its own way, so no head is unlike them; by chance, 2.5 of 10 heads are found."""
-    env, window = game(0, follow="f6", clusters=10, uavs=40, cluster_sizes=[3] * 10, observation_steps=100)
+    window, truth = swarm_window(follow="f6", clusters=10, uavs=40, cluster_sizes=[3] * 10, observation_steps=100)
     found = []
     for arguments in ({}, {"gassl": {"steps": 0}}):
-        detector = McGassl(clusterer=Known(env.swarm.root), **arguments)
+        detector = McGassl(clusterer=Known(truth.root), **arguments)
         detector.reset(0)
         answer = detector.detect(window)
         assert answer.candidates.sum() == 10
-        found.append((answer.candidates & env.swarm.head).sum())
+        found.append((answer.candidates & truth.head).sum())
     assert found[0] >= 5 > found[1]
 
 
 def test_an_answer_stays_within_the_clusters():
-    _, window = game()
+    window, _ = swarm_window(**GAME)
     labels = InOrder(3).cluster(window, None).labels
     detector = McGassl(clusterer=InOrder(3), **SMALL)
     detector.reset(0)
@@ -83,7 +76,7 @@ def test_fewer_than_three_living_uavs(alive):
     living = np.arange(14) < alive
     detector = McGassl(**SMALL)
     detector.reset(0)
-    window = game()[1]
+    window, _ = swarm_window(**GAME)
     answer = detector.detect(replace(window, seen=window.seen & living, alive=living, round=3))
     assert answer.candidates.sum() == min(1, alive)
     assert not (answer.candidates & ~living).any()
@@ -92,9 +85,8 @@ def test_fewer_than_three_living_uavs(alive):
 def windows_of_two_rounds(seed=0):
     """A window, and a later one in which three UAVs are destroyed."""
     config = {"uavs": 24, "clusters": 3, "follow": "f1", "observation_steps": 30}
-    first, (second, _) = swarm_window(seed, **config)[0], swarm_window(seed + 1, **config)
-    alive = np.arange(24) >= 3
-    return first, usnet_env.Window(second.position, second.velocity, second.seen & alive, alive, 2)
+    first, second = (swarm_window(seed + k, **config)[0] for k in range(2))
+    return first, replace(without(second, range(3)), round=2)
 
 
 def test_the_gru_network_is_carried_on_and_forgotten_by_reset():

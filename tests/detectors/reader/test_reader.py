@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from single_cluster_windows import without
 from synthetic_windows import swarm_window
 
 from detectors.checks import check_detector
@@ -11,7 +12,6 @@ from detectors.reader.features import CONTEXT_FEATURES, PAIR_FEATURES, UAV_FEATU
 from detectors.reader.forward import load_reader, predict
 from detectors.reader.network import NetworkSizes, draw_network
 from detectors.weights import read_arrays, write_weights
-from usnet_env import Window
 from usnet_env.config import ArgumentError
 
 SIMPLE = {"follow": "f1", "memory": 12}
@@ -30,20 +30,13 @@ def reader(weights):
     return made
 
 
-def hide(window, gone=(), unseen=()):
-    seen, alive = np.array(window.seen), np.array(window.alive)
-    alive[list(gone)], seen[:, [*gone, *unseen]] = False, False
-    both = seen[1:] & seen[:-1]
-    return Window(window.position * seen[..., None], window.velocity * both[..., None], seen, alive)
-
-
 def test_the_reader_is_a_detector(weights):
     check_detector(Reader(weights=weights))
 
 
 def test_an_answer_says_who_leads_whom_and_how_surely(reader):
     window, _ = swarm_window(1, **SIMPLE)
-    answer = reader.detect(hide(window, gone=[3, 4], unseen=[7]))
+    answer = reader.detect(without(window, [3, 4], unseen=[7]))
     p, extras = answer.extras["probability"], answer.extras
     read = ~np.isin(np.arange(30), [3, 4, 7])
     pairs = read[:, None] & read & ~np.eye(30, dtype=bool)
@@ -60,7 +53,7 @@ def test_an_answer_says_who_leads_whom_and_how_surely(reader):
 
 def test_nothing_seen_means_nobody_leads(reader):
     window, _ = swarm_window(1, **SIMPLE)
-    answer = reader.detect(hide(window, unseen=range(30)))
+    answer = reader.detect(without(window, [], unseen=range(30)))
     assert not answer.candidates.any()
     assert answer.extras["p_no_leader"] == 1.0
 

@@ -11,7 +11,7 @@ from detectors.lagged import EvidenceDetector, Granger, LaggedCorrelation, Lagge
 from detectors.series.designs import centre_past
 from detectors.series.gaps import fill_gaps
 from detectors.series.regressions import explain_beyond_own_past, explain_pairs, whiten
-from detectors.series.votes import Evidence, choose_heads, count_votes, cover_voters
+from detectors.series.votes import Evidence, choose_heads, cover_voters
 from usnet_env.series import centre_columns
 
 
@@ -125,14 +125,6 @@ def test_the_share_beyond_the_own_past_is_the_ratio_of_two_least_squares(own_lag
 
             alone = left(own[i]) if own_lags else np.sum(target[:, i] ** 2)
             assert share[i, j] == pytest.approx(1 - left(np.concatenate([own[i], past[j]], axis=1)) / alone, abs=1e-4)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_votes_are_equation_20(seed):
-    chosen = np.random.default_rng(seed).integers(0, 7, 7)
-    c = count_votes(chosen)
-    for i in range(7):
-        assert c[i] == pytest.approx(sum(chosen[other] == i for other in range(7) if other != i) / 7)
 
 
 @pytest.mark.parametrize("exclude_self", [False, True])
