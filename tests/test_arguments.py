@@ -83,12 +83,11 @@ def doors(tmp_path_factory):
         "usnet_evasion_v0": (make(usnet_evasion_v0.parallel_env), defaults(usnet_evasion_v0.parallel_env, **SMALL)),
         "read_tracks": (read_tracks, tracks),
         "evaluate": (usnet_env.evaluate, {**played, "env_kwargs": {**SMALL, "max_rounds": 1}, "backend": None}),
-        **{f"detector {name}": (run_detector(name), {**defaults_of(name), "seed": 0}) for name in detectors},
+        **{
+            f"detector {name}": (run_detector(name), make_detector(name).get_params() | {"seed": 0})
+            for name in detectors
+        },
     }
-
-
-def defaults_of(detector):
-    return make_detector(detector).get_params()
 
 
 def try_value(call, valid, argument, value):

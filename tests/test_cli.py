@@ -63,7 +63,8 @@ def test_list_names_all(run, what, names):
         assert " ".join(lines["chain-led"]).endswith("its heads follow unseen UAVs")
 
 
-def test_version_and_help(run):
+def test_version_and_help_whose_lines_fit_on_a_narrow_terminal(run, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
     status, out, _ = run("--version")
     assert status == 0
     assert out.startswith("usnet ")
@@ -71,10 +72,6 @@ def test_version_and_help(run):
         status, out, err = run(*words)
         assert (status, err) == (0, "")
         assert "Usage: usnet" in out
-
-
-def test_short_helps_fit_on_one_line_of_a_narrow_terminal(run, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "80")
     out = run("--help")[1]
     lines = out.partition("Commands:\n")[2].splitlines()
     names = {line.split()[0] for line in lines}

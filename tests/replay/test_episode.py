@@ -227,15 +227,10 @@ pytest.importorskip("matplotlib")
 SMALL = {"clusters": 2, "uavs": 14, "detector": "one-per-round", "observation_steps": 30}
 
 
-@pytest.fixture
-def quick(monkeypatch):
-    """The demo without its pictures, which take long."""
-    for name in ("write_recording", "write_picture", "write_page"):
-        monkeypatch.setattr(demo, name, lambda record, path: path)
-
-
-def test_the_game_of_the_demo_has_an_error_and_a_recovery(tmp_path, quick):
+def test_the_game_of_the_demo_has_an_error_and_a_recovery(tmp_path, monkeypatch):
     """Without arguments: three to five rounds, a redundant candidate or a missed head, and all heads in the end."""
+    for name in ("write_recording", "write_picture", "write_page"):  # they take long
+        monkeypatch.setattr(demo, name, lambda record, path: path)
     record = EpisodeRecord.load(run_demo(tmp_path)["episode"])
     assert 3 <= record.rounds <= 5
     assert record.redundant.sum() > 0

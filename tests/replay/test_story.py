@@ -79,16 +79,12 @@ def test_reasons_are_the_detectors():
     assert "… and 30 more" in tell(large_episode(candidates=np.ones((1, 60), bool)))
 
 
-def unlabelled(**changes):
-    """The small episode as tracks whose truth is not known: in each window, what was found."""
-    small = small_episode()
-    found = {"alive": np.ones((ROUNDS, UAVS), bool), "head": small.candidates.any(axis=0), "labelled": False}
-    return small_episode(**found | {"over_budget": [True, True], "decoy": np.zeros(UAVS, bool)} | changes)
-
-
 def test_what_is_true_of_tracks_is_said_of_tracks():
-    ids = [f"bird-{i}" for i in range(UAVS)]
-    record = unlabelled(config={"ids": ids, "start": ["0 s", "9 s"], "end": ["9 s", "18 s"]})
+    """Where the truth is not known, there is in each window what was found."""
+    ids, found = [f"bird-{i}" for i in range(UAVS)], small_episode().candidates.any(axis=0)
+    truth = {"head": found, "decoy": np.zeros(UAVS, bool), "alive": np.ones((ROUNDS, UAVS), bool), "labelled": False}
+    config = {"ids": ids, "start": ["0 s", "9 s"], "end": ["9 s", "18 s"]}
+    record = small_episode(**truth, over_budget=[True, True], config=config)
     assert describe_outcome(record) == "In 2 windows, 3 of 12 ids lead at least once; the truth is unknown."
     assert describe_round(record, 1) == "0 s to 9 s: 2 leaders found"
     assert next(list_scenes(record, 2)).text == "0 s to 9 s: the detector watches 20 steps"

@@ -14,12 +14,6 @@ from usnet_env.tracks import find_leaders, read_tracks
 QUICK = ("--detector", "directional-delays")
 
 
-@pytest.fixture
-def no_picture(monkeypatch):
-    """Without matplotlib no picture is drawn, which takes long."""
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-
-
 def flying(lag, steps=600, seed=3):
     """Positions ``(steps, 3, 2)``: ids 1 and 2 copy the turns of id 0 after ``lag`` and ``lag + 1`` samples."""
     rng = np.random.default_rng(seed)
@@ -99,7 +93,8 @@ def test_delays_are_measured_up_to_12_steps(lag, steps, measured):
     assert (window.links[0].delay == pytest.approx(lag, abs=0.1)) == measured
 
 
-def test_tables_and_json_have_the_same_fields(run, tmp_path, no_picture):
+def test_tables_and_json_have_the_same_fields(run, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)  # a picture takes long
     names, places = ["a", "b;c", "d\\"], flying(lag=2)
     rows = [[names[k], t * 0.5, *map(float, places[t, k])] for t in range(600) for k in range(3)]
     path = write_csv(tmp_path / "tracks.csv", rows)

@@ -37,12 +37,6 @@ def test_the_network_is_the_equations_one_after_another(memory, seed):
             np.testing.assert_allclose(features[t, i], want, atol=1e-12)
 
 
-def loss_of(features, triplets, margin):
-    """The loss of each triplet, from the features ``(R, n, 3)`` of all UAVs."""
-    members = (triplets.anchor, triplets.positive, triplets.negative)
-    return compute_triplet_loss(*(features[triplets.time, member] for member in members), margin)
-
-
 def rows(triplets):
     columns = (triplets.time, triplets.anchor, triplets.positive, triplets.negative)
     return list(zip(*(column.tolist() for column in columns), strict=True))
@@ -87,18 +81,10 @@ def test_the_batch_loss_is_the_mean_and_its_gradient_that_of_finite_differences(
     arrays = parameters()
     features = run_gru(parameters(), inputs.position, inputs.velocity)
     triplets = draw_triplets(10_000, inputs, labels, generator())
-    assert loss(*arrays).item() == pytest.approx(loss_of(features, triplets, 5.0).mean().item())
+    members = (triplets.anchor, triplets.positive, triplets.negative)
+    of_each = compute_triplet_loss(*(features[triplets.time, member] for member in members), 5.0)
+    assert loss(*arrays).item() == pytest.approx(of_each.mean().item())
     assert torch.autograd.gradcheck(loss, tuple(tensor.requires_grad_(True) for tensor in arrays))
-
-
-def inputs_of_swarm(seed=0, **config):
-    config = {"uavs": 8, "clusters": 2, "observation_steps": 14, "follow": "f1"} | config
-    window, _ = swarm_window(seed, **config)
-    return build_batch(window, np.arange(window.uavs))
-
-
-def draw_gamma(inputs, hidden=8, seed=0):
-    return 3.0 * draw_ifsn(inputs.entries, hidden, np.random.default_rng(seed))
 
 
 def predicted(gamma, hidden, values):
@@ -123,8 +109,9 @@ def loss_of_pair(inputs, gamma, hidden, i, other):
 
 @pytest.mark.parametrize(("seed", "hidden", "miss_rate"), [(0, 8, 0.0), (1, 5, 0.3), (2, 8, 0.0)])
 def test_best_heads_are_equation_37(seed, hidden, miss_rate):
-    inputs = inputs_of_swarm(seed, miss_rate=miss_rate)
-    gamma = draw_gamma(inputs, hidden, seed)
+    window, _ = swarm_window(seed, uavs=8, clusters=2, observation_steps=14, miss_rate=miss_rate)
+    inputs = build_batch(window, np.arange(8))
+    gamma = 3.0 * draw_ifsn(inputs.entries, hidden, np.random.default_rng(seed))
     kept = [inputs.own.copy(), inputs.value.copy()]
     chosen = find_best_heads(inputs, gamma, hidden)
     for i in range(8):
