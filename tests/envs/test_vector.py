@@ -112,6 +112,7 @@ def test_bad_input_is_named():
             batch.reset(options={"reset_mask": mask})
     one = batch.reset(seed=[3, None])[0]["position"][0]
     np.testing.assert_array_equal(batch.reset(seed=np.array([3, 4]))[0]["position"][0], one)
+    assert not np.array_equal(batch.reset()[0]["position"][0], one)  # the generators go on
     for wrong in (np.zeros(82), np.full((2, 82), 2), None):
         with pytest.raises(ArgumentError, match=r"^action must"):
             batch.step(wrong)

@@ -161,8 +161,8 @@ def test_zero_sum_on_j_m_up_to_the_price(seed, share, scale):
             rounds += 1
             redundant += int((actions[OBSERVER] & ~(swarm.head & alive)).sum())
         swarm = env.swarm
+        assert (infos[OBSERVER]["round"], infos[OBSERVER]["J"]) == (rounds, pytest.approx(rounds + redundant / 20))
     assert total == pytest.approx(-(rounds + scale * redundant / 20), abs=1e-9)
-    assert (infos[OBSERVER]["round"], infos[OBSERVER]["J"]) == (rounds, pytest.approx(rounds + redundant / 20))
 
 
 def test_destroyed_heads_leave_and_the_rest_plays_on():

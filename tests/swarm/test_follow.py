@@ -154,8 +154,8 @@ def test_follow_seed_fixes_the_constants_which_differ_from_law_to_law():
     assert np.array_equal(first, draw("open-5", 0, uavs=40, follow_seed=4)[: len(first)])
     for other in (draw("open-6", 0, follow_seed=4), draw("open-5", 0, follow_seed=5), draw("open-5", 0)):
         assert (first[2:] != other[2:]).all()
-    assert np.array_equal(*(draw("f7", seed, follow_seed=3) for seed in (0, 9)))
-    assert not np.array_equal(*(draw("f7", seed) for seed in (0, 1)))
+    assert np.array_equal(*start(SwarmConfig(follow="f7", follow_seed=3), generators([0, 9])).parameters)
+    assert not np.array_equal(*start(SwarmConfig(follow="f7"), generators([0, 9])).parameters)
     drawn = np.array([draw("open-1", seed)[:6] for seed in range(200)])
     for column, low, high in zip(drawn.T, (1, 0, 0.4, 20, 0, -np.pi), (5, 3, 0.9, 60, 1, np.pi), strict=True):
         assert low <= column.min() < low + 0.03 * (high - low)
