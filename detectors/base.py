@@ -52,6 +52,15 @@ class Detector(Parameters):
     Attributes:
         tags: what the detector needs and uses; ``usnet list detectors`` shows it and
             :func:`detectors.checks.check_detector` chooses its windows by it.
+
+    Example:
+        >>> class Fastest(Detector):
+        ...     def detect(self, window):
+        ...         speed = np.linalg.norm(window.velocity, axis=2).mean(axis=0)
+        ...         return Detection(speed == speed.max(), scores=speed)
+        >>> position = np.arange(5.0)[:, None, None] * np.array([1.0, 3.0, 2.0])[:, None] * np.ones(3)
+        >>> Fastest().detect(Window(position, np.diff(position, axis=0), np.ones((5, 3)), np.ones(3))).candidates
+        array([False,  True, False])
     """
 
     tags: ClassVar[Tags] = Tags()

@@ -43,6 +43,10 @@ def check_detector(detector: Any, *, expected_failed_checks: Mapping[str, str] |
     Raises:
         DetectorChecksError: a check failed unexpectedly. It is raised after all checks have run.
         ArgumentError: not a detector, or an unknown check.
+
+    Example:
+        >>> {result.status for result in check_detector("random")}
+        {'passed'}
     """
     detector, excuses = find_detector(detector), _check_names(expected_failed_checks or {})
     results = [_run_check(check, detector, excuses) for check in CHECKS]

@@ -32,6 +32,13 @@ class Prober:
             taken for more probable than others.
         target: UAVs to test: ``"none"``, ``"random"``, or ``"nearest"`` of those that are more probable than 1/N.
         confidence: the belief from which on a UAV is named; when the window is full, the most probable one is.
+
+    Example:
+        >>> import gymnasium, usnet_env
+        >>> from usnet_env.envs.play import play_probe
+        >>> played, total = play_probe(gymnasium.make("USNET/Probing-v1"), Prober(), seed=0)
+        >>> int(played.answer.candidates.sum())
+        1
     """
 
     def __init__(self, detector: Any = None, target: str = "nearest", confidence: float = 0.95) -> None:

@@ -64,6 +64,12 @@ class EvaluationResult:
             with an error has no metrics. They are sorted by cell, detector and episode.
         config: the arguments of the evaluation as plain values, with ``cells``, ``detectors``, ``episodes``, ``seed``,
             and the ``unit`` of intervals, by default ``"swarm"``; with ``"cell"``, the rows of a cell are one group.
+
+    Example:
+        >>> from usnet_env import evaluate
+        >>> result = evaluate("USNET/SingleCluster-Tiny-v0", ["none", "destroy-all"], episodes=2)
+        >>> [(entry["detector"], entry["metrics"]["exact"]["mean"]) for entry in result.summary]
+        [('none', 0.0), ('destroy-all', 0.0)]
     """
 
     def __init__(self, rows: pd.DataFrame, config: Mapping[str, Any]) -> None:

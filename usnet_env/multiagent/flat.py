@@ -20,6 +20,11 @@ class FlatGame(BaseParallelWrapper):  # type: ignore[misc]  # PettingZoo ships n
 
     Args:
         env: ``parallel_env`` of a game.
+
+    Example:
+        >>> from usnet_env.multiagent import usnet_observers_v0
+        >>> FlatGame(usnet_observers_v0.parallel_env(clusters=2, uavs=8)).action_space("observer_0")
+        Discrete(9)
     """
 
     def __init__(self, env: UsnetParallelEnv) -> None:
