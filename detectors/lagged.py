@@ -100,7 +100,7 @@ class LaggedCorrelation(EvidenceDetector):
     max_lag: Lags = 4
 
     def evidence(self, velocity: NDArray[np.floating], seen: Mask) -> Evidence | None:
-        """Compute the net lead of j over i for every pair."""
+        """Compute the net lead ``(n, n)`` of j over i."""
         steps, uavs = velocity.shape[:2]
         max_lag = min(self.max_lag, steps - _LEAST_ROWS)
         if uavs < 2 or max_lag < 1:
@@ -134,7 +134,7 @@ class LaggedRegression(EvidenceDetector):
     ridge: Annotated[float, Field(ge=0)] = 1e-3
 
     def evidence(self, velocity: NDArray[np.floating], seen: Mask) -> Evidence | None:
-        """Compute the adjusted R² of the regression of i's velocity on j's past for every pair."""
+        """Compute the adjusted R² ``(n, n)`` of the regression of i's velocity on j's past."""
         steps, uavs = velocity.shape[:2]
         square_lags = count_lags(steps, self.lags, 6, _ROWS_PER_FEATURE) if self.squares else 0
         lags = square_lags or max(1, count_lags(steps, self.lags, 3, _ROWS_PER_FEATURE))
@@ -166,7 +166,7 @@ class Granger(EvidenceDetector):
     own_lags: Annotated[int, Field(ge=0, le=1000)] = 2
 
     def evidence(self, velocity: NDArray[np.floating], seen: Mask) -> Evidence | None:
-        """Compute the adjusted share of i's residual on its own past that j's past explains."""
+        """Compute the adjusted share ``(n, n)`` of i's residual on its own past that j's past explains."""
         steps, uavs = velocity.shape[:2]
         lags = max(1, count_lags(steps, self.lags, 3, _ROWS_PER_FEATURE_BEYOND))
         own_lags = min(self.own_lags, lags)

@@ -45,7 +45,7 @@ def hits_and_redundant(head: Mask, alive: Mask, candidates: Mask) -> tuple[Indic
 
 
 def single_cluster_objective(head: ArrayLike, candidates: ArrayLike) -> Floats:
-    """P1's objective J_s = |C_1 & H_0| - |C_1|, to be maximised; the maximum is 0.
+    """P1's objective J_s = |C_1 & H_0| - |C_1| of masks ``(..., N)``, to be maximised; the maximum is 0.
 
     With one head it is the paper's 1{i_L in C_1} - |C_1|. An empty set of candidates, for which the formula gives 0,
     scores -1 where a UAV leads, like a miss (decision (k) on docs/game.md).
@@ -76,7 +76,7 @@ def recall(head: ArrayLike, candidates: ArrayLike) -> Floats:
 
 
 def f1(head: ArrayLike, candidates: ArrayLike) -> Floats:
-    """Harmonic mean of precision and recall, 2|C & H| / (|C| + |H|); 1 where both sets are empty.
+    """Harmonic mean of precision and recall of masks ``(..., N)``, 2|C & H| / (|C| + |H|); 1 where both are empty.
 
     >>> round(float(f1([True, False, True], [True, False, False])), 2)
     0.67
@@ -97,13 +97,13 @@ def remaining_heads(head: ArrayLike, candidates_per_round: ArrayLike) -> Mask:
 
 
 def redundancy(head: ArrayLike, candidates_per_round: ArrayLike) -> float:
-    """Detection redundancy of §II-A, (1/N) sum_r |C_r∖H_{r-1}|; it exceeds 1 if many UAVs are redundant repeatedly."""
+    """Detection redundancy of §II-A, (1/N) sum_r |C_r∖H_{r-1}|, of ``(N,)`` and ``(R, N)``; it may exceed 1."""
     hits = _count(remaining_heads(head, candidates_per_round)[:-1], candidates_per_round)
     return float((_count(candidates_per_round) - hits).sum() / np.shape(head)[-1])
 
 
 def multi_cluster_objective(head: ArrayLike, candidates_per_round: ArrayLike) -> float:
-    """P2's objective J_m = R + (1/N) sum_r |C_r∖H_{r-1}|, to be minimised; the minimum is 1.
+    """P2's objective J_m = R + (1/N) sum_r |C_r∖H_{r-1}| of ``(N,)`` and ``(R, N)``, to be minimised: at least 1.
 
     An empty set of candidates counts as a round, and heads may be left (see :func:`found_all_heads`).
 
@@ -114,12 +114,12 @@ def multi_cluster_objective(head: ArrayLike, candidates_per_round: ArrayLike) ->
 
 
 def found_all_heads(head: ArrayLike, candidates_per_round: ArrayLike) -> bool:
-    """Whether every head was hit in some round, so that H_R is empty."""
+    """Whether every head ``(N,)`` was a candidate in some round ``(R, N)``, so that H_R is empty."""
     return not remaining_heads(head, candidates_per_round)[-1].any()
 
 
 def average_precision(head: ArrayLike, scores: ArrayLike) -> float:
-    """Area under the precision-recall curve of the scores, as scikit-learn's ``average_precision_score`` defines it.
+    """Area under the precision-recall curve of scores ``(N,)`` by scikit-learn's ``average_precision_score``.
 
     Equal scores form one threshold. The value is from 0 to 1; 0 without a head.
 
@@ -139,7 +139,7 @@ def average_precision(head: ArrayLike, scores: ArrayLike) -> float:
 
 
 def purity(root: ArrayLike, clusters: ArrayLike) -> float:
-    """Purity of a clustering: share of the UAVs whose head is the most frequent head in their cluster.
+    """Purity of a clustering ``(N,)``: share of the UAVs whose head is the most frequent head in their cluster.
 
     Only UAVs with a head count, a head as its own; one without a cluster counts as wrong. It is 0 if no UAV has a head.
 
@@ -156,7 +156,7 @@ def purity(root: ArrayLike, clusters: ArrayLike) -> float:
 
 
 def head_in_cluster(head: ArrayLike, root: ArrayLike, clusters: ArrayLike) -> float:
-    """Share of the heads whose cluster is the one that holds most of their followers.
+    """Share of the heads ``(N,)`` whose cluster is the one that holds most of their followers.
 
     Only heads with followers count; without any, the value is 0. The cluster of the followers is their most frequent
     label except -1; if several labels tie, each of them is accepted.
@@ -201,7 +201,7 @@ def list_followers(detection: Detection, head: int) -> list[int]:
 
 
 def group_leader_accuracy(leader: ArrayLike, scores: ArrayLike) -> float:
-    """Share of the groups whose head has the highest score of its group; the groups are known.
+    """Share of the groups whose head has the highest of its group's scores ``(N,)``; the groups are known.
 
     If k members tie at the top and the head is one of them, the group counts 1/k. It is 0 without groups.
 

@@ -129,6 +129,9 @@ class Window:
         Args:
             observation: has the keys ``position, velocity, seen, alive, round`` and, for recorded tracks, ``step``.
 
+        Raises:
+            ArgumentError: a key lacks, or a value is refused.
+
         >>> import gymnasium, usnet_env
         >>> observation, info = gymnasium.make("USNET/MultiCluster-v0").reset(seed=0)
         >>> Window.from_observation(observation).uavs

@@ -42,7 +42,7 @@ class SwarmVecEnv(VecEnv):
         self._actions = actions
 
     def step_wait(self) -> tuple[Observation, Floats, Mask, list[dict[str, Any]]]:
-        """Step all games; one that ends begins again."""
+        """Step all B games; one that ends begins again. Rewards and whether games ended are ``(B,)``."""
         observation, reward, terminated, truncated, info = self.envs.step(self._actions)
         self._return += reward
         self._length += 1
