@@ -8,6 +8,7 @@ import sys
 import gymnasium as gym
 import numpy as np
 import pytest
+from matplotlib.collections import PathCollection
 from small_episode import MIND, ROUNDS, SAMPLES, UAVS, large_episode, small_episode
 
 from usnet_env import ArgumentError, make_detector
@@ -109,6 +110,16 @@ def test_a_map_of_each_round_in_one_scale():
     texts = {text.get_text() for text in figure.axes[-1].get_legend().get_texts()}
     assert {"candidate: redundant", "head, not a candidate", "destroyed earlier", "decoy: has no followers"} <= texts
     assert figure.axes[0].get_legend() is None
+
+
+def test_a_leader_has_its_colour_in_all_windows():
+    candidates = np.arange(UAVS) == np.array([[0], [5]])
+    truth = {"head": candidates.any(axis=0), "decoy": np.zeros(UAVS, bool), "alive": np.ones((2, UAVS), bool)}
+    root = np.broadcast_to([[0], [5]], (2, UAVS))
+    figure = draw_episode(small_episode(labelled=False, candidates=candidates, root=root, **truth))
+    dots = [[each for each in axes.collections if isinstance(each, PathCollection)] for axes in figure.axes]
+    first, second = ({tuple(color) for each in drawn for color in each.get_facecolor()} for drawn in dots)
+    assert first.isdisjoint(second)
 
 
 def test_many_rounds_are_cut_short_and_it_says_so():

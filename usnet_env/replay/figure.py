@@ -6,6 +6,8 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from usnet_env import drawing
 from usnet_env.config import ArgumentError, instance_of, quote
 from usnet_env.files import as_path
@@ -29,6 +31,7 @@ def describe_scene(record: EpisodeRecord, number: int) -> dict[str, Any]:
         "alive": record.alive[r],
         "head": record.head if record.labelled else record.candidates[r],
         "root": record.root[r],
+        "number": np.cumsum(record.head) - 1,  # a head keeps its colour in all rounds
         "decoy": record.decoys[r] if record.labelled else record.decoy,
         "destroyed_at": record.last_position(number),
         "intruders": None if record.intruders is None else record.intruders[r],
@@ -76,6 +79,7 @@ def draw_episode(record: EpisodeRecord) -> Figure:
         drawing.draw_round(**scene, axes=axes, title=title, legend=False, limits=limits)
         position = drawing.last_seen_position(scene.pop("position"), scene.pop("seen"))
         marks |= {drawing.INTRUDER_MARK: drawing.INTRUDER_MARK} if scene.pop("intruders") is not None else {}
+        del scene["number"]
         marks |= {mark: mark for mark, uavs in drawing.round_marks(position, **scene).items() if uavs.any()}
     for axes in grid[len(numbers) :]:
         axes.remove()
