@@ -282,16 +282,17 @@ def fly_without_followers(motion, start, noise, position, velocity, plan):
 
 
 @compiled(inner=True)
-def _nearest(position, i, heads):
-    """The one of the UAVs ``heads`` that is nearest to UAV i; -1 if there is none."""
+def _find_nearest_head(position, i, head, alive):
+    """The living head that is nearest to UAV i; -1 if there is none."""
     nearest, least = -1, np.inf
-    for h in heads:
-        dx = position[i, 0] - position[h, 0]
-        dy = position[i, 1] - position[h, 1]
-        dz = position[i, 2] - position[h, 2]
-        distance = float(dx * dx + dy * dy + dz * dz)
-        if distance < least:
-            nearest, least = h, distance
+    for h in range(len(head)):
+        if head[h] and alive[h]:
+            dx = position[i, 0] - position[h, 0]
+            dy = position[i, 1] - position[h, 1]
+            dz = position[i, 2] - position[h, 2]
+            distance = float(dx * dx + dy * dy + dz * dz)
+            if distance < least:
+                nearest, least = h, distance
     return nearest
 
 
@@ -304,13 +305,7 @@ def remerge(head, alive, is_unled, position, root, source):
     decoys and bystanders; ``root`` and ``source`` ``(B, N)`` are updated in place.
     """
     episodes, uavs = root.shape
-    heads = np.empty(uavs, np.int64)
     for b in range(episodes):
-        living = 0
-        for i in range(uavs):
-            if head[b, i] and alive[b, i]:
-                heads[living] = i
-                living += 1
         for i in range(uavs):
             if head[b, i] or not alive[b, i] or source[b, i] == i:
                 continue
@@ -318,7 +313,7 @@ def remerge(head, alive, is_unled, position, root, source):
             while 0 <= leader < uavs and not (alive[b, leader] or head[b, leader] or source[b, leader] == leader):
                 leader = source[b, leader]
             if leader < 0 or (leader < uavs and not alive[b, leader]):
-                leader = _nearest(position[b], i, heads[:living])
+                leader = _find_nearest_head(position[b], i, head[b], alive[b])
             source[b, i] = leader
         for i in range(uavs):
             if head[b, i] or is_unled[b, i] or not alive[b, i]:
