@@ -94,7 +94,6 @@ def read_suite(name: str) -> pd.DataFrame:
     """
     rows = read_rows(suite_file(name))
     rows["exact"] = rows["exact"].fillna(0)
-    rows["f1_first"] = rows["f1_first"].mask(rows["exact"] == 1, 1.0)  # old rows have 0 for two empty sets
     best = rows.groupby("detector").exact.mean().sort_values(ascending=False, kind="stable").index
     return rows.sort_values("detector", key=lambda names: names.map(list(best).index), kind="stable")
 

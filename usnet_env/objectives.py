@@ -96,21 +96,25 @@ def remaining_heads(head: ArrayLike, candidates_per_round: ArrayLike) -> Mask:
     return np.asarray(head, bool) & ~np.vstack([np.zeros_like(hit[:1]), hit])
 
 
-def redundancy(head: ArrayLike, candidates_per_round: ArrayLike) -> float:
-    """Detection redundancy of §II-A, (1/N) sum_r |C_r∖H_{r-1}|, of ``(N,)`` and ``(R, N)``; it may exceed 1."""
+def redundancy(head: ArrayLike, candidates_per_round: ArrayLike, uavs: int | None = None) -> float:
+    """Detection redundancy of §II-A, (1/N) sum_r |C_r∖H_{r-1}|, of ``(N,)`` and ``(R, N)``; it may exceed 1.
+
+    ``uavs`` is the number of UAVs at the start, if the arrays are longer.
+    """
     hits = _count(remaining_heads(head, candidates_per_round)[:-1], candidates_per_round)
-    return float((_count(candidates_per_round) - hits).sum() / np.shape(head)[-1])
+    return float((_count(candidates_per_round) - hits).sum() / (uavs or np.shape(head)[-1]))
 
 
-def multi_cluster_objective(head: ArrayLike, candidates_per_round: ArrayLike) -> float:
+def multi_cluster_objective(head: ArrayLike, candidates_per_round: ArrayLike, uavs: int | None = None) -> float:
     """P2's objective J_m = R + (1/N) sum_r |C_r∖H_{r-1}| of ``(N,)`` and ``(R, N)``, to be minimised: at least 1.
 
-    An empty set of candidates counts as a round, and heads may be left (see :func:`found_all_heads`).
+    An empty set of candidates counts as a round, and heads may be left (see :func:`found_all_heads`). ``uavs`` is that
+    of :func:`redundancy`.
 
     >>> multi_cluster_objective([True, False, True, False], [[True, True, False, False], [False, False, True, False]])
     2.25
     """
-    return len(np.asarray(candidates_per_round)) + redundancy(head, candidates_per_round)
+    return len(np.asarray(candidates_per_round)) + redundancy(head, candidates_per_round, uavs)
 
 
 def found_all_heads(head: ArrayLike, candidates_per_round: ArrayLike) -> bool:

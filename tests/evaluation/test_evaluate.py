@@ -86,6 +86,16 @@ def test_where_episodes_are_played_changes_no_row(how, count, played_here):
     assert_frame_equal(untimed(there), untimed(here)[: 4 * count])
 
 
+def test_n_is_the_number_of_uavs_at_the_start_in_games_that_draw_it():
+    rows = evaluate("USNET/MultiCluster-Small-v0", AllAlive(), episodes=4, seed=1).rows
+    assert rows.uavs.nunique() > 1
+    np.testing.assert_allclose(rows.J, 1 + (rows.uavs - rows.heads) / rows.uavs)
+    env = gym.make("USNET/MultiCluster-Small-v0")
+    for seed, expected in zip(rows.swarm_seed.tolist(), rows.J, strict=True):
+        *_, reward, _, _, info = env.step(env.reset(seed=seed)[0]["alive"])
+        assert (info["J"], -reward) == pytest.approx((expected, expected))
+
+
 def test_what_gym_made_is_made_again_with_its_arguments():
     env = gym.make(MULTI, render_mode="rgb_array", **SMALL)
     theirs = evaluate(MULTI, RandomThird(), episodes=2, env_kwargs=SMALL)

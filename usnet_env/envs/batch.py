@@ -127,7 +127,7 @@ class SwarmGames:
         if len(groups) > 1:
             swarm = swarm.rows(np.argsort(np.concatenate([rows for _, rows in groups])))
         (rounds, redundant), (terminated, truncated) = np.zeros((2, len(chosen)), int), np.zeros((2, len(chosen)), bool)
-        started = GameState(swarm, rounds, redundant, terminated, truncated)
+        started = GameState(swarm, swarm.alive.sum(axis=1), rounds, redundant, terminated, truncated)
         self._game = started if len(chosen) == self.num_envs else self.game.with_rows(games, started)
         self.metrics = self.metrics or game.play_round(self.rules, started, np.zeros_like(swarm.alive))[2]
         is_other = ~np.isin(self.all_games, games)

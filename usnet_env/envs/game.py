@@ -23,7 +23,7 @@ from usnet_env.window import as_array
 Part = Literal["position", "velocity", "seen", "alive", "round"]
 PARTS: tuple[Part, ...] = ("position", "velocity", "seen", "alive", "round")  # of an observation
 TYPES: dict[str, type] = dict.fromkeys(PARTS, np.float32) | dict.fromkeys(("seen", "alive"), np.int8)
-COUNTERS = ("rounds", "redundant", "terminated", "truncated")
+COUNTERS = ("uavs", "rounds", "redundant", "terminated", "truncated")
 UNANSWERED = "round 1: observed, no answer yet"  # the title of the picture of a window before the first round
 
 
@@ -65,6 +65,7 @@ class GameState:
     """B games between two rounds; each array is ``(B,)``."""
 
     swarm: SwarmState
+    uavs: Indices  # at the start; a smaller swarm of a batch doesn't fill its arrays
     rounds: Indices  # played so far
     redundant: Indices  # candidates in all rounds
     terminated: Mask  # whether the game ended by its rules
@@ -136,9 +137,8 @@ def play_round(rules: Rules, state: GameState, candidates: Mask) -> tuple[GameSt
     Returns:
         The games after the round, the reward ``(B,)`` float64, and the metrics of ``info`` by name, each ``(B,)``.
     """
-    swarm, uavs = state.swarm, candidates.shape[1]
-    count = candidates.sum(axis=1)
-    budget = uavs if rules.shot_budget is None else rules.shot_budget
+    swarm, count = state.swarm, candidates.sum(axis=1)
+    budget = candidates.shape[1] if rules.shot_budget is None else rules.shot_budget
     over_budget = count > budget
     fired = candidates & ~over_budget[:, None]
     hits, redundant = hits_and_redundant(swarm.head, swarm.alive, fired)
@@ -153,8 +153,8 @@ def play_round(rules: Rules, state: GameState, candidates: Mask) -> tuple[GameSt
         terms = {"reward_hit": hit_reward, "reward_redundancy": price * (objective - hit_reward)}
         terminated, truncated = np.ones(len(heads_left), bool), np.zeros(len(heads_left), bool)
     else:
-        terms = {"reward_round": np.full(len(heads_left), -1.0), "reward_redundancy": -price * redundant / uavs}
-        objective = rounds + total_redundant / uavs
+        terms = {"reward_round": np.full(len(heads_left), -1.0), "reward_redundancy": -price * redundant / state.uavs}
+        objective = rounds + total_redundant / state.uavs
         terminated = heads_left == 0
         truncated = ~terminated & (rounds >= rules.max_rounds)
     reward = sum(terms.values(), np.zeros(len(heads_left)))
@@ -168,7 +168,7 @@ def play_round(rules: Rules, state: GameState, candidates: Mask) -> tuple[GameSt
         "over_budget": over_budget.astype(np.int64),
         **terms,
     }
-    return GameState(next_swarm, rounds, total_redundant, terminated, truncated), reward, metrics
+    return GameState(next_swarm, state.uavs, rounds, total_redundant, terminated, truncated), reward, metrics
 
 
 def title_round(metrics: Mapping[str, Any]) -> str:

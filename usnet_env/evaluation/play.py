@@ -90,16 +90,16 @@ def play_episode(env: gym.Env[Any, Any], agent: Agent, task: Task) -> Row:
     first, game = rounds[0], cast(Any, env.unwrapped)
     fired = np.array([played.answer.candidates & (not played.info["over_budget"]) for played in rounds])
     return {
-        **row_keys(task, first.truth.head),
+        **row_keys(task, first.truth),
         **_episode_metrics(game.problem, first.truth, first.answer, fired, [played.seconds for played in rounds]),
         **(game.score_answer(first.answer.scores) if hasattr(game, "score_answer") else {}),
         "error": "",
     }
 
 
-def row_keys(task: Task, head: Any) -> Row:
-    """What a row says of its episode, by the names of :data:`KEYS`; ``head`` is the mask of the heads."""
-    return dict(zip(KEYS, (*task[:3], *task.seeds, len(head), int(head.sum())), strict=True))
+def row_keys(task: Task, truth: Any) -> Row:
+    """What a row says of its episode, by the names of :data:`KEYS`; ``truth`` is that of round 1."""
+    return dict(zip(KEYS, (*task[:3], *task.seeds, int(truth.alive.sum()), int(truth.head.sum())), strict=True))
 
 
 def _episode_metrics(
@@ -110,11 +110,11 @@ def _episode_metrics(
     ``truth`` and ``answer`` are those of round 1; ``fired`` ``(R, N)`` are the candidates of all rounds, none of one
     over the shot budget, and ``seconds`` the times of the answers.
     """
-    head, first = truth.head, fired[0]
+    head, uavs, first = truth.head, int(truth.alive.sum()), fired[0]
     if problem == "P1":
         objective = float(objectives.single_cluster_objective(head, first))
     else:
-        objective = objectives.multi_cluster_objective(head, fired)
+        objective = objectives.multi_cluster_objective(head, fired, uavs)
     purity = head_in_cluster = None
     if answer.clusters is not None:
         purity = objectives.purity(np.where(truth.decoy, -1, truth.root), answer.clusters)
@@ -122,7 +122,7 @@ def _episode_metrics(
     return {
         "J": objective,
         "rounds": len(fired),
-        "redundancy": objectives.redundancy(head, fired),
+        "redundancy": objectives.redundancy(head, fired, uavs),
         "success": int(objectives.found_all_heads(head, fired)),
         "exact": int(objectives.exact(head, first)),
         "precision_first": float(objectives.precision(head, first)),
@@ -137,6 +137,6 @@ def _episode_metrics(
 
 def record_metrics(record: Any) -> dict[str, float | int | None]:
     """Compute the metrics of an :class:`usnet_env.replay.EpisodeRecord`."""
-    truth = SimpleNamespace(head=record.head, decoy=record.decoy, root=record.root[0])
+    truth = SimpleNamespace(head=record.head, decoy=record.decoy, root=record.root[0], alive=record.alive[0])
     answer = Detection(record.candidates[0], record.scores[0], None if record.clusters is None else record.clusters[0])
     return _episode_metrics(record.problem, truth, answer, record.fired, record.seconds)

@@ -70,7 +70,7 @@ class DetectorPlayer:
             if isinstance(self._agent, ChildDetector) and not self._agent.running and self._failure is None:
                 self._agent_key = (task.cell, "")  # a new one is made, and warmed up as the first one was
             self._env.reset(seed=task.seeds[0])
-            return {**row_keys(task, self._env.unwrapped.swarm.head), "error": error.reason}
+            return {**row_keys(task, self._env.unwrapped.swarm), "error": error.reason}
 
     def _prepare(self, task: Task) -> None:
         """Make the agent, and the environment if the cell is another one than before."""
