@@ -188,7 +188,7 @@ def flock_direction(model, state, v, p, t, i, members):
     return wanted
 
 
-@pytest.mark.parametrize(("uavs", "clusters"), [(24, 2), (300, 1)])  # searched as a whole, and by cells
+@pytest.mark.parametrize(("uavs", "clusters"), [(24, 2), (300, 1)])  # in one block of UAVs, and in three
 @pytest.mark.parametrize("name", ["vicsek", "couzin", "predator", "shepherd", "repulsion"])
 def test_flocks_obey_their_equation(name, uavs, clusters):
     far = Couzin(repulsion=30.0, alignment=10.0, attraction=5.0)  # farther than the others
@@ -257,6 +257,8 @@ def test_after_a_destruction_every_follower_has_a_living_leader(name, led):
                 assert one.source[i] == old.source[i]
         state, window = advance(config, state, [rng])
     assert window.position.shape[2] == 40
+    state, _ = advance(config, destroy(state, state.head), [rng])
+    assert np.isfinite(state.reference_position).all()  # unseen UAVs that no UAV follows fly on
 
 
 def test_bystanders_and_traffic_are_no_heads_and_follow_no_uav():

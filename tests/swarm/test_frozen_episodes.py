@@ -27,7 +27,7 @@ import numpy as np
 from usnet_env.swarm import SwarmConfig, advance, start
 
 for follow in ("f5", "pigeons", "vicsek", "couzin", "shepherd"):
-    for uavs in (30, 140):  # 140: a flock of 70 UAVs has a cell list
+    for uavs in (30, 140):  # 140: a flock of 70 UAVs sums in the order of cells
         config = SwarmConfig(follow=follow, clusters=2, uavs=uavs, memory=12, formation="around")
         rngs = [np.random.default_rng(1)]
         state = start(config, rngs)

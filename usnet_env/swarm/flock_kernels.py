@@ -1,7 +1,7 @@
-"""The compiled loop of the flocks: neighbours within ranges, found by a cell list in large flocks.
+"""The compiled loop of the flocks: neighbours within ranges.
 
 A flock is a cluster: the living UAVs with the same UAV or reference at the end of their chains of sources. Predators
-and drivers belong to no flock. Time and memory of a step are linear in N at a fixed density.
+and drivers belong to no flock. The time of a step grows with the squares of the sizes of flocks, its memory with N.
 """
 
 from __future__ import annotations
@@ -16,46 +16,20 @@ NO_CHASER, PREDATOR, DRIVER = range(3)
 
 _ONE, _ZERO, _TINY = np.float32(1.0), np.float32(0.0), np.float32(1e-12)
 _OWN_COUNT = np.float32(1.5)  # a UAV counts itself: with a larger count it has neighbours
-_SMALL, _MIDDLE = 64, 128  # sizes up to which a flock is searched as a whole: unsorted, or sorted by cell
-# Rows of `rows`, with numbers of up to _MIDDLE UAVs of a flock: position, velocity, noise, what they want; then the
+_BLOCK = 128  # number of UAVs of a flock that are computed together
+_SMALL = 64  # a larger flock of one block sums in the order of cells, so its episodes keep the bits that they had
+# Rows of `rows`, with numbers of up to _BLOCK UAVs of a flock: position, velocity, noise, what they want; then the
 # sums: repulsion, alignment, attraction, and three counts. The compiler sees from their distance that none overlap;
 # at a power of two, memory would wait for stores of rows with the same low bits of their addresses.
-_ROW = _MIDDLE + 16
+_ROW = _BLOCK + 16
 _END = 24 * _ROW
 _X, _Y, _Z, _UX, _UY, _UZ, _NX, _NY, _NZ, _WX, _WY, _WZ = range(0, 12 * _ROW, _ROW)
 _RX, _RY, _RZ, _OX, _OY, _OZ, _AX, _AY, _AZ, _REPELLED, _ALIGNED, _ATTRACTED = range(12 * _ROW, _END, _ROW)
 
 
 @compiled(inner=True, error_model="numpy")
-def _hash_cell(x, y, z, size):
-    """The bucket of a cell; ``size`` is a power of two. Cells above each other have buckets side by side."""
-    return ((x * 73856093 ^ y * 19349663) + z) & (size - 1)
-
-
-@compiled(inner=True, error_model="numpy")
-def _build_cells(first, last, p, v, width, bucket, begin, cell, cell_p, cell_v):
-    """Sort the UAVs first..last-1 by the bucket of their cell, so that UAVs of a cell lie side by side in memory.
-
-    ``bucket`` gets that of each UAV. ``begin[h]`` is where bucket h begins in ``cell``, ``cell_p`` and ``cell_v``.
-    """
-    begin[:] = 0
-    for c in range(first, last):
-        x, y, z = int(np.floor(p[0, c] / width)), int(np.floor(p[1, c] / width)), int(np.floor(p[2, c] / width))
-        bucket[c] = _hash_cell(x, y, z, len(begin) - 1)
-        begin[bucket[c]] += 1
-    for h in range(1, len(begin)):
-        begin[h] += begin[h - 1]
-    for c in range(first, last):
-        begin[bucket[c]] -= 1
-        k = begin[bucket[c]]
-        for axis in range(3):
-            cell[axis, k] = int(np.floor(p[axis, c] / width))
-            cell_p[axis, k], cell_v[axis, k] = p[axis, c], v[axis, c]
-
-
-@compiled(inner=True, error_model="numpy")
 def _sort_by_cell(first, p, width, key, rank):
-    """Sort ``rank``, the UAVs of a flock from ``first`` on, by cell as :func:`_sum_cells` does: sums are equal."""
+    """Sort ``rank``, the UAVs of a flock from ``first`` on, by cell."""
     for c in rank:
         key[c] = 0
         for axis in range(3):
@@ -70,39 +44,8 @@ def _sort_by_cell(first, p, width, key, rank):
 
 
 @compiled(inner=True, error_model="numpy")
-def _sum_cells(k, width, repel, align, attract, size, begin, cell, p, v, rows):
-    """Fill the sums of UAV k in ``rows`` from the UAVs in the 27 cells around it; ``size`` is the number of buckets."""
-    x, y, z, outer = rows[_X + k], rows[_Y + k], rows[_Z + k], max(repel, align, attract)
-    cx, cy, cz = int(np.floor(x / width)), int(np.floor(y / width)), int(np.floor(z / width))
-    rx, ry, rz, ox, oy, oz, ax, ay, az = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
-    repelled, aligned, attracted = _ZERO, _ZERO, _ZERO
-    for i in range(cx - 1, cx + 2):
-        for j in range(cy - 1, cy + 2):
-            for m in range(cz - 1, cz + 2):
-                h = _hash_cell(i, j, m, size)
-                for c in range(begin[h], begin[h + 1]):
-                    dx, dy, dz = p[0, c] - x, p[1, c] - y, p[2, c] - z
-                    square = dx * dx + dy * dy + dz * dz
-                    # Two cells may share a bucket: a UAV counts in its own cell only.
-                    if square < outer and cell[0, c] == i and cell[1, c] == j and cell[2, c] == m:
-                        inverse = _ONE / np.sqrt(square + _TINY)
-                        if square < repel:
-                            repelled += _ONE
-                            rx, ry, rz = rx - inverse * dx, ry - inverse * dy, rz - inverse * dz
-                        if square < align:
-                            aligned += _ONE
-                            ox, oy, oz = ox + v[0, c], oy + v[1, c], oz + v[2, c]
-                        if square < attract:
-                            attracted += _ONE
-                            ax, ay, az = ax + inverse * dx, ay + inverse * dy, az + inverse * dz
-    rows[_RX + k], rows[_RY + k], rows[_RZ + k], rows[_REPELLED + k] = rx, ry, rz, repelled
-    rows[_OX + k], rows[_OY + k], rows[_OZ + k], rows[_ALIGNED + k] = ox, oy, oz, aligned
-    rows[_AX + k], rows[_AY + k], rows[_AZ + k], rows[_ATTRACTED + k] = ax, ay, az, attracted
-
-
-@compiled(inner=True, error_model="numpy")
-def _sum_all(visible, size, repel, align, attract, rows):
-    """Fill the sums in ``rows`` for all UAVs of a small flock.
+def _sum_all(p, v, sources, size, repel, align, attract, rows):
+    """Fill the sums in ``rows`` for a block of UAVs from all ``sources``, the UAVs of their flock that are seen.
 
     The inner loop is over the UAVs that get a term, so the sums have the same bits with all vector instructions. It
     goes over whole vectors, and the rest is not read.
@@ -110,9 +53,8 @@ def _sum_all(visible, size, repel, align, attract, rows):
     last = (size + 7) // 8 * 8
     for row in range(_RX, _END, _ROW):
         rows[row : row + last] = _ZERO
-    for d in range(visible):
-        x, y, z = rows[_X + d], rows[_Y + d], rows[_Z + d]
-        ux, uy, uz = rows[_UX + d], rows[_UY + d], rows[_UZ + d]
+    for d in sources:
+        x, y, z, ux, uy, uz = p[0, d], p[1, d], p[2, d], v[0, d], v[1, d], v[2, d]
         for c in range(last // 8 * 8):  # tells the compiler that no vector is cut
             dx, dy, dz = x - rows[_X + c], y - rows[_Y + c], z - rows[_Z + c]
             square = dx * dx + dy * dy + dz * dz
@@ -220,13 +162,7 @@ def fly_flock(
     p, v = np.empty((3, uavs), np.float32), np.empty((3, uavs), np.float32)
     repel, align, attract = ranges[0] * ranges[0], ranges[1] * ranges[1], ranges[2] * ranges[2]
     outer = max(ranges[0], ranges[1], ranges[2])
-    cell, bucket = np.empty((3, uavs), np.int64), np.empty(uavs, np.int64)
-    cell_p, cell_v = np.empty((3, uavs), np.float32), np.empty((3, uavs), np.float32)
-    buckets = 1
-    while buckets < 2 * uavs:
-        buckets *= 2
-    begin = np.empty(buckets + 1, np.int64)
-    rank, key = np.empty(uavs, np.int64), np.empty(_MIDDLE, np.int64)
+    rank, key = np.empty(uavs, np.int64), np.empty(_BLOCK, np.int64)
     rows = np.zeros(_END, np.float32)
     centre = np.zeros((width, 3), np.float32)
     for b in range(len(motion)):
@@ -246,21 +182,17 @@ def fly_flock(
                     p[axis, c], v[axis, c] = position[b, t, order[c], axis], velocity[b, t - 1, order[c], axis]
             for f in flocks:
                 base, size = first[f], first[f + 1] - first[f]
-                seen = size  # the unseen UAVs come last: they fly by the flock, which does not see them
-                while order[base + seen - 1] >= root.shape[1]:
+                seen = size  # the unseen UAVs come last: they fly by the seen ones, or by the first of their own
+                while seen > 1 and order[base + seen - 1] >= root.shape[1]:
                     seen -= 1
                 px, py, pz = p[0, base : base + seen], p[1, base : base + seen], p[2, base : base + seen]
                 mx, my, mz = px.mean(), py.mean(), pz.mean()
                 centre[f, 0], centre[f, 1], centre[f, 2] = mx, my, mz
-                used = 1
-                if _SMALL < size <= _MIDDLE:
+                if _SMALL < size <= _BLOCK:
                     _sort_by_cell(base, p, outer, key, rank[base : base + seen])
-                if size > _MIDDLE:
-                    while used < 2 * size:
-                        used *= 2
-                    _build_cells(base, base + seen, p, v, outer, bucket, begin[: used + 1], cell, cell_p, cell_v)
-                for block in range(base, base + size, _MIDDLE):
-                    count = min(_MIDDLE, base + size - block)
+                sources = base + rank[base : base + seen]
+                for block in range(base, base + size, _BLOCK):
+                    count = min(_BLOCK, base + size - block)
                     for k in range(count):
                         c = base + rank[block + k]
                         i = order[c]
@@ -268,11 +200,7 @@ def fly_flock(
                             rows[_X + axis * _ROW + k] = p[axis, c]
                             rows[_UX + axis * _ROW + k] = v[axis, c]
                             rows[_NX + axis * _ROW + k] = table[b, NOISE, i] * noise[b, s, i, axis]
-                    if size <= _MIDDLE:
-                        _sum_all(seen, size, repel, align, attract, rows)
-                    else:
-                        for k in range(count):
-                            _sum_cells(k, outer, repel, align, attract, used, begin, cell, cell_p, cell_v, rows)
+                    _sum_all(p, v, sources, count, repel, align, attract, rows)
                     for k in range(max(seen - block + base, 0), count):  # an unseen UAV counts itself too
                         for row in (_REPELLED, _ALIGNED, _ATTRACTED):
                             rows[row + k] += _ONE
