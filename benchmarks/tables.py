@@ -1,4 +1,4 @@
-"""Write every published table from the committed rows: in docs, README.md and benchmarks/reader.md.
+"""Write every published table from the committed rows: in docs and README.md.
 
     python benchmarks/tables.py            # write the tables that differ
     python benchmarks/tables.py --check    # write nothing; exit with 1 and name the files that differ
@@ -46,7 +46,6 @@ DETECTOR = {"detector": "detector"}  # lines of a table
 BLOCK = re.compile(r"(<!-- results:begin ?([\w-]*) -->)\n.*?<!-- results:end -->", re.DOTALL)
 PAGES = (
     "README.md",
-    "benchmarks/reader.md",
     "docs/suites.md",
     "docs/environments.md",
     "docs/live.md",
@@ -297,7 +296,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "ladder": ladder_block,
     "scenarios": _report("scenarios", scenarios.report),
     "scenarios-compared": compare_block,
-    **{name: _report(name, lambda rows, name=name: reader.report(rows, name)) for name in reader.STUDIES},
+    "calibration": _report("calibration", reader.report),
     "links": _report("links", reader_links.report),
     "peers": _report("peers", peers.report),
     **{
