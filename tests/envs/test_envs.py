@@ -21,7 +21,7 @@ from usnet_env.envs import (
     register_environments,
 )
 from usnet_env.envs.wrappers import BoxMasks
-from usnet_env.registration import OTHERS
+from usnet_env.registration import OTHERS, PROBING
 
 IDS = sorted(ENVIRONMENTS)
 MULTI = "USNET/MultiCluster-v0"
@@ -196,20 +196,29 @@ def shots(count):
     return [(rng.random(20) < 0.1).astype(np.int8) for _ in range(count)]
 
 
-@pytest.mark.parametrize("case", [{}, {"follow": "f7", "mobility": "smooth_turn", "position_noise": 1.0}])
-def test_an_episode_goes_on_where_it_was_saved(case):
-    env, elsewhere = (gym.make(MULTI, **SMALL, **case).unwrapped for _ in range(2))
+@pytest.mark.parametrize(
+    ("name", "case", "actions"),
+    [
+        (MULTI, SMALL, shots(6)),
+        (MULTI, SMALL | {"follow": "f7", "mobility": "smooth_turn", "position_noise": 1.0}, shots(6)),
+        (PROBING, {"followers": 5, "actions": "flat"}, [np.full(10, 0.3, np.float32)] * 6),
+    ],
+)
+def test_an_episode_goes_on_where_it_was_saved(name, case, actions):
+    env, elsewhere = (gym.make(name, **case).unwrapped for _ in range(2))
     env.reset(seed=4)
-    env.step(shots(1)[0])
+    env.step(actions[0])
     state = pickle.loads(pickle.dumps(env.get_state()))
     twin = pickle.loads(pickle.dumps(env))
-    expected = [env.step(action) for action in shots(6)]
+    expected = [env.step(action) for action in actions]
     env.set_state(state)  # back from where it flew
-    assert data_equivalence(elsewhere.set_state(state), state["observation"], exact=True)
+    shown = elsewhere.set_state(state)
+    assert data_equivalence({part: shown[part] for part in state["observation"]}, state["observation"], exact=True)
     for other in (twin, env, elsewhere):
-        assert data_equivalence([other.step(action) for action in shots(6)], expected, exact=True)
-    with pytest.raises(ArgumentError, match="state must come from get_state"):
-        gym.make(MULTI).unwrapped.set_state(state)
+        assert data_equivalence([other.step(action) for action in actions], expected, exact=True)
+    for wrong in (state, None):
+        with pytest.raises(ArgumentError, match="state must come from get_state"):
+            gym.make(name).unwrapped.set_state(wrong)
 
 
 @pytest.mark.parametrize(("name", "kind"), [(SINGLE, SingleClusterEnv), (MULTI, MultiClusterEnv)])

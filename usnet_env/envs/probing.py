@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -16,7 +17,7 @@ from usnet_env.config import ArgumentError, list_arguments, quote, takes_argumen
 from usnet_env.envs import game
 from usnet_env.envs.batch import WINDOW, SwarmGames
 from usnet_env.envs.distribution import DistributionArguments, EpisodeSampler
-from usnet_env.envs.usnet import INFO, OBSERVATION, ClusterArguments, UsnetEnv
+from usnet_env.envs.usnet import INFO, OBSERVATION, ClusterArguments, UsnetEnv, make_cluster
 from usnet_env.envs.vector import UsnetVectorEnv
 from usnet_env.swarm import SwarmConfig
 from usnet_env.swarm.config import Count, Price
@@ -259,8 +260,8 @@ class ProbingEnv(UsnetEnv):
     @takes_arguments(ProbingArguments)
     def __init__(self, arguments: ProbingArguments) -> None:
         self.arguments = arguments
-        config = arguments.part(SwarmConfig, clusters=1, uavs=arguments.followers + 1 + arguments.decoys)
-        sampler = EpisodeSampler(DistributionArguments(), lambda drawn, most: config)  # all episodes are alike
+        sampler = EpisodeSampler(DistributionArguments(), partial(make_cluster, arguments))  # all episodes are alike
+        config = sampler.widest
         super().__init__(sampler, game.Rules(problem="P1", max_rounds=1), arguments)
         steps, count, names = config.observation_steps, arguments.intruders, config.uavs + 1
         far = 3 * config.position_bound(1) + arguments.reach + arguments.top_speed * steps * config.sample_every
@@ -287,6 +288,8 @@ class ProbingEnv(UsnetEnv):
 
     def set_state(self, state: dict[str, Any]) -> Observation:
         """Restore a state; see :meth:`UsnetEnv.set_state`."""
+        if not self._games.metrics:  # those of the name are there from the first reset on
+            self.reset()
         super().set_state(state)
         for name, part in self._games.flight.items():
             part[self._number] = state["flight"][name]

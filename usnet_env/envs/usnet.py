@@ -81,10 +81,10 @@ class MultiClusterArguments(DistributionArguments, OutputArguments, game.RoundAr
     }
 
 
-def _make_cluster(arguments: SingleClusterArguments, drawn: dict[str, Any], size: int | None) -> SwarmConfig:
+def make_cluster(arguments: ClusterArguments, drawn: dict[str, Any], size: int | None) -> SwarmConfig:
     """The swarm of P1, in arrays for ``size`` UAVs."""
     values = dict(arguments) | drawn
-    uavs = 1 + sum(values[name] for name in ("followers", "decoys", "bystanders", "traffic", "clutter"))
+    uavs = 1 + sum(values.get(name, 0) for name in ("followers", "decoys", "bystanders", "traffic", "clutter"))
     size, changes = size or uavs, {name: value for name, value in drawn.items() if name != "followers"}
     return arguments.part(SwarmConfig, **changes, clusters=1, uavs=size, absent=size - uavs)
 
@@ -217,7 +217,7 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
             ArgumentError: the state is of an environment with other arguments.
         """
         settings = self._settings()
-        if {name: state.get(name) for name in settings} != settings:
+        if not isinstance(state, Mapping) or {name: state.get(name) for name in settings} != settings:
             raise ArgumentError(f"state must come from get_state with the same arguments, got {quote(state)}.")
         saved = copy.deepcopy(state)
         restored = game.GameState(swarm=SwarmState(**saved["swarm"]), **saved["game"])
@@ -284,7 +284,7 @@ class SingleClusterEnv(UsnetEnv):
     @takes_arguments(SingleClusterArguments)
     def __init__(self, arguments: SingleClusterArguments) -> None:
         rules = arguments.part(game.Rules, problem="P1", max_rounds=1)
-        super().__init__(EpisodeSampler(arguments, partial(_make_cluster, arguments)), rules, arguments)
+        super().__init__(EpisodeSampler(arguments, partial(make_cluster, arguments)), rules, arguments)
 
 
 @list_arguments(observation=OBSERVATION, info=INFO_P2)
