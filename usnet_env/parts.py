@@ -106,6 +106,11 @@ class Registry(Mapping[str, PartT], Generic[PartT]):
             raise missing_error or ArgumentError(f"{subject} can't be loaded: {describe_error(error)}.") from error
         return self._accept(part, subject)
 
+    def name_of(self, part: PartT) -> str:
+        """The name of a part in quotes, or that of its class if it has none."""
+        known = {**self._own, **self._loaded, **self.registered}
+        return next((repr(name) for name, other in known.items() if other is part), type(part).__name__)
+
     def entry_points(self) -> dict[str, EntryPoint]:
         """The entry points of the group by name; none of them is imported. The names of this package stay its own."""
         reserved = (*self._own, *self._reserved)

@@ -36,7 +36,7 @@ def frozen_array(name: str, value: ArrayLike, dtype: type, shape: tuple[int | No
         length not in (None, size) for length, size in zip(shape, array.shape, strict=True)
     ):
         expected = str(shape).replace("None", "any")
-        raise ArgumentError(f"{name} must have shape {expected}, got {array.shape}.")
+        raise ArgumentError(f"{name} must have shape {expected}, got {array.shape if array.ndim else quote(value)}.")
     numbers = array if array.dtype.kind in "biuf" else np.full(array.shape, np.nan)
     with np.errstate(over="ignore", invalid="ignore"):  # numbers that the cast changes are refused below
         copy: NDArray[Any] = numbers.astype(dtype, copy=True)

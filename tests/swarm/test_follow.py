@@ -59,9 +59,28 @@ def test_a_registered_function_is_used_by_name():
     assert FOLLOW_STRATEGIES["test-mirror-0"].equation == "v = -v_L"
     with pytest.raises(ArgumentError, match="strategy must"):
         register_follow_strategy("test-x", 3)
-    register_follow_strategy("test-bad", lambda inputs: np.zeros(3), replace=True)
-    with pytest.raises(ValueError, match="reshape"):
-        fly("test-bad")
+    for name, value in (("lags", 0), ("lags", -3), ("noise", -5), ("noise", "0")):
+        with pytest.raises(ArgumentError, match=rf"^{name} must"):
+            register_follow_strategy("test-x", mirror, **{name: value})
+
+
+@pytest.mark.parametrize(
+    ("answer", "words"),
+    [
+        (np.zeros(3), r"must have shape \(\d+, 3\), got \(3,\)"),
+        (None, r"must have shape .* got None"),
+        (np.full((1, 3), np.nan), "must hold finite numbers"),
+    ],
+)
+def test_a_strategy_that_returns_no_directions_is_named(answer, words):
+    class Wrong(FollowStrategy):
+        def direction(self, inputs):
+            return answer if np.ndim(answer) < 2 else answer.repeat(len(inputs.follower), axis=0)
+
+    register_follow_strategy("test-bad", lambda inputs: Wrong().direction(inputs), replace=True)
+    for follow, name in (("test-bad", "'test-bad'"), (Wrong(), "Wrong")):
+        with pytest.raises(ArgumentError, match=f"^directions of follow strategy {name} {words}"):
+            fly(follow)
 
 
 def random_inputs(rng, n=400):

@@ -119,9 +119,14 @@ def test_a_registered_function_is_used_by_name_and_keeps_its_state():
     assert MOBILITIES["test-circle"].description == "Circles."
     with pytest.raises(ArgumentError, match="mobility must be a Mobility or a function"):
         register_mobility("test-x", 3)
-    register_mobility("test-short", lambda rng, position, steps, state: np.zeros((1, 3)), replace=True)
-    with pytest.raises(ValueError, match="reshape"):
-        tracks("test-short")
+    for bad, words in (
+        (lambda *_: 3, "have shape .* got 3"),
+        (lambda *_: np.zeros((1, 3)), r"have shape .* got \(1, 3\)"),
+        (lambda rng, position, steps, state: np.full((steps, len(position), 3), np.nan), "hold finite numbers"),
+    ):
+        register_mobility("test-bad", bad, replace=True)
+        with pytest.raises(ArgumentError, match=f"^directions of mobility 'test-bad' must {words}"):
+            tracks("test-bad")
 
 
 KINDS = ["unit", "varied_speed", "lagged", "limited", "layered"]

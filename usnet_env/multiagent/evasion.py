@@ -88,7 +88,8 @@ class MixedMobility(Mobility):
             for number in np.unique(which[which >= 0]).tolist():
                 uavs = which == number
                 part = state[b, uavs]
-                directions[b][:, uavs] = self.mobilities[number].fly(part, position[b, uavs], steps, rng)
+                flown = self.mobilities[number].fly_batch(part[None], position[[b]][:, uavs], steps, [rng])
+                directions[b][:, uavs] = flown[0]
                 state[b, uavs] = part
             if noisy.any():
                 noise = rng.standard_normal((steps, int((which >= 0).sum()), 3), dtype=np.float32)[:, noisy[which >= 0]]

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from usnet_env.arrays import Singles
+from usnet_env.config import real_number, whole_number
 from usnet_env.parts import Registry, accept_objects
 from usnet_env.swarm import field_follow, flock_follow, follow_kernels
 from usnet_env.swarm.field_follow import FieldStrategy
@@ -113,7 +114,7 @@ class FollowFunction(FollowStrategy):
 
     def direction(self, inputs: FollowInputs) -> Singles:
         """Call the function."""
-        return np.asarray(self.function(inputs), np.float32).reshape(len(inputs.own_position), 3)
+        return self.function(inputs)
 
 
 #: The field models by name: the equation, the citation, the broken assumption, the parameters, and their values.
@@ -296,8 +297,10 @@ def register_follow_strategy(
         replace: replace another strategy of this name, for example to run a notebook cell again.
 
     Raises:
-        ArgumentError: another strategy has the name, or ``strategy`` is neither a strategy nor a function.
+        ArgumentError: another strategy has the name, ``strategy`` is neither a strategy nor a function, or a number is
+            out of range.
     """
     if callable(strategy) and not isinstance(strategy, FollowStrategy | type):
+        lags, noise = whole_number("lags", lags, 1, 1000), real_number("noise", noise, 0, 1e6)
         strategy = FollowFunction(strategy, lags, noise, equation)
     FOLLOW_STRATEGIES.register(name, strategy, replace=replace)

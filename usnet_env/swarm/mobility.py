@@ -16,6 +16,7 @@ from usnet_env.arrays import Floats, Singles
 from usnet_env.parts import Registry, accept_objects
 from usnet_env.swarm import kernels
 from usnet_env.swarm.formation import ARENA
+from usnet_env.window import frozen_array
 
 
 class Mobility(ABC):
@@ -54,7 +55,9 @@ class Mobility(ABC):
             rngs: the generators of the swarms.
         """
         swarms = zip(state, position, rngs, strict=True)
-        return np.array([self.fly(values, present, steps, rng) for values, present, rng in swarms])
+        flown = [self.fly(values, present, steps, rng) for values, present, rng in swarms]
+        name, shape = f"directions of mobility {MOBILITIES.name_of(self)}", (steps, position.shape[1], 3)
+        return np.array([frozen_array(name, directions, np.float32, shape) for directions in flown])
 
 
 @dataclass(frozen=True)
@@ -116,8 +119,7 @@ class MobilityFunction(Mobility):
 
     def fly(self, state: Floats, position: Singles, steps: int, rng: np.random.Generator) -> Singles:
         """Call the function."""
-        directions = self.function(rng, position, steps, state)
-        return np.asarray(directions, np.float32).reshape(steps, len(position), 3)
+        return self.function(rng, position, steps, state)
 
 
 @dataclass(frozen=True)

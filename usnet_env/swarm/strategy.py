@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usnet_env.arrays import Indices, Mask, Singles
+from usnet_env.parts import REGISTRIES
 from usnet_env.swarm import kernels
 from usnet_env.swarm.state import Roles
+from usnet_env.window import frozen_array
 
 KAPPA = 1.0  # kappa_0, ..., kappa_3 and kappa_p of Table II
 KAPPA_NOISE = 0.05  # kappa_n
@@ -135,7 +137,7 @@ class FollowStrategy:
 
     def fly(self, flight: TrajectoryBatch) -> None:
         """Simulate all followers: the general loop, which calls :meth:`direction` step by step."""
-        lags = flight.start
+        lags, name = flight.start, f"directions of follow strategy {REGISTRIES['follow strategy'].name_of(self)}"
         for b in range(len(flight.noise)):
             position, velocity = flight.position[b], flight.velocity[b]
             followers = np.flatnonzero(flight.motion[b] == kernels.FOLLOWS)
@@ -154,7 +156,7 @@ class FollowStrategy:
                     clock=int(flight.clock[b]) + s,
                 )
                 noise = np.float32(self.noise) * flight.noise[b, s, followers]
-                total = np.asarray(self.direction(inputs), np.float32) + noise
+                total = frozen_array(name, self.direction(inputs), np.float32, (len(followers), 3)) + noise
                 length = np.sqrt((total * total).sum(axis=-1, keepdims=True, dtype=np.float32))
                 velocity[t, followers] = total / np.maximum(length, np.float32(1e-6))
                 position[t + 1] = position[t] + velocity[t]
