@@ -91,9 +91,12 @@ def test_a_detector_that_fails_everywhere_gives_status_2_and_one_sentence(run, m
     assert err.startswith("usnet: detector 'sample_detectors:FailingWithOne' failed in ")
     assert err.count("\n") == 1
     assert len(err) < 320
-    status, out, err = run(*words, "--detector", "sample_detectors:AllAlive", "--json")
+    words += ["--detector", "sample_detectors:AllAlive", "--out", tmp_path / "run"]
+    status, out, err = run(*words, "--json")
     assert status == 2
     assert [entry["episodes"] for entry in json.loads(out)] == [4 if suite else 2, 0, 4 if suite else 2]
+    status, out, err = run("report", tmp_path / "run", "--compare", "none")
+    assert (status, out.count("J of none minus "), err.count(" is left out: it has no episode")) == (0, 1, 1)
 
 
 def test_every_second_episode_is_recorded_as_it_was_played(run, tmp_path):

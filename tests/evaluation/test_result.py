@@ -98,8 +98,11 @@ def test_a_comparison_pairs_the_episodes_that_both_have_played():
     [("detector", ("a", "z")), ("detector", ("z",)), ("metric", ("a", "b", "j")), ("b", ("a", "c"))],
 )
 def test_what_cannot_be_compared_is_refused(argument, given):
+    result = from_values(a=[1.0, None], b=[2.0, 1.0], c=[None, 1.0])
     with pytest.raises(ArgumentError, match=rf"^{argument} must"):
-        from_values(a=[1.0, None], b=[2.0, 1.0], c=[None, 1.0]).compare(*given)
+        result.compare(*given)
+    with pytest.warns(UserWarning, match=r"^c is left out: it has no episode with J in common with a\.$"):
+        assert result.compare("a") == [result.compare("a", "b")]
 
 
 def test_results_of_two_folders_are_merged_and_compared():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from usnet_env.cli.options import PositiveNumber, WholeNumber, complete_names
-from usnet_env.cli.output import print_message, show
+from usnet_env.cli.output import print_message, print_warnings, show
 from usnet_env.config import ArgumentError, list_names, printable
 from usnet_env.files import as_path, reserve_folder
 from usnet_env.progress import progress_bar
@@ -162,10 +161,8 @@ def detect(
     else:
         _print_leaders(found, by_windows)
     if folder is not None:
-        with warnings.catch_warnings(record=True, action="always") as caught:
+        with print_warnings():
             files = found.write(folder, ", ".join(Path(name).name for name in tracks), record=record)
-        for message in dict.fromkeys(str(warning.message) for warning in caught):
-            print_message(f"warning: {message}")
         click.echo(f"{', '.join(file.name for file in files)} are in {folder}.", err=True)
     if folder is not None and open_page:
         click.launch(str(folder / "page.html"))

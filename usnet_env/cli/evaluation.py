@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from usnet_env.cli.options import PositiveNumber, WholeNumber, complete_names, parse_pairs
-from usnet_env.cli.output import print_message, show
+from usnet_env.cli.output import print_message, print_warnings, show
 from usnet_env.config import format_count
 
 if TYPE_CHECKING:
@@ -135,8 +135,9 @@ def report(folder: Path, form: str | None, labels: tuple[str, ...], metric: str)
     result = EvaluationResult.load(folder)
     _show_result(result, form or "")
     if labels:
-        for comparison in result.compare(labels[0], list(labels[1:]) or None, metric):
-            click.echo(f"{comparison}.")
+        with print_warnings():
+            comparisons = result.compare(labels[0], list(labels[1:]) or None, metric)
+        click.echo("".join(f"{comparison}.\n" for comparison in comparisons), nl=False)
     for sentence in result.failures.values():
         print_message(sentence)
 

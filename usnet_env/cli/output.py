@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import click
@@ -27,3 +30,12 @@ def show(*renderables: Any) -> None:
 def print_message(sentence: str) -> None:
     """Print a message of the program to standard error; what would control a terminal is left out."""
     click.echo(f"usnet: {printable(sentence)}", err=True)
+
+
+@contextmanager
+def print_warnings() -> Iterator[None]:
+    """Print the warnings of a step as messages, each once, after it."""
+    with warnings.catch_warnings(record=True, action="always") as caught:
+        yield
+    for text in dict.fromkeys(str(warning.message) for warning in caught):
+        print_message(f"warning: {text}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -220,7 +221,7 @@ class EvaluationResult:
 
         Args:
             a: label of a detector.
-            b: label of another one, a list of labels, or ``None`` for all others.
+            b: label of another one, a list of labels, or ``None`` for all others that share an episode.
             metric: what is compared.
 
         Raises:
@@ -238,15 +239,17 @@ class EvaluationResult:
             self._check_label(label)
         values = self.rows.pivot(index=["cell", "swarm_seed"], columns="detector", values=metric)
         pairs = {opponent: (values[a] - values[opponent]).dropna() for opponent in opponents}
-        for opponent, pair in pairs.items():
-            if pair.empty:
+        for opponent in [opponent for opponent, pair in pairs.items() if pair.empty]:
+            if labels is not None or all(pair.empty for pair in pairs.values()):
                 raise ArgumentError(f"b must have episodes with {metric} in common with {a!r}, got {quote(opponent)}.")
+            warnings.warn(f"{opponent} is left out: it has no episode with {metric} in common with {a}.", stacklevel=2)
+            del pairs[opponent]
         adjusted = stats.holm([stats.paired_test(pair.groupby(self._unit).sum()) for pair in pairs.values()])
-        level = 1 - (1 - CONFIDENCE) / max(1, len(opponents))
+        level = 1 - (1 - CONFIDENCE) / max(1, len(pairs))
         comparisons = []
         for (opponent, pair), p in zip(pairs.items(), adjusted, strict=True):
             interval = mean_interval(pair, confidence=level, groups=pair.index.get_level_values(self._unit))
-            comparisons.append(Comparison(a, opponent, metric, len(pair), *interval, p, len(opponents)))
+            comparisons.append(Comparison(a, opponent, metric, len(pair), *interval, p, len(pairs)))
         return comparisons[0] if isinstance(b, str) else comparisons
 
     def merge(self, other: EvaluationResult) -> EvaluationResult:
