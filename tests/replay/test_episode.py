@@ -200,8 +200,9 @@ def test_says_where_it_comes_from_and_refuses_other_environments(tmp_path):
     assert {"follow": "f1", "clusters": 3, "memory": 4, "shot_budget": 9}.items() <= record.config.items()
     assert record.versions["numpy"] == np.__version__
     assert EpisodeRecord.load(record.save(tmp_path / "e.npz")).config == record.config
-    with pytest.raises(ArgumentError, match=r"^env must be"):
-        record_episode(gym.make("CartPole-v1"), Scripted(), 0, None)
+    for name in ("CartPole-v1", "USNET/Probing-v1"):
+        with pytest.raises(ArgumentError, match=r"^env must be"):
+            record_episode(gym.make(name), Scripted(), 0, None)
 
 
 def test_over_budget_and_truncated_and_a_single_cluster_with_decoys():

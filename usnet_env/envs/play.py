@@ -9,7 +9,9 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from usnet_env.config import ArgumentError
 from usnet_env.detection import Detection
+from usnet_env.envs.probing import ProbingEnv
 from usnet_env.swarm import SwarmState
 
 
@@ -22,6 +24,15 @@ class PlayedRound:
     answer: Detection
     seconds: float  # that the answer took
     info: dict[str, Any]
+
+
+def refuse_probing(env: gym.Env[Any, Any]) -> None:
+    """Refuse an environment whose actions are no candidates, so that no detector can play it."""
+    if isinstance(env.unwrapped, ProbingEnv):
+        raise ArgumentError(
+            f"env must be a game that detectors can play, got {env.unwrapped}, whose agent also steers intruders: "
+            "usnet_env.envs.play.play_probe plays it with a prober."
+        )
 
 
 def play_rounds(

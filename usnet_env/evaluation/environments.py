@@ -11,6 +11,7 @@ import gymnasium as gym
 from gymnasium.envs.registration import load_env_creator
 
 from usnet_env.config import ArgumentError, quote, unknown_name
+from usnet_env.envs.play import refuse_probing
 
 
 def usnet_ids() -> list[str]:
@@ -35,6 +36,7 @@ def make_environment(env_id: str, env_kwargs: Mapping[str, Any]) -> gym.Env[Any,
     env: gym.Env[Any, Any] = gym.make(name, disable_env_checker=True, **env_kwargs)
     if not all(hasattr(type(env.unwrapped), attribute) for attribute in ("swarm", "problem")):
         raise ArgumentError(f"env must be a USNET environment ({', '.join(usnet_ids())}), got {quote(env_id)}.")
+    refuse_probing(env)
     if not getattr(env.unwrapped, "labelled", True):
         got = "tracks without a column 'leader' that names their ids"
         raise ArgumentError(f"env must know the leaders to score detectors, got {got}.")

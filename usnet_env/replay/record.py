@@ -10,7 +10,7 @@ import numpy as np
 
 from usnet_env.config import ArgumentError, describe_arguments, optional_seed, quote
 from usnet_env.detection import ask
-from usnet_env.envs.play import PlayedRound, play_probe, play_rounds
+from usnet_env.envs.play import PlayedRound, play_probe, play_rounds, refuse_probing
 from usnet_env.envs.probers import Prober
 from usnet_env.plugins import DetectorLike, detector_label, find_detector
 from usnet_env.replay.episode import EpisodeRecord
@@ -46,6 +46,7 @@ def record_episode(
     1
     """
     _check_environment(env)
+    refuse_probing(env)
     detector = find_detector(detector)
     seed, detector_seed = optional_seed("seed", seed), optional_seed("detector_seed", detector_seed)
     detector.reset(detector_seed)
