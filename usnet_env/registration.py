@@ -68,5 +68,5 @@ def register_environments() -> None:
     points |= {name: (point, {}) for name, point in OTHERS.items()}
     for name, (point, kwargs) in points.items():
         if name not in gym.registry:
-            batch = None if name == TRACKS else point.replace("Env", "VectorEnv")
+            batch = point.replace("Env", "VectorEnv")
             gym.register(id=name, entry_point=point, vector_entry_point=batch, kwargs=dict(kwargs))

@@ -69,6 +69,10 @@ def test_a_seed_draws_a_window(path):
     starts, again = ([env.reset(seed=seed)[1]["start"] for seed in range(20)] for _ in range(2))
     assert starts == again
     assert len(set(starts)) > 4
+    batch = gym.make_vec("USNET/Tracks-v0", 20, path=path, step=0.5, autoreset_mode="SameStep")
+    assert batch.reset(seed=0)[1]["start"].tolist() == starts
+    assert batch.step(np.zeros((20, 14), np.int8))[2].all()
+    assert batch.metadata["autoreset_mode"].value == "SameStep"
 
 
 def test_tracks_without_leaders_can_be_played_but_not_scored(tmp_path):

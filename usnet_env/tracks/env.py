@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated, Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from numpy.typing import NDArray
 from pydantic import Field
 
 from usnet_env.arrays import Observation
-from usnet_env.config import ArgumentError, Config, list_arguments, optional_seed, takes_arguments
+from usnet_env.config import ArgumentError, Config, list_arguments, optional_seed, takes_arguments, whole_number
 from usnet_env.envs.game import Rules, check_options, parse_candidates, window_spaces
 from usnet_env.objectives import find_roots, group_leader_accuracy, hits_and_redundant
 from usnet_env.swarm import SwarmState
@@ -177,3 +179,11 @@ class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
             "over_budget": 0,
             **{name: self.tracks.file_time(getattr(self.windows[self._number], name)) for name in ("start", "end")},
         }
+
+
+class TracksVectorEnv(SyncVectorEnv):
+    """B environments, one after another; see ``gym.make_vec("usnet_env:USNET/Tracks-v0", num_envs=B, path=…)``."""
+
+    def __init__(self, num_envs: int = 1, *, autoreset_mode: Any = AutoresetMode.NEXT_STEP, **arguments: Any) -> None:
+        count = whole_number("num_envs", num_envs, 1, 1_000_000)
+        super().__init__([partial(TracksEnv, **arguments)] * count, autoreset_mode=autoreset_mode)
