@@ -1,5 +1,6 @@
 """Checked arguments, and files that are written whole or not at all."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -9,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field, field_validator
 
-from usnet_env.config import ArgumentError, Config, missing_extra, quote, unknown_name
+from usnet_env.config import ArgumentError, Config, Positive, missing_extra, quote, unknown_name
 from usnet_env.files import as_path, atomic_write, replace_files, reserve_folder, write_text
 
-TAKES = "it takes count, rate, flag, name, sizes."
+TAKES = "it takes count, rate, flag, name, sizes, span."
 
 
 class Sample(Config):
@@ -21,6 +22,7 @@ class Sample(Config):
     flag: bool = False
     name: str = "a"
     sizes: tuple[int, ...] | None = None
+    span: Annotated[tuple[int, ...], Field(min_length=1, max_length=2)] | Mapping[str, Positive] = (1,)
 
     @field_validator("name")
     @classmethod
@@ -45,6 +47,10 @@ class Sample(Config):
         ({"name": "long one"}, "name must be short, got 'long one'."),
         ({"sizes": "7,5"}, "sizes must be a list, such as [7, 5], got '7,5'."),
         ({"sizes": np.array(6)}, "sizes must be a list, such as [7, 5], got 6."),
+        ({"span": ()}, "span must be a list of length 1 or more, got ()."),
+        ({"span": (1, 2, 3)}, "span must be a list of length 2 or less, got (1, 2, 3)."),
+        ({"span": (1, "b")}, "span[1] must be a whole number, got 'b'."),
+        ({"span": {"b": -1}}, "span['b'] must be greater than 0, got -1."),
         ({"rates": 1}, f"rates is not an argument of Sample (did you mean 'rate'?); {TAKES}"),
         ({"other": 3}, f"other is not an argument of Sample; {TAKES}"),
     ],
@@ -67,7 +73,7 @@ def test_an_argument_without_a_default_must_be_given():
 
 def test_numpy_values_and_lists_are_taken_as_plain_python():
     sample = Sample(count=np.int64(3), rate=np.float32(0.5), flag=np.bool_(True), sizes=np.array([1, 2]))
-    assert sample.model_dump() == {"count": 3, "rate": 0.5, "flag": True, "name": "a", "sizes": (1, 2)}
+    assert sample.model_dump() == {"count": 3, "rate": 0.5, "flag": True, "name": "a", "sizes": (1, 2), "span": (1,)}
     assert type(sample.count) is int
     assert Sample(sizes=[np.int8(1), 2]).sizes == (1, 2)
     assert Sample(count=np.array(6), rate=np.array(0.5)) == Sample(count=6, rate=0.5)

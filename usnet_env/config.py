@@ -39,8 +39,9 @@ _EXPECTED = {  # texts for pydantic's error types
     "string_type": "a name",
     "tuple_type": "a list",
     "list_type": "a list",
-    "missing": "longer",
-    "too_long": "shorter",
+    "missing": "a longer list",
+    "too_short": "a list of length {min_length} or more",
+    "too_long": "a list of length {max_length} or less",
 }
 
 
@@ -169,8 +170,8 @@ def _to_python(value: Any) -> Any:
 
 
 def _to_sentence(error: ValidationError, config: type[Config]) -> str:
-    """The first error that pydantic found, an unknown argument before others, as one sentence."""
-    fault = min(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
+    """The first of the innermost errors that pydantic found, an unknown argument before others, as one sentence."""
+    fault = min(error.errors(), key=lambda detail: (detail["type"] != "extra_forbidden", -len(detail["loc"])))
     name = str(fault["loc"][0]) if fault["loc"] else "configuration"
     match fault["type"]:
         case "extra_forbidden":
@@ -182,9 +183,11 @@ def _to_sentence(error: ValidationError, config: type[Config]) -> str:
             return str(unknown_name(name, fault["input"], re.findall(r"'([^']*)'", fault["ctx"]["expected"])))
         case "missing" if len(fault["loc"]) == 1:
             return f"{name} must be given."
-    expected = _EXPECTED.get(fault["type"], fault["msg"].removeprefix("Input should be ").rstrip("."))
+    expected = _EXPECTED.get(fault["type"], "").format_map(fault.get("ctx", {}))
+    expected = expected or fault["msg"].removeprefix("Input should be ").rstrip(".")
     expected = "a list, such as [7, 5]" if expected == "a list" or "Sequence" in expected else expected
-    return f"{name} must be {expected}, got {quote(fault['input'])}."
+    item = "".join(f"[{key!r}]" for key in fault["loc"][2:3])  # of a list or mapping that is one of several forms
+    return f"{name}{item} must be {expected}, got {quote(fault['input'])}."
 
 
 class Config(BaseModel):

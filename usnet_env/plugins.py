@@ -71,6 +71,7 @@ def find_detector(detector: Any) -> DetectorLike:
     player = make_detector(detector) if isinstance(detector, str) else detector
     if isinstance(player, type) or not isinstance(player, DetectorLike):
         hint = " (detectors.policy_detector.PolicyDetector makes one of a policy)" * hasattr(player, "predict")
+        hint = f" ({player.__name__}() makes one)" if isinstance(player, type) else hint
         expected = "a name, or an object with detect(window) and reset(seed)"
         raise ArgumentError(f"detector must be {expected}, got {quote(detector)}{hint}.")
     return player

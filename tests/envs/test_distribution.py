@@ -58,6 +58,8 @@ def test_an_argument_fixes_its_part_and_no_other():
     ("arguments", "named"),
     [
         ({"uavs": 20}, "uavs"),
+        ({"uavs": 30, "absent": 20}, "uavs - absent"),
+        ({"follow": {"f1": -1}}, r"follow\['f1'\]"),
         ({"follow": ["f1", "f8"]}, "follow"),
         ({"kinematics": {}}, "kinematics"),
         ({"clusters": (6, 2)}, "clusters"),

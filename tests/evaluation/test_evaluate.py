@@ -12,7 +12,7 @@ from sample_detectors import AllAlive, Followed, NoUav, RandomThird, Recorder, u
 from usnet_env import ArgumentError, evaluate
 from usnet_env.evaluation import METRICS, TRIVIAL
 
-MULTI, SINGLE = "USNET/MultiCluster-v0", "USNET/SingleCluster-v0"
+MULTI, SINGLE, PROBING = "USNET/MultiCluster-v0", "USNET/SingleCluster-v0", "USNET/Probing-v1"
 SMALL = {"clusters": 3, "uavs": 20, "observation_steps": 20, "max_rounds": 5}
 
 
@@ -137,11 +137,13 @@ def test_the_summary_is_plain_json_of_the_promised_form():
         *(({name: 0}, name) for name in ("episodes", "workers", "time_limit", "env_kwargs", "env")),
         *(({name: -1}, name) for name in ("seed", "memory_limit")),
         *(({"seed": 2**192}, "seed"), ({"backend": "dask"}, "backend"), ({"out": ""}, "out")),
-        *(({"env": name, "env_kwargs": {}}, "env") for name in ("USNET/Multi", "nowhere:X-v0", "CartPole-v1")),
+        *(({"env": name, "env_kwargs": {}}, "env") for name in ("USNET/Multi", "nowhere:X-v0", "CartPole-v1", PROBING)),
         ({"env_kwargs": {"folow": "f1"}}, "folow"),
         ({"detector": "random(seeed=1)"}, "seeed"),
-        *(({"detector": value}, "detector") for value in ([], [NoUav(), NoUav()], {"a\nb": NoUav()}, {3: NoUav()})),
-        *(({"detector": value}, "detector") for value in ("lagged-regresion", NoUav, object())),
+        *(({"detector": value}, "detector") for value in ([NoUav(), NoUav()], {"a\nb": NoUav()}, {3: NoUav()})),
+        *(({"detector": value}, "detector") for value in ("lagged-regresion", object())),
+        ({"detector": NoUav}, r"^detector must .* \(NoUav\(\) makes one\)"),
+        ({"detector": []}, "^detector must name at least one"),
         ({"detector": SimpleNamespace(predict=max)}, "detector"),
         ({"detector": type("WithoutReset", (), {"detect": print})()}, "detector"),
     ],

@@ -60,6 +60,8 @@ def label_detectors(detector: Any, trivial: bool, isolated: bool) -> dict[str, A
         labels = [
             detector_label(each) if isinstance(each, str) or hasattr(type(each), "detect") else "" for each in detectors
         ]
+    if not labels:
+        raise ArgumentError(f"detector must name at least one, got {quote(detector)}.")
     labelled = dict(zip(labels, detectors, strict=True))
     labelled |= {name: name for name in TRIVIAL if trivial and name not in labels}
     for candidate in labelled.values():
@@ -72,6 +74,6 @@ def label_detectors(detector: Any, trivial: bool, isolated: bool) -> dict[str, A
             raise
         except (Exception, SystemExit):  # the constructor of another package may raise anything
             continue
-    if not labels or len({*labels}) < len(labels) or not all(label and label.isprintable() for label in labels):
+    if len({*labels}) < len(labels) or not all(label and label.isprintable() for label in labels):
         raise ArgumentError(f"detector must have different labels of printable characters, got {quote(labels)}.")
     return labelled

@@ -127,9 +127,9 @@ class SwarmConfig(SensorArguments, SizeArguments, BystanderArguments, MobilityAr
             raise ArgumentError(f"led_by must go from a number to a larger one, got {list(self.led_by)}.")
         if followers < 2 * self.clusters:
             raise ArgumentError(
-                f"uavs must be at least 3 * clusters + decoys + bystanders + traffic + clutter = "
-                f"{self.uavs - self.absent - followers + 2 * self.clusters} (every head has at least 2 followers), "
-                f"got {self.uavs - self.absent}."
+                f"uavs{' - absent' * bool(self.absent)} must be at least 3 * clusters + decoys + bystanders + traffic "
+                f"+ clutter = {self.uavs - self.absent - followers + 2 * self.clusters} (every head has at least 2 "
+                f"followers), got {self.uavs - self.absent}."
             )
         if 0 < self.miss_burst < max(1.0, odds := self.miss_rate / (1.0 - self.miss_rate)):
             raise ArgumentError(
