@@ -35,6 +35,7 @@ def found_in(*texts):
         ("a: b c", "", ["a leads no more."]),
         ("a: b", "a: b c", ["c follows a."]),
         ("a: b c d", "a: b", ["c, d no longer follow a."]),
+        ("a: b c", "a: b", ["c no longer follows a."]),
         ("a: b c, d: e f", "a: b c d e f", ["d and its 2 followers follow a."]),
         ("a: b c d e", "a: b c, d: e", ["d, which followed a, leads e."]),
         ("a: b c", "b: a c", ["b leads c instead of a."]),

@@ -149,7 +149,7 @@ class Event:
     probability: float | None = None
 
     def __str__(self) -> str:
-        follow = "follows" if len(self.ids) == 1 and self.kind != "leaves" else "follow"
+        follow = "follows" if len(self.ids) == 1 else "follow"
         group = f" and its {format_count(len(self.ids), 'follower')} follow" if self.ids else " follows"
         words = {"who": list_names(self.ids, _MAX_NAMES), "follow": follow, "group": group}
         interval = "" if self.low in (None, self.time) else f" ({self.low} to {self.high})"
