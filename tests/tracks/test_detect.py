@@ -181,9 +181,11 @@ def test_an_id_that_copies_two_has_no_direct_leader():
 def test_ids_that_are_seen_too_little_are_named(folder, run, tmp_path):
     lines = (folder / "flock.csv").read_text().splitlines()
     kept = [line for line in lines if not (line.startswith("bird-3,") and 60 < float(line.split(",")[1]) < 140)]
+    kept = [line for line in kept if not (line.startswith("bird-4,") and float(line.split(",")[1]) > 118)]
     (tmp_path / "gap.csv").write_text("\n".join(kept))
     found = find_leaders(read_tracks(tmp_path / "gap.csv").resample(0.5), "lagged-regression")
     assert [window.left_out for window in found.windows] == [(), ("bird-3",), (), (), ()]
+    assert len(found.leaders[0].followers) == 11  # bird-4 follows in both windows in which it is seen
     _, out, err = run("detect", tmp_path / "gap.csv", *QUICK, "--window", "250")
     for words in ("12 ids", "The step is 0.5 s", "bird-0", "Over the file"):
         assert words in out

@@ -74,7 +74,8 @@ class Leader:
         id: as in the file.
         probability: the detector's probability that the id leads, or ``None``; over the file, the mean over the windows
             in which it leads.
-        followers: the ids that follow it, directly or through others; over the file, in at least half of its windows.
+        followers: the ids that follow it, directly or through others; over the file, in at least half of those of its
+            windows in which they are seen.
         reason: why, a sentence.
         group: number of its group; a group keeps its number from window to window.
         score: the detector's score; over the file, the mean over the windows in which it leads.

@@ -103,7 +103,7 @@ def find_leaders(
     if "probability" in answers[0].extras:
         periods = trace_periods(resampled, found, partial(_ask_detector, player, seed), confirm)
         windows = tuple(blur_links(window, part, periods, tracks.ids) for part, _, window in found)
-    leaders = _summarise_leaders(windows, tracks.ids)
+    leaders = _summarise_leaders(windows, track_windows, tracks.ids)
     details = tuple(facts), resampled, track_windows, answers, seed, periods
     return FoundLeaders(windows, leaders, detector_label(player), tracks.ids, *details)
 
@@ -269,18 +269,21 @@ def _describe_chance(windows: Sequence[DetectedWindow]) -> str:
     return f"Confirmed in all windows: {leaders} of {format_count(candidates, 'candidate')}; {expected}."
 
 
-def _summarise_leaders(windows: Sequence[DetectedWindow], ids: Sequence[str | int]) -> tuple[Leader, ...]:
+def _summarise_leaders(
+    windows: Sequence[DetectedWindow], track_windows: Sequence[TrackWindow], ids: Sequence[str | int]
+) -> tuple[Leader, ...]:
     """The leaders over the file."""
     row = {name: k for k, name in enumerate(ids)}
-    entries_of: dict[tuple[int, int], list[Leader]] = {}  # by the group and the row of its leader
-    for window in windows:
+    found: dict[tuple[int, int], list[tuple[Leader, TrackWindow]]] = {}  # by the group and the row of its leader
+    for window, track_window in zip(windows, track_windows, strict=True):
         for leader in window.leaders:
-            entries_of.setdefault((leader.group, row[leader.id]), []).append(leader)
+            found.setdefault((leader.group, row[leader.id]), []).append((leader, track_window))
     leaders = []
-    for (group, head), entries in sorted(entries_of.items(), key=lambda item: (-len(item[1]), item[0])):
-        count = len(entries)
+    for (group, head), pairs in sorted(found.items(), key=lambda item: (-len(item[1]), item[0])):
+        entries, count = [leader for leader, _ in pairs], len(pairs)
+        seen = Counter(name for _, track_window in pairs for name in track_window.ids)
         windows_led = Counter(name for leader in entries for name in leader.followers)
-        followers = sorted((name for name, times in windows_led.items() if times >= count / 2), key=row.__getitem__)
+        followers = sorted((name for name, led in windows_led.items() if led >= seen[name] / 2), key=row.__getitem__)
         numbers = [(np.nan if leader.probability is None else leader.probability, leader.score) for leader in entries]
         probability, score = np.mean(numbers, axis=0).tolist()
         reason = f"Leads group {group} in {count} of {format_count(len(windows), 'window')}."
