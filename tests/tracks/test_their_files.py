@@ -169,6 +169,9 @@ def test_other_files_are_refused_by_their_name(tmp_path, name, text, expected):
 
 def test_what_cannot_be_known_is_refused_with_the_option_that_helps(tmp_path):
     assert "--time-format" in refusal(write_csv(tmp_path / "days.csv", rows(stamps("03/04/2024"))))
+    for zone in ("CEST", "EST", "UTC+2", "AM PST"):
+        zoned = write_csv(tmp_path / "zone.csv", rows([f"{each} {zone}" for each in stamps(hours="{}")]))
+        assert "(its time zone must be an offset such as +02:00, or Z" in refusal(zoned)
     for no_format in ("nonsense", "%Q"):
         assert f"got {no_format!r} for '0'" in refusal(write_csv(tmp_path / "t.csv", ROWS), time_format=no_format)
     assert "--columns" in refusal(write_csv(tmp_path / "t.txt", ROWS[1:], list(map(str, ROWS[0])), delimiter=" "))

@@ -82,6 +82,9 @@ _DAY_AND_MONTH = re.compile(r"(\d{1,2})[/.-](\d{1,2})[/.-]\d{4}\b")  # and month
 _DATE = re.compile(
     r"\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{1,2}[-/. ](\d{1,2}|[A-Za-z]{3,})[-/. ]\d{4}|[A-Za-z]{3,} \d{1,2},? \d{4}"
 )
+_ZONE_NAME = re.compile(  # after a time of day; pandas leaves names out, and reads UTC+2 as UTC-2
+    r"(:\d\d[\d:.,]*|\d ?[AaPp][Mm])\s*(?!(AM|PM|(UTC|GMT)(?!\s*[+-]))\b)[A-Z]{2,}"
+)
 _WHOLE_NUMBER = re.compile(r"([+-]?\d+)(\.0+)?")
 _AXIS_NAME = re.compile(r"(?P<axis>[xyz])_?(?P<id>\w+)|(?P<name>\w+?)_(?P<last>[xyz])")
 _DECIMAL_COMMA = re.compile(r"\s*[+-]?(\d*,\d+|\d+,)([eE][+-]?\d+)?\s*")
@@ -290,7 +293,8 @@ def _parse_timestamps(cells: pd.Series[Any], time_format: str | None) -> Floats:
     if not time_format and moments.isna().any() and texts.dtype.kind != "M":
         pairs = texts.str.extract(_DAY_AND_MONTH).dropna().astype(int)
         day_first, month_first = (bool((pairs[k] > 12).any()) for k in (0, 1))
-        is_clear = texts.str.contains(_DATE.pattern.replace("(", "(?:")) & (pairs.empty | (day_first != month_first))
+        is_clear = texts.map(lambda text: bool(_DATE.search(text) and not _ZONE_NAME.search(text)))
+        is_clear &= pairs.empty | (day_first != month_first)
         with warnings.catch_warnings(action="ignore"):  # of days and months
             texts = texts.where(is_clear)
             parsed = pd.to_datetime(texts, format="mixed", dayfirst=day_first, utc=True, errors="coerce")
@@ -322,6 +326,8 @@ def refuse_cell(role: str, column: pd.Series[Any], cell: Any, source: str) -> No
         got, hint = "none", " (missing='skip', or --skip-missing, skips such rows)"
     elif _DECIMAL_COMMA.fullmatch(str(cell)):
         hint = " (decimal=',', or --decimal , reads decimal commas)"
+    elif role in TIMES and _ZONE_NAME.search(str(cell)):
+        hint = " (its time zone must be an offset such as +02:00, or Z, UTC or GMT; other names are not read)"
     elif role in TIMES and re.search(r"\d\D\d", str(cell)):
         advice = "names another format; missing='skip', or --skip-missing, skips a few that can't be read"
         hint = f" (time_format='%d/%m/%Y %H:%M:%S', or --time-format, {advice})"
