@@ -251,7 +251,7 @@ BAD = {
     "empty cell": ("id,t,x,y\na,0,1,2\nb,0,1,\n", "got none in column 'y'"),
     "empty id": ("id,t,x,y\na,0,1,2\n,0,1,3\n", "got none in column 'id'"),
     "infinity": ("id,t,x,y\na,0,1,2\nb,0,inf,2\n", "in column 'x'"),
-    "one id": ("id,t,x,y\na,0,1,2\na,1,1,2\n", "at least 2 ids"),
+    "one id": ("id,t,x,y\na,0,1,2\n", "at least 2 ids, got '{path}' with 1 row of 'a'"),
     "two places": ("id,t,x,y\na,0,1,2\nb,0,1,2\na,0,5,5\n", "two places for id 'a'"),
     "text in numbers": ("id,t,x,y\na,0,1,2\nb,0,east,2\n", "'east' in column 'x'"),
     "truth values": ("id,t,x,y\na,0,True,2\nb,0,False,2\n", "True"),
@@ -263,8 +263,9 @@ BAD = {
     "a row too long": ("id,t,x,y\na,0,1,2\nb,0,1,2,3\n", "line 3"),
     "rows too long": ("id,t,x,y\na,0,1,2,4\nb,0,1,2,3\n", "Length of header"),
     "an open quote": ('id,t,x,y\n"a,0,1,2\nb,0,1,2\n', "not an intact file"),
-    "only names": ("id,t,x,y\n", "at least 2 ids"),
-    "nothing": ("", "columns"),
+    "only names": ("id,t,x,y\n", "at least 2 ids, got '{path}', which is empty."),
+    "nothing": ("", "at least 2 ids, got '{path}', which is empty."),
+    "blank lines": ("\n\n", "which is empty."),
     "zeros": ("\0" * 2**21, "not an intact file"),
 }
 
@@ -273,7 +274,7 @@ BAD = {
 def test_a_bad_csv_is_refused_in_one_sentence(tmp_path, what):
     text, expected = BAD[what]
     (tmp_path / "tracks.csv").write_text(text)
-    assert expected in refusal(tmp_path / "tracks.csv")
+    assert expected.format(path=tmp_path / "tracks.csv") in refusal(tmp_path / "tracks.csv")
 
 
 def test_rows_without_values_can_be_skipped_and_repetitions_are(tmp_path):

@@ -200,7 +200,9 @@ def test_no_window_has_parts_of_two_pooled_recordings(tmp_path):
     one = read_tracks(halves, pool_by="period")
     np.testing.assert_array_equal(one.time, read.time)
     assert [name for name, *_ in one.clock.recordings] == ["period 0", "period 1"]
-    assert "--pool-by" in refusal(halves, pool_by="half")
+    for wrong in ("half", "t", "id"):
+        assert f"other than id, t, x, y, got {wrong!r}; it has" in refusal(halves, pool_by=wrong)
+    assert read_tracks(halves, columns={"id": "period"}, duplicates="first").ids == ("0", "1")
     again = [[*row, 0] for row in ROWS] + [[*row[:2], row[2] + 1, row[3], 1] for row in ROWS]
     restarts = write_csv(tmp_path / "restarts.csv", again, [*HEADER, "period"])
     assert "60 of 120 rows" in refusal(restarts)

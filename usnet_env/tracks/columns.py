@@ -163,6 +163,8 @@ def choose_columns(
     time = "frame" if "frame" in chosen and ("frame" in mapped or "t" not in chosen) else "t"
     needed = ["id", time, *plane, *["confidence"] * confidence]
     chosen = {role: name for role, name in chosen.items() if role in (*needed, "z", "leader")}
+    if not any(header):
+        raise ArgumentError(f"path must hold the tracks of at least 2 ids, got {source}, which is empty.")
     missing = [role for role in needed if role not in chosen and not (one_id and role == "id")]
     if missing and any(map(is_number, header)):
         first = quote(" ".join(header)[:80])

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from usnet_env.arrays import Floats
-from usnet_env.config import ArgumentError, how_to_install, quote
+from usnet_env.config import ArgumentError, format_count, how_to_install, quote
 from usnet_env.files import as_path, describe_fault
 from usnet_env.tracks import columns as roles
 from usnet_env.tracks.readers import read_dataset
@@ -238,12 +238,14 @@ def _read_columns(
     others = {"visible": "visible"} if details["movebank"] and "visible" in header else {}
     if "t" in names and (dates := [name for name in header if name.strip().lower() == "date"]):
         others["date"] = dates[0]
-    recording = roles.find_recording(header) if options.pool_by is None else options.pool_by
+    other_names = [name for name in header if name not in names.values()]
+    recording = roles.find_recording(other_names) if options.pool_by is None else options.pool_by
     if recording is not None:
         others["recording"] = details["recording"] = recording
-        if header.count(recording) != 1:
+        if other_names.count(recording) != 1:
             got = f"{quote(recording)}; it has {', '.join(header)}"
-            raise ArgumentError(f"pool_by (--pool-by) must be a column of {source}, got {got}.")
+            rule = f"a column of {source} other than {', '.join(names.values())}"
+            raise ArgumentError(f"pool_by (--pool-by) must be {rule}, got {got}.")
     cells = table.read(names | others)
     if "id" in names and not mapping.get("id") and len(cells) > 1 and cells["id"].is_unique:
         other_names = [name for name in header if name != names["id"]]  # it numbers the rows
@@ -298,7 +300,8 @@ def _make_tracks(paths: list[str], files: list[_FileRows], options: Options, sou
         unit = 1 / rate if rate else None
     codes, ids = number_labels(rows["id"])
     if len(ids) < 2:
-        got = f"{source} with {counts['rows']} rows of {', '.join(map(quote, ids)) or 'no id'}"
+        found = f" with {format_count(counts['rows'], 'row')} of {', '.join(map(quote, ids)) or 'no id'}"
+        got = source + (found if counts["rows"] else ", which is empty")
         raise ArgumentError(f"path must hold the tracks of at least 2 ids, got {got}.")
     time = rows["frame" if "frame" in names else "t"].to_numpy()
     clock = Clock(unit=unit or 1.0, whole=bool((time == np.floor(time)).all()))
