@@ -137,12 +137,14 @@ def test_odd_ids_are_drawn_and_written_as_plain_text(run, tmp_path):
 
 def test_the_picture_has_the_coordinates_and_times_of_the_file(tmp_path):
     pytest.importorskip("matplotlib")
-    tracks = read_tracks(flock(tmp_path / "flock.csv", shift=1_700_000_000.5, move=500_000.0)).resample()
+    path = flock(tmp_path / "flock.csv", shift=1_700_000_000.5, move=500_000.0)
+    tracks = read_tracks(path, length_unit="px").resample()
     axes = find_leaders(tracks, "lagged-regression").plot_maps("flock.csv").axes[0]
     low, high = axes.get_xlim()
     places = [row[2] + 500_000.0 for row in example().flock() if row[1] <= 100]
     assert low < min(places) < max(places) < high
     assert axes.get_title(loc="left").startswith("1700000000.5 to 17000000")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("x in px", "y in px")
 
 
 def test_a_detector_without_followers_has_no_confirmed_leaders(run, tmp_path):

@@ -118,7 +118,7 @@ def test_the_step_is_longer_where_positions_are_noisy():
     moved = [((place[k:] - place[:-k]) ** 2).sum(axis=2).mean() / (4 * 3.0**2 / k) for k in (3, 4)]
     assert moved[0] < 4 < moved[1]
     assert (quiet.step, noisy.step) == (0.5, 4 * 0.5)
-    assert "about 3 m, and shorter delays may be missed" in noisy.notes[0]
+    assert "about 3 m from sample to sample, and shorter delays may be missed" in noisy.notes[0]
 
 
 def test_a_window_is_cut_alike_at_other_steps():
@@ -201,10 +201,13 @@ def test_gaps_jumps_and_uneven_sampling_are_reported_and_nothing_of_clean_tracks
     keep[100:110, 1] = False
     (found,) = dense(wandering(), seen=keep).report().warnings
     assert "takes 5.5 s, after 49.5 (id a1)" in found
+    keep[:100, 1:] = False
+    assert dense(wandering(), seen=keep).report().facts[1] == "1 of 6 ids is present throughout."
     places = wandering()
     places[200:, 3] += (300, 0, 0)
-    (found,) = dense(places).report().warnings
+    (found,) = replace(dense(places), frame="pixels").report().warnings
     assert found.startswith("1 jump, ")
+    assert found.count(" px/s") == 2
     assert "after 99.5 (id a3)" in found
     times = np.cumsum(np.random.default_rng(0).uniform(0.2, 0.8, 400))
     (found,) = dense(wandering(), times=times).report().warnings

@@ -33,7 +33,8 @@ def clean_samples(tracks: SamplesT) -> tuple[SamplesT, list[str]]:
     if jumps:
         notes.append(f"{format_count(jumps, 'jump')} closed: the track goes on from where it was before.")
     if noise:
-        notes.append(f"Heights are left out: their noise of about {noise:.2g} m hides the movement in a step.")
+        hidden = f"their noise of about {noise:.2g} {tracks.length_unit} hides the movement in a step"
+        notes.append(f"Heights are left out: {hidden}.")
     return cleaned, notes
 
 

@@ -87,6 +87,7 @@ def _draw_map(
     limits = drawing.limits_around(position[seen], 0.08, 1e-6)
     style: Any = {"axes": axes, "legend": False, "number": color_numbers, "limits": limits}
     drawing.draw_round(position, seen, alive, head, root, no_decoys, **style)
+    axes.set(xlabel=f"x in {tracks.length_unit}", ylabel=f"y in {tracks.length_unit}")
     last_position: Any = drawing.last_seen_position(position, seen)
     marks = drawing.round_marks(last_position, alive, head, root, no_decoys)
     return last_position, {mark: drawing.TRACK_WORDS.get(mark, mark) for mark, uavs in marks.items() if uavs.any()}

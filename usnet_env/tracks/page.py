@@ -93,7 +93,7 @@ def collect_data(
         "window_of": window_of,
         "windows": [_collect_window(window, row_of) for window in windows],
         **_scale(_locate(tracks, rows, numbers)),
-        "length_unit": "pixels" if tracks.frame == "pixels" else "m",
+        "length_unit": tracks.length_unit,
         "chances": [[_round(each.get(name)) for each in chances] for name in names] if any(chances) else None,
         "no_leader": [_round(each.get(None)) for each in chances],
         "curves": {

@@ -324,7 +324,8 @@ def _make_tracks(paths: list[str], files: list[_FileRows], options: Options, sou
         leader, sentences = match_leaders(*number_labels(rows["leader"]), codes, ids, f" in column {names['leader']}")
         notes += sentences
     fields: Any = {"clock": clock, "origin": origin, "leader": leader, "notes": notes, "duplicates": options.duplicates}
-    frame = "pixels" if options.length_unit == "px" and frame == "metres" else frame
+    is_pixels = frame == "metres" and (options.length_unit or roles.split_unit(names["x"])[1]) in roles.PIXELS
+    frame = "pixels" if is_pixels else frame
     tracks = Tracks(**sort_samples(ids, codes, time, axes, **fields), frame=frame, doubts=doubts)
     return tracks if options.split_gap is None else split_gaps(tracks, options.split_gap)
 

@@ -41,11 +41,13 @@ def describe_samples(tracks: Samples) -> tuple[str, ...]:
     first, last = tracks.time[tracks.offsets[filled]], tracks.time[tracks.offsets[filled + 1] - 1]
     slack = 0.01 * tracks.duration
     complete = int(((first <= slack) & (last >= tracks.duration - slack)).sum())
+    some = f"{complete} of {ids} ids {'is' if complete == 1 else 'are'}"
+    present = f"All {ids} ids are" if complete == ids else some
     return (
         f"{ids} ids, {tracks.samples} samples from {tracks.file_time(0.0)} to {tracks.file_time(tracks.duration)} "
         f"({format_seconds(tracks.duration)}), one every {format_seconds(interval)}; {tracks.dimensions}-D, "
         f"{tracks.frame}.",
-        f"{'All' if complete == ids else f'{complete} of'} {ids} ids are present throughout.",
+        f"{present} present throughout.",
     )
 
 
@@ -94,12 +96,13 @@ def _doubt_bodies(tracks: Samples) -> Iterator[str]:
 
 
 def _doubt_jumps(tracks: Samples, jumps: Jumps) -> Iterator[str]:
-    limit = f"more than {JUMP:g} times as fast as 95 % of the steps ({format_number(jumps.typical_speed, 3)} m/s)"
+    unit = f"{tracks.length_unit}/s"
+    limit = f"more than {JUMP:g} times as fast as 95 % of the steps ({format_number(jumps.typical_speed, 3)} {unit})"
     if count := len(jumps.spikes):
         first = _locate(tracks, int(jumps.spikes[0]))
         yield f"{format_count(count, 'spike')}, samples to and from which tracks move {limit}; the first is at {first}."
     steps = np.setdiff1d(jumps.steps, np.concatenate([jumps.spikes, jumps.spikes - 1]))
     if count := len(steps):
         fastest = int(steps[jumps.speed[steps].argmax()])
-        speed = format_number(jumps.speed[fastest], 3)
-        yield f"{format_count(count, 'jump')}, {limit}; the fastest has {speed} m/s, after {_locate(tracks, fastest)}."
+        speed = f"{format_number(jumps.speed[fastest], 3)} {unit}"
+        yield f"{format_count(count, 'jump')}, {limit}; the fastest has {speed}, after {_locate(tracks, fastest)}."

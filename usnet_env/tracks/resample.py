@@ -243,9 +243,9 @@ def choose_step(tracks: Samples, length: int = 0) -> tuple[float, str]:
         typical = f"typical delay {format_seconds(lag * step, 2)}, median of {followers}"
         reason = f"it is the shortest at which following shows ({typical})"
     sampled = f"{factors[best]:g} times the sampling interval".removeprefix("1 times ")
-    noisy = f"; the noise of the positions is about {format_number(noise, 2)} m" * bool(noise)
+    jitter = f"; the positions jitter by about {format_number(noise, 2)} {tracks.length_unit} from sample to sample"
     hidden = ", and shorter delays may be missed" if largest_lead and best == 0 and needed > 1 else ""
-    return step, f"The step is {format_seconds(step)}, {sampled}: {reason}{noisy}{hidden}."
+    return step, f"The step is {format_seconds(step)}, {sampled}: {reason}{jitter * bool(noise)}{hidden}."
 
 
 def _sample_velocities(tracks: Samples, interval: float) -> Floats:

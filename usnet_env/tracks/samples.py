@@ -99,6 +99,11 @@ class Samples:
         return 3 if (self.position[:, 2] != self.position[:1, 2]).any() else 2
 
     @property
+    def length_unit(self) -> str:
+        """What the positions are in, in short: ``px`` or ``m``."""
+        return "px" if self.frame == "pixels" else "m"
+
+    @property
     def duration(self) -> float:
         """Seconds from the earliest to the latest sample."""
         return float(self.time.max(initial=0.0))

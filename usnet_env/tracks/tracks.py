@@ -152,7 +152,7 @@ class Tracks(Samples):
 
         Args:
             step: seconds between grid times. ``None`` chooses it: at least so long that the movement in a step exceeds
-                the noise of the positions, and then the shortest that shows clearly which id follows which, after 1 to
+                the jitter of the positions, and then the shortest that shows clearly which id follows which, after 1 to
                 4 steps; ``notes`` say which and why.
             max_gap: longest time in seconds between two samples that is interpolated; ``None``: one and a half times
                 the interval that 90 % of the id's intervals don't exceed, at least the step.
