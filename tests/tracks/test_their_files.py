@@ -188,6 +188,7 @@ def test_an_id_that_is_used_again_is_another_one(tmp_path):
     assert (read.ids, read.offsets.tolist()) == (("a", "a/2", "b", "b/2"), [0, 2, 4, 6, 9])
     assert read.leader.tolist() == [-1, -1, -1, -1, 0, 0, 0, 0, 1]
     assert read_tracks(tmp_path / "again.csv", split_gap=60).ids == ("a", "b")
+    assert "split_gap (--split-gap) must be longer than" in refusal(tmp_path / "again.csv", split_gap=0.5)
 
 
 def test_no_window_has_parts_of_two_pooled_recordings(tmp_path):

@@ -209,6 +209,9 @@ def split_gaps(tracks: SamplesT, gap: float) -> SamplesT:
     parts = np.flatnonzero(np.append(True, ~tracks.inner_steps | (np.diff(tracks.time) > gap)))
     owner, start = tracks.owner[parts], tracks.time[parts]
     number = np.arange(len(parts)) - np.searchsorted(owner, owner)
+    if len(parts) == tracks.samples > len(tracks.ids):
+        got = f"{gap:g} s, which leaves each id with one sample"
+        raise ArgumentError(f"split_gap (--split-gap) must be longer than the sampling interval, got {got}.")
     if not number.any():
         return tracks
     ids = tuple(f"{tracks.ids[k]}/{n + 1}" if n else str(tracks.ids[k]) for k, n in zip(owner, number, strict=True))

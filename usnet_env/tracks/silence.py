@@ -53,7 +53,7 @@ def explain_silence(
         names = ", ".join(str(name) for name, _ in left_out)
         reasons.append(f"an id leads that is left out, as it is seen too little ({names})")
     if (steps := min(track_windows[k].window.observation_steps for k in leaderless)) < 2 * LEAST_STEPS:
-        reasons.append(f"windows of {steps} steps are short (--window)")
+        reasons.append(f"windows of {format_count(steps, 'step')} are short (--window)")
     if reasons:
         sentences.append(f"A leader may be missed because {', or '.join(reasons)}.")
     sums: Counter[str | int] = Counter()
