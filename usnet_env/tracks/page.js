@@ -9,7 +9,7 @@ const count = data.ids.length, shownLeaders = new Set(data.windows.flatMap((wind
 let instant = 0, chosen = data.first, pointed = -1, timer = 0;
 
 const text = () => getComputedStyle(map).color;
-const windowAt = (moment) => data.windows[data.window_of[moment]] || { leaders: [], links: [], start: "", end: "" };
+const windowAt = (moment) => data.windows[data.window_of[moment]] || { leaders: [], followers: [], links: [], start: "", end: "" };
 const seenAt = (i, moment) => data.points[i][2 * moment] >= 0;
 
 /** A canvas at the pixels of the screen: its context, its width and its height. */
@@ -168,8 +168,8 @@ function drawChances() {
 function describe() {
   const now = windowAt(instant), name = data.ids[chosen], during = `from ${now.start} to ${now.end}`;
   const link = now.links.find((each) => each.follower === chosen);
-  const behind = now.links.filter((each) => each.head === chosen).length;
-  if (now.leaders.includes(chosen)) return `${name} leads ${behind} id${behind === 1 ? "" : "s"} ${during}.`;
+  const behind = now.followers[now.leaders.indexOf(chosen)];
+  if (behind !== undefined) return `${name} leads ${behind} id${behind === 1 ? "" : "s"} ${during}.`;
   if (!link) return now.end === "" ? `${name}: this time is in no window.` : `${name} follows no leader ${during}.`;
   const late = link.delay === null ? "" : ` ${writeTime(link.delay)} later`;
   const range = link.low === null || link.delay === null ? "" : ` (95 %: ${writeTime(link.low)} to ${writeTime(link.high)})`;

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 from base64 import b64encode
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from html import escape
 from importlib.resources import files
+from itertools import chain, zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +19,7 @@ import pandas as pd
 from usnet_env.arrays import Floats, Indices
 from usnet_env.config import printable
 from usnet_env.files import write_html
-from usnet_env.tracks.found import DetectedWindow, Leader, Name
+from usnet_env.tracks.found import DetectedWindow, Leader, Link, Name
 from usnet_env.tracks.tracks import Tracks, TrackWindow
 
 _MAX_IDS, _MAX_INSTANTS = 100, 600  # of the map
@@ -111,11 +114,11 @@ def _round(value: float | None) -> float | None:
 
 
 def _choose_rows(tracks: Tracks, leaders: Sequence[Leader]) -> list[int]:
-    """The rows of the ids on the map: leaders first, then their followers, then the others."""
-    followers = [name for leader in leaders for name in leader.followers]
-    order = dict.fromkeys([*(leader.id for leader in leaders), *followers, *tracks.ids])
+    """The rows of the ids on the map: leaders first, then followers of each leader in turn, then the others."""
     row_of = {name: row for row, name in enumerate(tracks.ids)}
-    return [row_of[name] for name in order][:_MAX_IDS]
+    followers = chain(*zip_longest(*(leader.followers for leader in leaders)))
+    order = dict.fromkeys([*(leader.id for leader in leaders), *followers, *tracks.ids])
+    return [row_of[name] for name in order if name in row_of][:_MAX_IDS]
 
 
 def _locate(tracks: Tracks, rows: list[int], numbers: Indices) -> Floats:
@@ -152,16 +155,24 @@ def _number_windows(track_windows: Sequence[TrackWindow], seconds: Floats) -> li
 
 
 def _collect_window(window: DetectedWindow, row_of: Mapping[Name, int]) -> dict[str, Any]:
-    """The leaders and links of a window among the ids that are shown."""
+    """The leaders of a window, the numbers of all their followers, and the links, among the ids that are shown."""
     links = [
         {"follower": row_of[link.follower], "leader": row_of[link.leader], "head": row_of[link.head]}
         | {"direct": link.direct, "delay": _round(link.delay)}
         | {"low": _round(link.delay_low), "high": _round(link.delay_high)}
-        for link in window.links
-        if {link.follower, link.leader, link.head} <= row_of.keys()
+        for link in (_join_ends(link, row_of) for link in window.links)
+        if {link.follower, link.head} <= row_of.keys()
     ]
-    leaders = [row_of[leader.id] for leader in window.leaders if leader.id in row_of]
-    return {"start": str(window.start), "end": str(window.end), "leaders": leaders, "links": links}
+    behind = Counter(link.head for link in window.links)
+    leaders = {row_of[leader.id]: behind[leader.id] for leader in window.leaders if leader.id in row_of}
+    numbers = {"leaders": [*leaders], "followers": [*leaders.values()]}
+    return {"start": str(window.start), "end": str(window.end), **numbers, "links": links}
+
+
+def _join_ends(link: Link, row_of: Mapping[Name, int]) -> Link:
+    """The link, or one to the head where the id that is followed isn't shown."""
+    to_head: Any = {"direct": False, "delay_low": None, "delay_high": None}
+    return link if link.leader in row_of else replace(link, leader=link.head, delay=link.behind_head, **to_head)
 
 
 def _collect_curves(table: pd.DataFrame, chance: float, row_of: Mapping[Name, int]) -> dict[str, Any]:
