@@ -4,13 +4,16 @@ import json
 import re
 import shutil
 import subprocess
+import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 from test_track_tables import flying, stamp
-from track_files import Answers, Sure, answer_of, example, rows_of, straight, write_csv
+from track_files import Answers, Sure, answer_of, example, rows_of, straight, tracks_of, write_csv
 
+from usnet_env import Detection
 from usnet_env.tracks import Tracks, find_leaders, read_tracks
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -68,6 +71,27 @@ def test_ids_that_are_away_and_a_page_without_a_leader(tmp_path):
     assert "<img" not in page
     away = np.array(data["points"][data["ids"].index("bird-2")])[::2] < 0
     assert away.tolist() == [float(time) <= 60 for time in data["times"]]
+
+
+@pytest.mark.filterwarnings("ignore:.*was not drawn")
+def test_leaders_of_many_ids_share_the_map_and_the_network_names_only_them(tmp_path, monkeypatch):
+    """The second id leads 50 of 120, of which the last isn't shown; a link through it begins at the head."""
+    followed = np.append([0, 1], np.arange(118) >= 68)
+    answers = Answers(lambda uavs, _: Detection(np.arange(uavs) < 2, np.ones(uavs), leader=followed))
+    found = find_leaders(tracks_of(straight(40, 120)).resample(1.0), answers, length=39, confirm=False)
+    names = [each.get_text() for each in found.plot().axes[0].texts]
+    assert [name for name in names if name.startswith("a")] == ["a0", "a1"]
+    (window,) = found.windows
+    links = [replace(link, leader="a119", direct=True, behind_head=3.0) for link in window.links[:1]]
+    found = replace(found, windows=(replace(window, links=(*links, *window.links[1:])),))
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)  # without pictures
+    found.write(tmp_path)
+    _, data = read_data(tmp_path / "page.html")
+    (shown,) = data["windows"]
+    assert (shown["leaders"], shown["followers"]) == ([0, 1], [68, 50])
+    assert [sum(link["head"] == head for link in shown["links"]) for head in (0, 1)] == [49, 49]
+    link = next(link for link in shown["links"] if data["ids"][link["follower"]] == "a2")
+    assert (link["leader"], link["direct"], link["delay"]) == (0, False, 3.0)
 
 
 @pytest.mark.slow  # a browser starts

@@ -127,7 +127,8 @@ def draw_network(rows: pd.DataFrame, windows: int, colors: Mapping[Name, str], a
         size, color = 420 if name in heads else 200, colors.get(name, colors[main_head[name]])
         axes.scatter(*point, s=size, color=color, edgecolor="black", linewidth=0.6, zorder=3)
         style = {"textcoords": "offset points", "fontsize": 8, "ha": "center", "zorder": 4, "bbox": _BOX}
-        axes.annotate(_shorten_names([name])[0], point, xytext=(0, 13), **style)
+        if name in heads or len(position) <= _MAX_LABELS:
+            axes.annotate(_shorten_names([name])[0], point, xytext=(0, 13), **style)
     axes.set(xlim=(-1.2, 1.2), ylim=(-1.2, 1.2), aspect="equal")
     axes.set_axis_off()
     note = "\n(dashed: in the group of, directly or not)" * (len(links) > 0 and not links["direct"].all())
