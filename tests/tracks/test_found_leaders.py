@@ -71,8 +71,9 @@ def test_pictures_show_links_delays_and_heads():
     assert len(timeline.lines) == 4  # stars
     with pytest.raises(ArgumentError, match=r"^tracks must be given for maps and episodes, got "):
         found.plot_maps()
-    for draw in (found_in("").plot, found_in("").plot_delays, found_in("").plot_timeline):
-        assert draw().axes[0].get_title() == "No leader was found."
+    empty = found_in("")
+    titles = [draw().axes[0].get_title() for draw in (empty.plot, empty.plot_delays, empty.plot_timeline)]
+    assert titles == ["No window has a leader.", "No window has a leader.", "No leader was found."]
 
 
 def test_a_data_frame_is_read_like_a_file():

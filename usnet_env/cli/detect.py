@@ -184,7 +184,8 @@ def _follow_stream(tracks: tuple[str, ...], reading: dict[str, Any], **options: 
 def _print_leaders(found: FoundLeaders, by_windows: bool) -> None:
     headings = ["leader", "p", "followers", "why"]
     summary = [[*_list_cells(leader), f"{leader.share or 0.0:.0%}"] for leader in found.leaders]
-    _show_table(f"Over the file, by {found.detector}", [*headings, "windows"], summary or [["none found"]])
+    none_found = "none in a whole window" if found.colors else "none found"
+    _show_table(f"Over the file, by {found.detector}", [*headings, "windows"], summary or [[none_found]])
     events = [printable(event) for event in (*found.confounds, *found.events)]
     if len(events) > _MAX_ROWS:
         events[_MAX_ROWS:] = [f"{len(events) - _MAX_ROWS} more changes; --out DIR writes all windows."]

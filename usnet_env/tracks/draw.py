@@ -132,7 +132,7 @@ def draw_network(rows: pd.DataFrame, windows: int, colors: Mapping[Name, str], a
     axes.set(xlim=(-1.2, 1.2), ylim=(-1.2, 1.2), aspect="equal")
     axes.set_axis_off()
     note = "\n(dashed: in the group of, directly or not)" * (len(links) > 0 and not links["direct"].all())
-    axes.set_title(f"Followers and their leaders{note}" if len(rows) else "No leader was found.", fontsize=11)
+    axes.set_title(f"Followers and their leaders{note}" if len(rows) else "No window has a leader.", fontsize=11)
     return figure
 
 
@@ -152,7 +152,7 @@ def draw_delays(rows: pd.DataFrame, ax: Any = None) -> Figure:
     table, error = table / size, error / size
     figure, axes = _make_axes(ax, 2.5 + 0.9 * table.shape[1], 1.5 + 0.3 * table.shape[0])
     note = "± half of the 95 % interval" + "\n(in brackets: not surely direct)" * bool((direct < 0.5).any())
-    axes.set_title(f"Median delay in {unit}\n{note}" if table.size else "No leader was found.", fontsize=10)
+    axes.set_title(f"Median delay in {unit}\n{note}" if table.size else "No window has a leader.", fontsize=10)
     if table.size:
         image = axes.imshow(table.to_numpy(), cmap="viridis", aspect="auto", vmin=0.0)
         figure.colorbar(image, ax=axes)

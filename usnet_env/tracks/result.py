@@ -82,13 +82,18 @@ class FoundLeaders:
     def __str__(self) -> str:
         leading = [(each.id, format_count(len(each.followers), "id"), each.share or 0.0) for each in self.leaders]
         lines = [f"{name} leads {count} in {share:.0%} of the windows." for name, count, share in leading]
-        return "\n".join([*(lines or ["No leader was found."]), *self.confounds, *map(str, self.events)])
+        return "\n".join([*(lines or [self._silence]), *self.confounds, *map(str, self.events)])
 
     def _repr_html_(self) -> str:
         rows = [[each.id, each.probability, ", ".join(map(str, each.followers)), each.reason] for each in self.leaders]
         table = pd.DataFrame(rows, columns=["leader", "p", "followers", "why"]).astype({"p": float})
         html = table.to_html(index=False, na_rep="", float_format="{:.2f}".format)
-        return str(html) if rows else "<p>No leader was found.</p>"
+        return str(html) if rows else f"<p>{self._silence}</p>"
+
+    @property
+    def _silence(self) -> str:
+        """What to say if no window has a leader: the periods may have one for a part of a window."""
+        return "No leader is confirmed in a whole window." if self.colors else "No leader was found."
 
     @property
     def confounds(self) -> list[str]:
