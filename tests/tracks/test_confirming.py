@@ -258,8 +258,8 @@ def test_a_late_clock_is_named():
 def test_followers_that_mirror_their_leader_are_no_proof_that_none_leads():
     text = str(find_leaders(tracks_of(follow(300, [2, 3, 4, 5], gain=np.array([-1.0, 1.0])))))
     assert "nobody" not in text
-    assert text.startswith("No leader is confirmed in a whole window.\n")
-    assert "From 0.0: a1 leads " in text  # for a part of the window
+    assert text.startswith("No leader is confirmed in a whole window; one is found for a part of the time.\n")
+    assert "From 0.0: a1 leads " in text
     assert "The nearest candidate is" in text
 
 

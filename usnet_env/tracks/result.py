@@ -93,7 +93,8 @@ class FoundLeaders:
     @property
     def _silence(self) -> str:
         """What to say if no window has a leader: the periods may have one for a part of a window."""
-        return "No leader is confirmed in a whole window." if self.colors else "No leader was found."
+        partly = "No leader is confirmed in a whole window; one is found for a part of the time."
+        return partly if self.colors else "No leader was found."
 
     @property
     def confounds(self) -> list[str]:
