@@ -180,3 +180,10 @@ def test_windows_that_are_too_short_for_the_test_are_named(run, tmp_path):
     for length, words in (("15", ()), ("15", ("--unconfirmed",)), ("16", ())):
         _, out, _ = run("detect", path, *QUICK, "--window", length, *words)
         assert ("too short for the test that confirms leaders" in out) == (length == "15" and not words)
+
+
+@pytest.mark.parametrize(("step", "warned"), [("0.1", True), ("0.25", False)])
+def test_a_step_far_below_the_sampling_interval_is_warned_of(run, tmp_path, step, warned):
+    path = write_csv(tmp_path / "tracks.csv", rows_of(straight(steps=80)))
+    _, _, err = run("detect", path, "--detector", "none", "--step", step)
+    assert err.count(f"warning: The step of {step} s is far below the sampling interval, 0.5 s: ") == warned

@@ -142,6 +142,8 @@ def detect(
     for sentence in warnings_of_file:
         print_message(f"warning: {sentence}")
     resampled = file_tracks.resample(step, max_gap=max_gap, keep_spikes=keep_spikes, length=window or 0)
+    for sentence in resampled.doubts[len(file_tracks.doubts) :]:
+        print_message(f"warning: {sentence}")
     window = resampled.choose_length() if window is None else window
     if folder is not None:
         reserve_folder(folder)

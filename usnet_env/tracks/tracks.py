@@ -12,7 +12,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from usnet_env.arrays import Floats, Indices
-from usnet_env.config import ArgumentError, MissingExtraError, quote, real_number, whole_number
+from usnet_env.config import ArgumentError, MissingExtraError, format_seconds, quote, real_number, whole_number
 from usnet_env.tracks.clean import clean_samples
 from usnet_env.tracks.report import TrackReport, describe_samples, find_problems
 from usnet_env.tracks.resample import choose_step, resample_positions, typical_intervals, typical_stay
@@ -87,7 +87,7 @@ class Tracks(Samples):
         clock: how seconds are written as times of the file.
         frame: what the positions are, in words.
         notes: what the reader decided or found, a sentence each.
-        doubts: what the reader warns of, a sentence each.
+        doubts: what the reader warns of, and resampling, a sentence each.
         step: seconds between the samples if they lie on the common grid of :meth:`resample`, otherwise ``None``.
         source: the tracks of which :attr:`other_steps` are made, if the step was chosen.
         sampled: of resampled tracks, sentences about them before.
@@ -171,6 +171,10 @@ class Tracks(Samples):
             tracks, changes = clean_samples(self)
             notes += changes
         source = replace(tracks, leader=None) if step is None else None
+        interval, doubts = float(np.nanmedian(typical_intervals(self))), self.doubts
+        if step is not None and step < interval / 2:
+            far = f"The step of {format_seconds(step)} is far below the sampling interval, {format_seconds(interval)}"
+            doubts = (*doubts, f"{far}: most positions are interpolated, and what is found may be wrong.")
         if step is None:
             step, reason = choose_step(tracks, length)
             notes.append(reason)
@@ -179,7 +183,8 @@ class Tracks(Samples):
             got = f"{step:g} s for tracks of {self.duration:g} s"
             raise ArgumentError(f"step must be so short that an id is seen at two times, got {got} (--step sets it).")
         sampled = self.sampled or describe_samples(self)
-        return replace(resampled, notes=tuple(notes), source=source, sampled=sampled, max_gap=max_gap)
+        details: Any = {"notes": tuple(notes), "doubts": doubts, "source": source, "sampled": sampled}
+        return replace(resampled, max_gap=max_gap, **details)
 
     @cached_property
     def other_steps(self) -> tuple[Tracks, ...]:
