@@ -10,7 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import chain, pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,8 +19,8 @@ from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.detection import Detection
 from usnet_env.objectives import find_roots
 from usnet_env.tracks.confirm import confirm_leaders
+from usnet_env.tracks.dates import NO_LEADER, Dates, Span, join_dates, read_date, weigh_dates
 from usnet_env.tracks.found import DetectedWindow, Event, Found, Name, name_kind
-from usnet_env.tracks.links import cut_positions
 from usnet_env.tracks.samples import keep_samples
 from usnet_env.tracks.tracks import Tracks, TrackWindow
 
@@ -28,11 +29,8 @@ _MAX_WINDOWS, _MAX_IDS = 400, 20_000  # short windows; ids in all of them
 _WHOLE_FILE_IDS = 5_000  # in all short windows of a file that is read wholly
 _MAX_DISTANCE = 0.3  # share of windows in which the members of a group have different roots
 _CHANGE_PRICE = 24.0  # of a change, in nats
-_LOG_ZERO = -5.0  # the logarithm of a probability that a detector gives as 0
-_MAX_LAG = 12  # steps
-_TAIL = 0.025  # of the probability on each side of an interval
 _IMPOSSIBLE = -1e6  # evidence for what can't be
-NO_LEADER = -1
+_LOG_ZERO = -5.0  # the logarithm of a probability that a detector gives as 0
 
 
 @dataclass(frozen=True)
@@ -58,6 +56,44 @@ class Period:
     probability: float
 
 
+class _Path(NamedTuple):
+    """The leader of a group in each of W short windows.
+
+    Args:
+        rows: of the members.
+        centres: of the windows, in seconds, ``(W,)``.
+        evidence: for each state in each window, ``(W, C)``.
+        states: rows of leaders, and -1.
+        leader: in each window, ``(W,)``.
+    """
+
+    rows: Indices
+    centres: Floats
+    evidence: Floats
+    states: Indices
+    leader: Indices
+
+    @property
+    def bounds(self) -> list[int]:
+        """The window at which each period begins, and W."""
+        return [0, *(np.flatnonzero(np.diff(self.leader)) + 1).tolist(), len(self.leader)]
+
+    def list_periods(self, ends: Span) -> list[Period]:
+        """The periods, which change midway between two windows."""
+        cuts, members = np.array(self.bounds[1:-1], np.int64), tuple(self.rows.tolist())
+        times = [ends[0], *((self.centres[cuts - 1] + self.centres[cuts]) / 2).tolist(), ends[1]]
+        spans = zip(self.leader[self.bounds[:-1]].tolist(), pairwise(times), strict=True)
+        return [Period(members, leader, start, end, start, start, 1.0) for leader, (start, end) in spans]
+
+    def compare(self, k: int) -> float:
+        """The probability that period k begins, by the evidence of windows that don't overlap, beside no change."""
+        start, cut, end = self.bounds[k - 1 : k + 2]
+        old, new = (int(np.flatnonzero(self.states == self.leader[window])[0]) for window in (start, cut))
+        with_change = self.evidence[start:cut, old].sum() + self.evidence[cut:end, new].sum()
+        without_change = max(self.evidence[start:end, state].sum() for state in (old, new))
+        return round(float(1 / (1 + np.exp(-(with_change - without_change) * _STRIDE / _LENGTH))), 6)
+
+
 def trace_periods(
     resampled: Tracks, found: Sequence[Found], answer: Callable[[TrackWindow], Detection], confirm: bool
 ) -> tuple[Period, ...]:
@@ -80,7 +116,7 @@ def trace_periods(
     short_windows = [each for each in span_tracks.windows(_LENGTH, stride) if each.end <= span[1] + step / 2]
     root, log_p_leads, log_p_none = _read_roots(short_windows, answer, len(resampled.ids))
     centres = np.array([(each.start + each.end) / 2 for each in short_windows])
-    periods = list[Period]()
+    paths = list[_Path]()
     for rows in _find_groups(root):
         present = np.flatnonzero((root[:, rows] >= 0).any(axis=1))
         if not len(present):
@@ -92,14 +128,14 @@ def trace_periods(
         evidence = _compute_evidence(group_root, rows, log_p_leads[present], log_p_none[present], candidates)
         evidence[_find_led_times({resampled.ids[row] for row in rows}, group_centres, found), -1] = _IMPOSSIBLE
         states = np.append(candidates, NO_LEADER)
-        path = states[_find_path(evidence, _CHANGE_PRICE)]
-        group_periods = _list_periods(resampled, rows, path, evidence, states, group_centres, ends)
-        if not confirm or any(_is_supported(each, resampled, found) for each in group_periods):
-            periods += group_periods
+        path = _Path(rows, group_centres, evidence, states, states[_find_path(evidence, _CHANGE_PRICE)])
+        if not confirm or any(_is_supported(each, resampled, found) for each in path.list_periods(ends)):
+            paths.append(path)
+    periods = chain(*_date_periods(resampled, paths, ends))
     return tuple(sorted(periods, key=lambda each: (each.start, -len(each.rows))))
 
 
-def _find_span(found: Sequence[Found]) -> tuple[float, float] | None:
+def _find_span(found: Sequence[Found]) -> Span | None:
     """From the window before the first one that differs from it to the last such one, in seconds."""
     heads = [
         {name: t.ids[root] if root >= 0 else None for name, root in zip(t.ids, window.roots(t.ids), strict=True)}
@@ -184,88 +220,22 @@ def _find_path(evidence: Floats, price: float) -> Indices:
     return path
 
 
-def _list_periods(
-    tracks: Tracks,
-    rows: Indices,
-    path: Indices,
-    evidence: Floats,
-    states: Indices,
-    centres: Floats,
-    ends: tuple[float, float],
-) -> list[Period]:
-    """The periods of a group, from the leader in each window ``(W,)``, with the times at which they change."""
-    cuts = np.flatnonzero(np.diff(path)) + 1
-    bounds = [0, *cuts.tolist(), len(path)]
-    middles = [(centres[a] + centres[b - 1]) / 2 for a, b in pairwise(bounds)]
-    changes = [(ends[0], ends[0], ends[0], 1.0)]
-    for k, cut in enumerate(cuts):
-        old_windows, new_windows = slice(bounds[k], cut), slice(cut, bounds[k + 2])
-        guess = (centres[cut - 1] + centres[cut]) / 2
-        change = find_change(tracks, rows, int(path[cut - 1]), int(path[cut]), (middles[k], guess, middles[k + 1]))
-        changes.append((*change, _compare_paths(evidence, path, states, old_windows, new_windows)))
-    starts = [*(each[0] for each in changes), ends[1]]
-    return [
-        Period(tuple(rows.tolist()), int(path[bounds[k]]), start, starts[k + 1], low, high, probability)
-        for k, (start, low, high, probability) in enumerate(changes)
-    ]
-
-
-def _compare_paths(evidence: Floats, path: Indices, states: Indices, old_windows: slice, new_windows: slice) -> float:
-    """The probability of a change by the evidence of windows that don't overlap, beside no change."""
-    old_state, new_state = (int(np.flatnonzero(states == path[k.start])[0]) for k in (old_windows, new_windows))
-    with_change = evidence[old_windows, old_state].sum() + evidence[new_windows, new_state].sum()
-    all_windows = slice(old_windows.start, new_windows.stop)
-    without_change = max(evidence[all_windows, old_state].sum(), evidence[all_windows, new_state].sum())
-    return round(float(1 / (1 + np.exp(-(with_change - without_change) * _STRIDE / _LENGTH))), 6)
-
-
-def find_change(
-    tracks: Tracks, rows: Indices, old: int, new: int, between: tuple[float, float, float]
-) -> tuple[float, float, float]:
-    """The second at which the members stop copying ``old`` and begin to copy ``new``, and its 95 % interval.
-
-    Before and after, each velocity is that of the leader some steps earlier, times a number, or constant if the leader
-    is -1. The time is the one with the least sum of squared residuals. ``rows`` are those of the members; the leaders
-    don't count, unless there is no other. ``between`` are seconds: the earliest time, a guess, and the latest.
-    """
-    step = float(tracks.step or 1.0)
-    followers = rows[~np.isin(rows, (old, new))] if len(np.setdiff1d(rows, (old, new))) else rows[:1]
-    begin = max(between[0] - _MAX_LAG * step, 0.0)
-    position, seen = cut_positions(tracks, np.append(followers, [old, new]), begin, between[2])
-    velocity, velocity_seen = np.diff(position, axis=0), (seen[1:] & seen[:-1])[:, : len(followers)]
-    first_instant = np.ceil(begin / step - 1e-6)
-    low, cut, high = (int(np.clip(round(t / step) - first_instant, 1, len(velocity) - 1)) for t in between)
-    low = min(max(low, _MAX_LAG), cut)
-    for _ in range(4):
-        old_squares = _compute_residuals(velocity[:, :-2], velocity[:, -2], velocity_seen, slice(low, cut), old >= 0)
-        new_squares = _compute_residuals(velocity[:, :-2], velocity[:, -1], velocity_seen, slice(cut, high), new >= 0)
-        total = np.cumsum(old_squares)[low:high] + new_squares.sum() - np.cumsum(new_squares)[low:high]
-        if (best_cut := low + 1 + int(total.argmin())) == cut:
-            break
-        cut = min(max(best_cut, low + 2), high - 2) if high - low > 4 else cut
-    degrees = max(velocity_seen[low:high].sum() * velocity.shape[2], 1)
-    likelihood = np.exp(-(total - total.min()) / 2 / max(total.min() / degrees, 1e-300))
-    cumulative = np.cumsum(likelihood) / likelihood.sum()
-    earliest, latest = (low + 1 + int(np.searchsorted(cumulative, level)) for level in (_TAIL, 1 - _TAIL))
-    instants = cut, min(earliest, cut - 1), max(latest, cut + 1)
-    time, start, end = (round(float((first_instant + k) * step), 9) for k in instants)
-    return time, start, end
-
-
-def _compute_residuals(velocity: Floats, leader_velocity: Floats, seen: Mask, part: slice, is_led: bool) -> Floats:
-    """``(T,)`` squared residuals of velocities ``(T, n, d)``, by the lags and gains that fit best in a part."""
-    if not is_led:
-        residual = velocity - velocity[part].mean(axis=0)
-        return np.asarray((residual**2).sum(axis=2) * seen).sum(axis=1)
-    lags = np.arange(min(_MAX_LAG, part.stop - 1) + 1)
-    past = leader_velocity[np.maximum(np.arange(len(velocity)) - lags[:, None], 0)]  # (K, T, d)
-    follower_velocity = velocity[part] * seen[part, :, None]
-    dot = np.einsum("tnd,ktd->kn", follower_velocity, past[:, part])
-    past_square = np.maximum(np.einsum("tn,ktd,ktd->kn", seen[part], past[:, part], past[:, part]), 1e-300)
-    best = (dot**2 / past_square * (dot > 0)).argmax(axis=0)
-    gain = np.maximum(np.take_along_axis(dot / past_square, best[None], axis=0)[0], 0.0)
-    residual = velocity - gain[:, None] * past[best].transpose(1, 0, 2)
-    return np.asarray(((residual**2).sum(axis=2) * seen).sum(axis=1))
+def _date_periods(tracks: Tracks, paths: Sequence[_Path], ends: Span) -> list[list[Period]]:
+    """The periods of each group; changes at once, from and to the same leader, have one date."""
+    moves = dict[tuple[int, int], list[tuple[int, int, Dates]]]()
+    periods = [path.list_periods(ends) for path in paths]
+    for g, (path, group_periods) in enumerate(zip(paths, periods, strict=True)):
+        middles = [(path.centres[a] + path.centres[b - 1]) / 2 for a, b in pairwise(path.bounds)]
+        for k, (old, new) in enumerate(pairwise(group_periods), start=1):
+            between = middles[k - 1], new.start, middles[k]
+            dates = weigh_dates(tracks, path.rows, old.leader, new.leader, between)
+            moves.setdefault((old.leader, new.leader), []).append((g, k, dates))
+    for changes in moves.values():
+        for (g, k, _), dates in zip(changes, join_dates([dates for _, _, dates in changes]), strict=True):
+            start, low, high = read_date(dates, float(tracks.step or 1.0))
+            periods[g][k - 1] = replace(periods[g][k - 1], end=start)
+            periods[g][k] = replace(periods[g][k], start=start, low=low, high=high, probability=paths[g].compare(k))
+    return periods
 
 
 def _is_supported(period: Period, tracks: Tracks, found: Sequence[Found]) -> bool:
@@ -288,23 +258,23 @@ def _is_supported(period: Period, tracks: Tracks, found: Sequence[Found]) -> boo
 
 
 def list_events(periods: Sequence[Period], tracks: Tracks) -> tuple[Event, ...]:
-    """The events between the periods of each group; groups that change at once, from and to the same, have one."""
-    leader_of = dict[tuple[int, ...], int]()
-    moves = dict[tuple[float, int, int], list[Period]]()
+    """The events between the periods of each id; ids that change at once, from and to the same, have one."""
+    leader_of, moves = dict[int, int](), dict[tuple[float, int, int], dict[int, Period]]()
     for period in sorted(periods, key=lambda period: period.start):
-        old_leader = leader_of.get(period.rows, NO_LEADER)
-        leader_of[period.rows] = period.leader
-        if old_leader != period.leader:
-            moves.setdefault((period.start, old_leader, period.leader), []).append(period)
+        for row in period.rows:
+            old_leader = leader_of.get(row, NO_LEADER)
+            leader_of[row] = period.leader
+            if old_leader != period.leader:
+                moves.setdefault((period.start, old_leader, period.leader), {})[row] = period
     events = []
     for (time, *heads), changes in moves.items():
-        rows = sorted(row for period in changes for row in period.rows)
+        rows = sorted(changes)
         old, new = (None if head == NO_LEADER else tracks.ids[head] for head in heads)
         kind = name_kind(heads[0] in rows, heads[1] in rows, old, new)
         ids = tuple(tracks.ids[row] for row in rows if row not in heads)
-        low = tracks.file_time(min(period.low for period in changes))
-        high = tracks.file_time(max(period.high for period in changes))
-        probability = min(period.probability for period in changes)
+        low = tracks.file_time(min(period.low for period in changes.values()))
+        high = tracks.file_time(max(period.high for period in changes.values()))
+        probability = min(period.probability for period in changes.values())
         event = Event(tracks.file_time(time), kind, ids, old, new, low, high, probability)
         events += [event] if ids or kind in ("ends", "merges") else []
     return tuple(events)

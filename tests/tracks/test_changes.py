@@ -1,0 +1,69 @@
+"""When leaders change: dates, and who leads when, with a detector that knows the leaders, but is unsure at times."""
+
+import numpy as np
+import pytest
+from track_files import tracks_of
+
+from usnet_env import Detection
+from usnet_env.tracks import find_leaders
+
+STEPS, FREE = 240, -1
+
+
+class Knows:
+    """Gives the leaders that ``says`` gives for the middle of each short window, and of the whole file."""
+
+    def __init__(self, says):
+        self.says, self.number = says, -1
+
+    def reset(self, seed=None):
+        self.number += 1
+
+    def detect(self, window):
+        middle = STEPS // 2 if window.observation_steps > 40 else 5 * (self.number - 1) + 20
+        leader = np.array(self.says(middle))[: window.uavs]
+        leader = np.where(leader == FREE, np.arange(window.uavs), leader)
+        others = leader[leader != np.arange(window.uavs)]
+        leads = np.isin(np.arange(window.uavs), others) & (leader == np.arange(window.uavs))
+        return Detection(leads, leads * 1.0, leader=leader, extras={"probability": leads * 1.0})
+
+
+def lead(plan, seed=0, noise=0.15, seen=None):
+    """Tracks of ids that copy the leader ``plan(t)`` gives for each, 2 steps later, or go on freely."""
+    rng = np.random.default_rng(seed)
+    ids = len(plan(0))
+    heading = np.cumsum(rng.normal(0, 0.3, (STEPS, ids)), axis=0)
+    free = np.stack([np.cos(heading), np.sin(heading)], axis=2)
+    velocity = rng.normal(0, noise, (STEPS, ids, 2))
+    for t in range(STEPS):
+        for i, leader in enumerate(plan(t)):
+            velocity[t, i] = free[t, i] if leader == FREE else velocity[t, i] + velocity[max(0, t - 2), leader]
+    place = 20 * rng.normal(size=(ids, 2)) + np.cumsum(velocity, axis=0)
+    return tracks_of(place, names=range(ids), seen=seen).resample(1.0)
+
+
+def find(plan, says=None, seen=None):
+    return find_leaders(lead(plan, seen=seen), Knows(says or plan), length=STEPS - 1, confirm=False)
+
+
+@pytest.mark.parametrize("kind", ["merges", "splits"])
+def test_a_group_that_keeps_its_leader_is_dated_by_the_motion_of_that_leader(kind):
+    """Id 4 leads 5 to 7 all the time, and follows id 0 from 120 on, or until then."""
+
+    def plan(t):
+        return [FREE, 0, 0, 0, 0 if (t >= 120) == (kind == "merges") else FREE, 4, 4, 4]
+
+    *_, change = find(plan, lambda t: [0] * 8 if plan(t)[4] == 0 else plan(t)).events
+    assert (change.kind, change.ids) == (kind, (5, 6, 7))
+    assert change.low <= 119 <= change.high <= change.low + 8
+
+
+def test_ids_that_cease_to_follow_at_once_have_one_date():
+    """The detector sees it earlier or later for each."""
+
+    def says(t):
+        return [FREE, *(0 if t < end else FREE for end in (60, 80, 100, 110, 118))]
+
+    start, end = find(lambda t: [FREE, *[0 if t < 110 else FREE] * 5], says).events
+    assert (start.time, end.ids) == (0, (1, 2, 3, 4, 5))
+    assert end.low <= 109 <= end.high <= end.low + 4
