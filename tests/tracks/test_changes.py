@@ -42,8 +42,8 @@ def lead(plan, seed=0, noise=0.15, seen=None):
     return tracks_of(place, names=range(ids), seen=seen).resample(1.0)
 
 
-def find(plan, says=None, seen=None):
-    return find_leaders(lead(plan, seen=seen), Knows(says or plan), length=STEPS - 1, confirm=False)
+def find(plan, says=None, seen=None, *, confirm=False):
+    return find_leaders(lead(plan, seen=seen), Knows(says or plan), length=STEPS - 1, confirm=confirm)
 
 
 @pytest.mark.parametrize("kind", ["merges", "splits"])
@@ -67,3 +67,20 @@ def test_ids_that_cease_to_follow_at_once_have_one_date():
     start, end = find(lambda t: [FREE, *[0 if t < 110 else FREE] * 5], says).events
     assert (start.time, end.ids) == (0, (1, 2, 3, 4, 5))
     assert end.low <= 109 <= end.high <= end.low + 4
+
+
+def test_ids_follow_on_where_the_detector_is_unsure():
+    (start,) = find(lambda t: [FREE, 0, 0, 1, 1], lambda t: [FREE] * 5 if 100 < t < 160 else [FREE, 0, 0, 1, 1]).events
+    assert (start.time, start.kind) == (0, "leads")
+
+
+def test_a_leader_that_no_window_names_is_one_only_if_its_past_explains_the_motion():
+    """Id 1 is said to follow id 3 up to 70; all follow id 0 from 110 on."""
+
+    def says(t):
+        return [FREE, 3 if t < 70 else FREE, FREE, FREE] if t < 110 else [FREE, 0, 0, 0]
+
+    found = find(lambda t: [FREE, *[0 if t >= 110 else FREE] * 3], says, confirm=True).events
+    assert {event.new for event in found} == {0}
+    assert found[-1].low <= 109 <= found[-1].high
+    assert 1 in found[-1].ids

@@ -19,7 +19,7 @@ from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.detection import Detection
 from usnet_env.objectives import find_roots
 from usnet_env.tracks.confirm import confirm_leaders
-from usnet_env.tracks.dates import NO_LEADER, Dates, Span, join_dates, read_date, weigh_dates
+from usnet_env.tracks.dates import NO_LEADER, Dates, Span, explain_motion, join_dates, read_date, weigh_dates
 from usnet_env.tracks.found import DetectedWindow, Event, Found, Name, name_kind
 from usnet_env.tracks.samples import keep_samples
 from usnet_env.tracks.tracks import Tracks, TrackWindow
@@ -30,6 +30,8 @@ _WHOLE_FILE_IDS = 5_000  # in all short windows of a file that is read wholly
 _MAX_DISTANCE = 0.3  # share of windows in which the members of a group have different roots
 _CHANGE_PRICE = 24.0  # of a change, in nats
 _IMPOSSIBLE = -1e6  # evidence for what can't be
+_LEAST_GAIN = 6.0  # of the past of a leader that no window names, in nats
+_CUTS = 5  # places in a time without a leader at which one may take over from another
 _LOG_ZERO = -5.0  # the logarithm of a probability that a detector gives as 0
 
 
@@ -126,11 +128,15 @@ def trace_periods(
         if len(rows) == 1:
             candidates = candidates[candidates != rows]
         evidence = _compute_evidence(group_root, rows, log_p_leads[present], log_p_none[present], candidates)
-        evidence[_find_led_times({resampled.ids[row] for row in rows}, group_centres, found), -1] = _IMPOSSIBLE
         states = np.append(candidates, NO_LEADER)
-        path = _Path(rows, group_centres, evidence, states, states[_find_path(evidence, _CHANGE_PRICE)])
-        if not confirm or any(_is_supported(each, resampled, found) for each in path.list_periods(ends)):
-            paths.append(path)
+        is_led = _find_led_times({resampled.ids[row] for row in rows}, group_centres, found)
+        possible = np.where(is_led[:, None] & (states == NO_LEADER), _IMPOSSIBLE, evidence)
+        path = _Path(rows, group_centres, evidence, states, states[_find_path(possible, _CHANGE_PRICE)])
+        rough = path.list_periods(ends)
+        named = [not confirm or _is_named(each, resampled.ids, found) for each in rough]
+        if any(named) or any(_is_confirmed(each, resampled, found) for each in rough):
+            path = _drop_leaders(resampled, path, named, span)
+            paths.append(_fill_gaps(resampled, path, span))
     periods = chain(*_date_periods(resampled, paths, ends))
     return tuple(sorted(periods, key=lambda each: (each.start, -len(each.rows))))
 
@@ -220,6 +226,40 @@ def _find_path(evidence: Floats, price: float) -> Indices:
     return path
 
 
+def _drop_leaders(tracks: Tracks, path: _Path, named: Sequence[bool], ends: Span) -> _Path:
+    """The path without the leaders of periods that no window names and whose past explains little."""
+    leader = path.leader.copy()
+    for period, is_named, span in zip(path.list_periods(ends), named, pairwise(path.bounds), strict=True):
+        if period.leader >= 0 and not is_named:
+            (gain,) = explain_motion(tracks, path.rows, period.leader, [(period.start, period.end)])
+            leader[slice(*span)] = period.leader if gain > _LEAST_GAIN else NO_LEADER
+    return path._replace(leader=leader)
+
+
+def _fill_gaps(tracks: Tracks, path: _Path, ends: Span) -> _Path:
+    """The path led where the group goes on as it follows the leader before a gap, that after it, or one until a cut."""
+    periods, leader, bounds = path.list_periods(ends), path.leader.copy(), path.bounds
+    margin = _STRIDE * float(tracks.step or 1.0)
+    for k in (k for k, period in enumerate(periods) if period.leader == NO_LEADER):
+        first, last = bounds[k : k + 2]
+        cuts = np.linspace(first, last, _CUTS).astype(int)
+        times = periods[k].start + (periods[k].end - periods[k].start) * (cuts - first) / (last - first)
+        sides = [(k - 1, [(periods[k].start - margin, time) for time in times], cuts > first)]
+        sides += [(k + 1, [(time, periods[k].end + margin) for time in times], cuts < last)]
+        gains, heads = np.zeros(_CUTS), [NO_LEADER, NO_LEADER]
+        for side, (other, spans, counts) in enumerate(sides):
+            if 0 <= other < len(periods):
+                heads[side] = periods[other].leader
+                known = [(each.start, each.end) for each in periods if each.leader == heads[side]]
+                gains += np.where(counts, explain_motion(tracks, path.rows, heads[side], spans, known), 0.0)
+            else:
+                gains[counts] = -np.inf
+        cut = cuts[gains.argmax()]
+        if gains.max() > 0:
+            leader[first:cut], leader[cut:last] = heads
+    return path._replace(leader=leader)
+
+
 def _date_periods(tracks: Tracks, paths: Sequence[_Path], ends: Span) -> list[list[Period]]:
     """The periods of each group; changes at once, from and to the same leader, have one date."""
     moves = dict[tuple[int, int], list[tuple[int, int, Dates]]]()
@@ -238,19 +278,22 @@ def _date_periods(tracks: Tracks, paths: Sequence[_Path], ends: Span) -> list[li
     return periods
 
 
-def _is_supported(period: Period, tracks: Tracks, found: Sequence[Found]) -> bool:
-    """Whether the leader of a period leads in a window of which it has the most, or is confirmed in the period."""
-    if period.leader == NO_LEADER:
-        return False
-    name = tracks.ids[period.leader]
+def _is_named(period: Period, ids: Sequence[Name], found: Sequence[Found]) -> bool:
+    """Whether the leader of a period leads in a window of which it has the most."""
     for track_window, _, window in found:
         overlap = min(track_window.end, period.end) - max(track_window.start, period.start)
-        leads = any(leader.id == name for leader in window.leaders)
+        leads = period.leader >= 0 and any(leader.id == ids[period.leader] for leader in window.leaders)
         if leads and 2 * overlap >= min(track_window.end - track_window.start, period.end - period.start):
             return True
+    return False
+
+
+def _is_confirmed(period: Period, tracks: Tracks, found: Sequence[Found]) -> bool:
+    """Whether the leader of a period is confirmed in it."""
     all_rows = np.arange(len(tracks.ids))
     period_window = tracks.cut_like(replace(found[0][0], start=period.start, end=period.end, rows=all_rows))
-    if period_window is None or not np.isin((period.leader, *period.rows), period_window.rows).all():
+    needed = {period.leader, *period.rows}
+    if period_window is None or not needed <= {*period_window.rows.tolist()}:
         return False
     members = np.searchsorted(period_window.rows, period.rows)
     leader = int(np.searchsorted(period_window.rows, period.leader))

@@ -69,6 +69,31 @@ def weigh_dates(tracks: Tracks, rows: Indices, old: int, new: int, between: tupl
     return Dates(low, np.sum(costs, axis=0, where=(changed | ~changed.any())[:, None]))
 
 
+def explain_motion(
+    tracks: Tracks, rows: Indices, leader: int, spans: Sequence[Span], known: Sequence[Span] = ()
+) -> Floats:
+    """Nats by which the past of a leader explains the motion of a group better than its own, in each span; ``(S,)``.
+
+    The lag, the weights and the variance of what remains are those that fit best in the ``known`` spans, or else in all
+    ``spans``, less what it costs to choose them.
+    """
+    step, gain = float(tracks.step or 1.0), np.zeros(len(spans))
+    instants = np.round(np.array([*spans, *known]) / step).astype(int)
+    start, end = max(int(instants.min()), 0), int(instants.max())
+    instants = (instants - start).clip(0, end - start)
+    here, there = instants[: len(spans)].T, instants[len(spans) if known else 0 :].T
+    for free, led in _sum_motions(tracks, rows, (NO_LEADER, leader), start, end):
+        part, whole = led.part(*here), led.part(*there)
+        weights, left = _fit(whole.products.sum(axis=0))
+        best, numbers = int(left.argmin()), part.numbers
+        variance = max(float(left[best]), 1e-300) / max(whole.numbers.sum(), 1.0)
+        terms = np.append(1.0, -weights[best])
+        made = np.einsum("p,spq,q->s", terms, part.products[:, best], terms)
+        gain += _weigh(free.part(*here)) - (numbers * np.log(variance) + made / variance - numbers) / 2
+        gain -= 0.0 if known else (_WEIGHTS - _OWN) / 2 * np.log(np.maximum(numbers, 1.0))
+    return gain
+
+
 def join_dates(changes: Sequence[Dates]) -> list[Dates]:
     """Changes, each with the sum of the costs of all that are one: a date of its own doesn't gain a group enough."""
     joined = sorted((change.first + int(change.cost.argmin()), k, [k], change) for k, change in enumerate(changes))
