@@ -84,3 +84,20 @@ def test_a_leader_that_no_window_names_is_one_only_if_its_past_explains_the_moti
     assert {event.new for event in found} == {0}
     assert found[-1].low <= 109 <= found[-1].high
     assert 1 in found[-1].ids
+
+
+@pytest.mark.parametrize(("uav", "first", "last"), [(0, 80, 239), (0, 0, 150), (3, 70, 239), (3, 20, 160)])
+def test_an_id_leads_and_follows_only_while_it_has_a_track(uav, first, last):
+    seen = np.ones((STEPS, 5), bool)
+    seen[:first, uav] = seen[last + 1 :, uav] = False
+
+    def says(t):
+        return [FREE] * 5 if uav == 0 and not first <= t <= last else [FREE, 0, 0, 0, 0]
+
+    found = find(lambda t: [FREE, 0, 0, 0, 0], says, seen)
+    led = [each for each in found.periods if each.leader == 0 and uav in each.rows]
+    spans = [(each.start, each.low, each.high, each.end) for each in led]
+    assert spans
+    assert first <= np.min(spans) <= first + 4
+    assert last >= np.max(spans)
+    assert {event.time for event in found.events} <= {0, last, *range(first, first + 4)}

@@ -40,7 +40,7 @@ class Period:
     """A time in which a group follows one leader, or none.
 
     Args:
-        rows: the group's members, as rows of ``Tracks.ids``; the leader may be one of them.
+        rows: the group's members with a track then, as rows of ``Tracks.ids``; the leader may be one of them.
         leader: its row, or -1: none.
         start: in seconds, when it began.
         end: when it ended.
@@ -137,7 +137,7 @@ def trace_periods(
         if any(named) or any(_is_confirmed(each, resampled, found) for each in rough):
             path = _drop_leaders(resampled, path, named, span)
             paths.append(_fill_gaps(resampled, path, span))
-    periods = chain(*_date_periods(resampled, paths, ends))
+    periods = chain(*(_clip_periods(resampled, each) for each in _date_periods(resampled, paths, ends)))
     return tuple(sorted(periods, key=lambda each: (each.start, -len(each.rows))))
 
 
@@ -278,6 +278,33 @@ def _date_periods(tracks: Tracks, paths: Sequence[_Path], ends: Span) -> list[li
     return periods
 
 
+def _clip_periods(tracks: Tracks, periods: Sequence[Period]) -> list[Period]:
+    """The periods of a group, of each follower while it and its leader are seen, and of a leader while it has one."""
+    first, last = tracks.time[tracks.offsets[:-1]], tracks.time[tracks.offsets[1:] - 1]
+    half_window, clipped, old = _LENGTH / 2 * float(tracks.step or 1.0), list[Period](), NO_LEADER
+    for period in periods:
+        head, parts = period.leader, dict[Period, list[int]]()
+        for row in (row for row in period.rows if row != head):
+            if head == NO_LEADER:
+                parts.setdefault(period, []).extend([row] if row == old or last[row] > period.start else [])
+                continue
+            seen = max(first[row], first[head]), min(last[row], last[head])
+            start, low, high, end = np.clip((period.start, period.low, period.high, period.end), *seen).tolist()
+            if start < end:
+                led = replace(period, start=start, low=low, high=high, end=end)
+                parts.setdefault(led, []).append(row)
+            if end == last[head] < min(period.end, last[row] - half_window):  # it goes on without a leader
+                free = replace(period, leader=NO_LEADER, start=end, low=end, high=end, probability=1.0)
+                parts.setdefault(free, []).append(row)
+        if head in period.rows and (led_parts := [part for part in parts if part.leader == head]):
+            whole = replace(min(led_parts, key=lambda part: part.start), end=max(part.end for part in led_parts))
+            parts.setdefault(whole, []).append(head)
+            parts |= {part: [*rows, head] for part, rows in parts.items() if part.leader == NO_LEADER}
+        clipped += [replace(part, rows=tuple(sorted(rows))) for part, rows in parts.items() if rows]
+        old = head
+    return clipped
+
+
 def _is_named(period: Period, ids: Sequence[Name], found: Sequence[Found]) -> bool:
     """Whether the leader of a period leads in a window of which it has the most."""
     for track_window, _, window in found:
@@ -327,7 +354,7 @@ def blur_links(
     window: DetectedWindow, track_window: TrackWindow, periods: Sequence[Period], ids: Sequence[Name]
 ) -> DetectedWindow:
     """A window in which links of groups that change their leader inside of it are not direct."""
-    inner_periods = [period for period in periods if track_window.start < period.low and period.high < track_window.end]
+    inner_periods = [period for period in periods if track_window.start < period.low < period.high < track_window.end]
     moving_ids = {ids[row] for period in inner_periods for row in period.rows}
     links = [
         replace(link, leader=link.head, delay=link.behind_head, delay_low=None, delay_high=None, direct=False)
