@@ -1,11 +1,13 @@
 """When leaders change: dates, and who leads when, with a detector that knows the leaders, but is unsure at times."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from track_files import tracks_of
 
 from usnet_env import Detection
-from usnet_env.tracks import find_leaders
+from usnet_env.tracks import Period, find_leaders
 
 STEPS, FREE = 240, -1
 
@@ -101,3 +103,9 @@ def test_an_id_leads_and_follows_only_while_it_has_a_track(uav, first, last):
     assert first <= np.min(spans) <= first + 4
     assert last >= np.max(spans)
     assert {event.time for event in found.events} <= {0, last, *range(first, first + 4)}
+
+
+def test_a_leader_in_no_group_has_a_row_in_the_timeline():
+    found = find(lambda t: [FREE, 0, 0])
+    (axes,) = replace(found, periods=(Period((1, 2), 0, 0.0, 120.0, 0.0, 0.0, 1.0),)).plot_timeline().axes
+    assert {round(bar.get_y() + 0.4) for bar in axes.patches if bar.get_width() > 0} == {0, 1, 2}

@@ -217,10 +217,18 @@ class FoundLeaders:
             rows = self._list_rows()[["id", "head", "start"]].itertuples(index=False)
             return [(name, head, number[start], number[start] + 1) for name, head, start in rows]
         starts = [*(track_window.start for track_window in self.track_windows), self.track_windows[-1].end]
+        led = [period for period in self.periods if period.leader >= 0]
+        times = [(row, each.leader, each.start, each.end) for each in led for row in each.rows if row != each.leader]
+        for leader in {each.leader for each in led}:  # it may be in no group
+            parts = list[list[float]]()
+            for start, end in sorted((each.start, each.end) for each in led if each.leader == leader):
+                parts += [] if parts and start <= parts[-1][1] else [[start, end]]
+                parts[-1][1] = max(parts[-1][1], end)
+            times += [(leader, leader, start, end) for start, end in parts]
         spans = []
-        for each in (period for period in self.periods if period.leader >= 0):
-            begin, end = np.interp((each.start, each.end), starts, np.arange(len(starts))).tolist()
-            spans += [(self.ids[row], self.ids[each.leader], begin, end) for row in each.rows]
+        for row, leader, *seconds in times:
+            begin, end = np.interp(seconds, starts, np.arange(len(starts))).tolist()
+            spans.append((self.ids[row], self.ids[leader], begin, end))
         return spans
 
     def plot_maps(self, title: str = "tracks") -> Figure:
