@@ -84,9 +84,12 @@ def explain_motion(
     here, there = instants[: len(spans)].T, instants[len(spans) if known else 0 :].T
     for free, led in _sum_motions(tracks, rows, (NO_LEADER, leader), start, end):
         part, whole = led.part(*here), led.part(*there)
+        if not whole.numbers.any():
+            continue
         weights, left = _fit(whole.products.sum(axis=0))
         best, numbers = int(left.argmin()), part.numbers
-        variance = max(float(left[best]), 1e-300) / max(whole.numbers.sum(), 1.0)
+        least = _ROUNDING * led.products[-1, 0, 0, 0] + 1e-300
+        variance = max(float(left[best]), least) / whole.numbers.sum()
         terms = np.append(1.0, -weights[best])
         made = np.einsum("p,spq,q->s", terms, part.products[:, best], terms)
         gain += _weigh(free.part(*here)) - (numbers * np.log(variance) + made / variance - numbers) / 2
