@@ -280,8 +280,10 @@ def _date_periods(tracks: Tracks, paths: Sequence[_Path], ends: Span) -> list[li
 
 def _clip_periods(tracks: Tracks, periods: Sequence[Period]) -> list[Period]:
     """The periods of a group, of each follower while it and its leader are seen, and of a leader while it has one."""
+    step = float(tracks.step or 1.0)
     first, last = tracks.time[tracks.offsets[:-1]], tracks.time[tracks.offsets[1:] - 1]
-    half_window, clipped, old = _LENGTH / 2 * float(tracks.step or 1.0), list[Period](), NO_LEADER
+    first = np.where(first > tracks.time.min() + 1.5 * step, first, -np.inf)  # fixes needn't be at one instant
+    half_window, clipped, old = _LENGTH / 2 * step, list[Period](), NO_LEADER
     for period in periods:
         head, parts = period.leader, dict[Period, list[int]]()
         for row in (row for row in period.rows if row != head):
